@@ -1,4 +1,4 @@
-# Shorthands for daily work; `just` lists them (https://just.systems).
+# Shortcuts for daily work; `just` lists them (https://just.systems).
 
 _list:
     @just --list
@@ -7,7 +7,7 @@ _list:
 test *arguments:
     cargo nextest run --cargo-profile quick --workspace --profile fast {{arguments}}
 
-# every test, including those in documentation, as README.md and .ci/run call them
+# every test, including those in documentation, as run by README.md and .ci/run
 test-all:
     cargo test --workspace --release
 
@@ -15,25 +15,25 @@ test-all:
 check *steps="format clippy minimum deny docs page python scenes site fuzz readme":
     .ci/run {{steps}}
 
-# every crate's pages, in target/doc
+# the documentation of every crate, in target/doc
 docs:
     RUSTDOCFLAGS="-D warnings" cargo doc --workspace --no-deps --release
 
-# the generated references, C header and Python module, from their sources
+# generate the references, the C header and the Python module from their sources
 generate:
     cargo run --release -- docs scene > target/scene.md && mv target/scene.md docs/scene.md
     cargo run --release -- docs messages > target/messages.md && mv target/messages.md docs/messages.md
     cargo run --release -p trabecula_client --bin trabecula_client_bindings -- c > target/trabecula.h && mv target/trabecula.h clients/c/include/trabecula.h
     cargo run --release -p trabecula_client --bin trabecula_client_bindings -- python > target/_generated.py && mv target/_generated.py clients/python/trabecula/_generated.py
 
-# every fuzz target for some seconds, or the named ones: just fuzz 60 nifti dicom
+# run every fuzz target for some seconds, or only the given ones: just fuzz 60 nifti dicom
 fuzz seconds="600" *targets:
     fuzz/run -s {{seconds}} {{targets}}
 
-# the hub under seeded schedules: just schedules 10000000
+# run the hub under seeded schedules: just schedules 10000000
 schedules count="1000000":
     cargo run --release -p hub_simulator --bin hub_simulator -- --count {{count}}
 
-# broken versions of the hub, each of which the schedules must detect
+# check that the schedules detect each broken version of the hub
 mutants *name:
     cargo run --release -p hub_simulator --example hub_mutants -- {{name}}

@@ -29,9 +29,9 @@ enum Command {
 
 #[derive(Debug, Subcommand)]
 enum UserCommand {
-    /// Run a scene (the default: the femur).
+    /// Run a scene (default: the built-in femur).
     Run(commands::run::RunArguments),
-    /// Replay a log: step the physics through its recorded commands.
+    /// Replay a log by stepping the physics through its recorded commands.
     Replay(commands::replay::ReplayArguments),
     /// Watch and control a running session in the browser, or browse logs on a timeline.
     View(commands::view::ViewArguments),
@@ -50,13 +50,13 @@ enum UserCommand {
     /// Check a scene, or write a built-in one to start from.
     #[command(subcommand)]
     Scene(commands::scene::SceneCommand),
-    /// Run a scene many times with other values, and see what its results depend on.
+    /// Run a scene many times with varied parameters, and report which ones affect the results.
     #[command(subcommand)]
     Sweep(commands::sweep::SweepCommand),
     /// List this user's running sessions; pause, resume or stop one.
     #[command(subcommand)]
     Session(commands::session::SessionCommand),
-    /// Show or clear the volumes that are kept for the next run.
+    /// Show or clear the cache of volumes and tool tables.
     #[command(subcommand)]
     Cache(commands::cache::CacheCommand),
     /// Show the tool's dimensions.
@@ -72,11 +72,11 @@ enum UserCommand {
     /// Print generated documentation.
     #[command(subcommand)]
     Docs(commands::docs::DocsCommand),
-    /// Check this machine for real-time limits: what each one costs and how to lift it.
+    /// Check which limits of this machine affect real-time runs, what each costs and how to lift it.
     Doctor(commands::doctor::DoctorArguments),
     /// Run a scene on limited cores under competing load, and report why ticks were late.
     Stress(commands::stress::StressArguments),
-    /// The competing load of a stress test.
+    /// Run the competing load of a stress test.
     #[command(hide = true)]
     Load(commands::stress::LoadArguments),
 }
@@ -89,12 +89,12 @@ pub fn main() -> ExitCode {
     })
 }
 
-/// The whole command line, each command's help with examples and exit codes.
+/// Returns the whole command line; the help of each command includes examples and exit codes.
 pub fn command_line() -> clap::Command {
     help::completed(Arguments::command(), help::EXAMPLES)
 }
 
-/// The requested command; without one, `run` with the default scene.
+/// Parses the command; without one, defaults to `run` with the built-in scene.
 fn command() -> Result<Command, clap::Error> {
     let parsed = |matches: clap::ArgMatches| Arguments::from_arg_matches(&matches).map(|all| all.command);
     match command_line().try_get_matches().and_then(parsed)? {
@@ -137,7 +137,7 @@ mod tests {
     use super::*;
     use test_support::grammar;
 
-    /// Commands that print no figures: their answer is text for another program, a picture or a page, or files alone.
+    /// Commands without `--json`: they print text for another program, or write only images, pages or files.
     const WITHOUT_FIGURES: [&str; 21] = [
         "bridge igtl",
         "bridge ros2",
@@ -173,7 +173,7 @@ mod tests {
         assert_eq!(grammar::without_json(&command_line(), &[]), WITHOUT_FIGURES);
     }
 
-    /// The suggestion is clap's; a feature of it that somebody switches off would take it away.
+    /// clap makes the suggestions, but only with one of its optional features enabled.
     #[test]
     fn a_misspelt_command_or_option_is_answered_with_the_one_that_was_meant() {
         for (words, meant) in [

@@ -1,15 +1,13 @@
-//! What every `--help` ends with: examples and exit codes. Both programs' command lines are completed here, so that no
-//! command is without.
+//! Appends examples and exit codes to every `--help`, for the command lines of both programs.
 
 use clap::Command;
 
 use crate::program::EXIT_CODES;
 
-/// The examples of `trabecula`, one command line a line.
+/// Examples for `trabecula`, one command per line.
 pub const EXAMPLES: &str = include_str!("examples.txt");
 
-/// The command line with exit codes in the help of each of its commands, and those of the `examples`, one a line, that
-/// call it.
+/// Adds to the help of each command the exit codes and those `examples` (one per line) that call it.
 pub fn completed(command: Command, examples: &str) -> Command {
     let program = command.get_name().to_owned();
     below(command.after_help(EXIT_CODES), &program, examples)

@@ -1,9 +1,10 @@
-//! `trabecula proc keep`: runs a third-party program, and ends everything that it started when the program or the
+//! `trabecula proc keep`: runs a third-party program, and kills all its descendants when the program or the
 //! launcher ends.
 //!
-//! The kernel sends a parent-death signal to direct children only, and a daemon leaves its parent's group and session.
-//! This process therefore sits between launcher and program as a subreaper: orphans of the program become its
-//! children. Its standard input is a socket to the launcher, which closes however the launcher dies.
+//! The kernel sends a parent-death signal to direct children only, and a daemon leaves its parent's group and
+//! session. This process therefore sits between launcher and program as a subreaper: orphans of the program
+//! become its children. Its standard input is a socket to the launcher, which closes however the launcher
+//! dies.
 
 use std::ffi::OsString;
 use std::io::{Read, Write};
@@ -26,14 +27,14 @@ use crate::failure::Failure;
 
 /// The launcher sends this to kill everything at once.
 pub const END_AT_ONCE: u8 = b'K';
-/// How long the program may take to end after the launcher has ended.
+/// Timeout for the program to end after the launcher has ended.
 const GRACE_PERIOD: Duration = Duration::from_secs(2);
-/// How long killed processes may take to disappear, on a starved machine too; the kernel is left to deal with any stuck
-/// in an uninterruptible system call. A launcher that ends its run waits less.
+/// Timeout for killed processes to disappear, sufficient on a starved machine; processes stuck in an
+/// uninterruptible system call are left to the kernel. A launcher that ends its run waits less.
 const KILL_LIMIT: Duration = Duration::from_secs(10);
 const KILL_POLL_PERIOD: Duration = Duration::from_millis(2);
 
-/// What the keeper reports to the launcher about the start.
+/// The keeper's report to the launcher about the start.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Started {
     /// Started, with the program's process ID.
@@ -161,7 +162,7 @@ impl Kept {
         let _ = kill_process_group(self.program, Signal::CONT);
     }
 
-    /// Whether this process has children left.
+    /// Reaps ended children; returns whether any are left.
     fn reap(&mut self) -> bool {
         loop {
             match wait(WaitOptions::NOHANG) {
@@ -173,9 +174,9 @@ impl Kept {
         }
     }
 
-    /// Kills all descendants until the kernel says that there are none: a process whose parent ends becomes a
-    /// child of this subreaper at once, so without children it has no descendants. A look through `/proc` cannot say so. It misses a
-    /// process that was spawned after the numbers were listed by one that has ended before its own entry was read.
+    /// Kills descendants until the kernel reports no children: an orphan becomes a child of this subreaper at
+    /// once, so no children means no descendants. A scan of `/proc` cannot tell, because it misses a process
+    /// spawned after the process IDs were listed by a parent that ended before its entry was read.
     fn end_all(&mut self) {
         let end = Instant::now() + KILL_LIMIT;
         while self.reap() && Instant::now() < end {

@@ -1,7 +1,9 @@
-//! Shared code of the programs `trabecula` and `trabecula-lab`: commands, the launcher of a run, replay, reports.
+//! Code shared by the programs `trabecula` and `trabecula-lab`: commands, the launcher of a run, replay,
+//! reports.
 //!
-//! **Boundary:** the laboratory (`lab/`) builds on this crate; nothing here depends on it. **Invariant:** every command prints its answer through [`mod@say`], so that
-//! a failed write is never reported as success, and text from untrusted files never reaches the terminal unescaped.
+//! **Boundary:** the laboratory (`lab/`) builds on this crate; nothing here depends on it. **Invariant:**
+//! every command prints its result through [`mod@say`], so that a failed write is never reported as success,
+//! and text from untrusted files never reaches the terminal unescaped.
 
 #![cfg_attr(not(test), warn(clippy::print_stdout))]
 

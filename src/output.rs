@@ -1,9 +1,9 @@
-//! Output files of commands: never overwrite an existing file, never leave a partial one. Every command with an output
-//! uses this module.
+//! Output files of commands: never overwrite an existing file, never leave a partial one. Every command with
+//! an output uses this module.
 //!
-//! This also keeps a command from overwriting its input, which exists. A command checks before its work, so that it
-//! refuses at once and writes nothing. An output gets its name only once it is complete, and only if the name is still
-//! free (`output_file`).
+//! This also keeps a command from overwriting its input. A command checks first, so that it fails at once and
+//! writes nothing. An output gets its name only once it is complete, and only if the name is still free
+//! (`output_file`).
 
 use std::path::{Path, PathBuf};
 
@@ -12,12 +12,12 @@ use figures::{Figure, FigureError};
 use crate::failure::Failure;
 use crate::report::ReportError;
 
-/// Refuses if one of the files exists in any form, even as a dangling link.
+/// Fails if one of the files exists in any form, even as a dangling link.
 pub fn refuse_existing<P: AsRef<Path>>(files: &[P]) -> Result<(), Failure> {
     Ok(output_file::refuse_existing(files)?)
 }
 
-/// The place of a figure that is written as `.png` and `.svg`, from its path with or without either ending.
+/// Returns where to write a figure as `.png` and `.svg`, from a path with or without either extension.
 ///
 /// # Errors
 /// Bad input: the path has no file name, or one of the files exists.
@@ -33,34 +33,35 @@ pub fn figure_place(path: &Path) -> Result<FigurePlace<'_>, Failure> {
     Ok(FigurePlace { folder, stem: stem.to_owned(), files })
 }
 
-/// Where a figure goes.
+/// Output paths of a figure.
 #[derive(Debug)]
 pub struct FigurePlace<'a> {
     folder: &'a Path,
-    /// Its name without an ending.
+    /// File name without extension.
     stem: String,
-    /// Its files.
+    /// The `.png` and `.svg` file.
     pub files: [PathBuf; 2],
 }
 
 impl FigurePlace<'_> {
-    /// Writes the figure there.
+    /// Writes the figure.
     pub fn write(&self, figure: Result<Figure, FigureError>) -> Result<(), Failure> {
         let written = figure.and_then(|figure| figure.write(self.folder, &self.stem));
         Ok(written.map_err(ReportError::from)?)
     }
 }
 
-/// Paths of these names in a folder.
+/// Returns the paths of these names in a folder.
 pub fn within(folder: &Path, names: &[&str]) -> Vec<PathBuf> {
     names.iter().map(|name| folder.join(name)).collect()
 }
 
 #[cfg(test)]
 mod tests {
-    /// Commands with an output, and the argument that names it. All are in the table of `tests/processes/outputs.rs`,
-    /// except `run` and `stress`, which create a folder with a new name, and `proc recorder`, which `run` starts in it;
-    /// `sweep list`, which writes nothing; and `sweep run`, which takes a new folder or its own (`tests/processes/sweeps.rs`).
+    /// Commands with an output, and the argument that names it. All are in the table of
+    /// `tests/processes/outputs.rs`, except `run` and `stress`, which create a folder with a new name, and
+    /// `proc recorder`, which `run` starts in it; `sweep list`, which writes nothing; and `sweep run`, which
+    /// takes a new folder or its own (`tests/processes/sweeps.rs`).
     const KNOWN: [&str; 21] = [
         "calibrate --output",
         "docs install --output",

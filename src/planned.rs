@@ -1,54 +1,57 @@
-//! The scene of a plan, as text that its user goes on with.
+//! Generates a scene file from a plan, as text for the user to edit.
 
 use std::path::Path;
 
 use markups::{Arc, Plan};
 
-/// Bend of the standard tool in air per newton on its tendon, deg: `configs/calibration/tension_sweep.csv`. Feedback corrects what bone adds.
+/// Bend of the standard tool in air per newton on its tendon, deg: `configs/calibration/tension_sweep.csv`.
+/// Feedback compensates for the additional resistance of bone.
 const BEND_DEG_PER_N: f64 = 8.65;
-/// Feed on a curve, mm/s: that of the default scene.
+/// Feed on a curve, mm/s, as in the default scene.
 const FEED_MM_PER_S: f64 = 1.5;
-/// Feed on a straight line, mm/s. No tendon holds the tool there: the burr's force, which grows with the feed, bends it off the line. In
-/// the dense bone behind 55 mm of the pelvis phantom it ends 0.89 mm off at 1.5 mm/s and 0.62 mm off at this (test `plans`).
+/// Feed on a straight line, mm/s. No tendon holds the tool on the line, and the burr's force, which
+/// grows with the feed, bends it away. In the dense bone behind 55 mm of the pelvis phantom, the
+/// final error is 0.89 mm at 1.5 mm/s and 0.62 mm at this feed (test `plans`).
 const STRAIGHT_FEED_MM_PER_S: f64 = 0.5;
-/// Simulated time after the feed, s: the tool comes to rest.
+/// Simulated time after the feed for the tool to come to rest, s.
 const REST_S: f64 = 2.0;
-/// Slices thicker than this, mm, are resampled: they would make a rough wall that jams the tool.
+/// Slices thicker than this, mm, are resampled, because rough walls would jam the tool.
 const THICK_MM: f64 = 1.0;
-/// The voxels that they are resampled to, mm: as `configs/pelvis_ct.toml`.
+/// Voxel size after resampling, mm, as in `configs/pelvis_ct.toml`.
 const RESAMPLED_MM: f64 = 0.75;
 
-/// What a scene is made of.
+/// Inputs of a generated scene.
 #[derive(Debug)]
 pub struct Planned<'a> {
     pub name: String,
-    /// The plan's file, as the scene names it.
+    /// Path of the plan in the scene.
     pub plan_file: &'a Path,
     pub plan: Plan,
-    /// The volume, as the scene names it.
+    /// Path of the volume in the scene.
     pub ct: &'a Path,
     /// The segment that is bone, if the volume is a segmentation.
     pub segment: Option<&'a str>,
-    /// Distance of voxels along the axis where it is largest, mm.
+    /// Largest voxel spacing of the three axes, mm.
     pub thickest_mm: f64,
 }
 
 impl Planned<'_> {
-    /// The path from the burr's start to the target.
+    /// Returns the path from the burr's start to the target.
     pub fn arc(&self) -> Arc {
         self.plan.arc(0.0)
     }
 
-    /// The scene's text.
+    /// Returns the scene file's text.
     pub fn text(&self) -> String {
         let (plan, arc) = (&self.plan, self.arc());
         let (feed_mm_per_s, drilled, guidance) = match plan.is_curved() {
             true => (
                 FEED_MM_PER_S,
-                "A pilot hole from the entry to the bend, and a curve from there to the target.",
+                "A pilot hole from the entry to the bend, then a curve to the target.",
                 format!(
-                    "tension_n = {:.2}         # at the end of the ramp; the arc turns by {:.1} deg\n\
-                     feedback = \"shape\"       # corrects the tension by the measured shape; \"image\": by the burr in X-ray frames\n\
+                    "tension_n = {:.2}         # at the end of the ramp; the arc turns {:.1} deg\n\
+                     feedback = \"shape\"       # corrects the tension from the measured shape; \"image\": \
+                     from the burr in X-ray frames\n\
                      guidance_gain_n_per_mm = 0.2\n",
                     arc.turn_deg / BEND_DEG_PER_N,
                     arc.turn_deg,
@@ -56,7 +59,7 @@ impl Planned<'_> {
             ),
             false => (
                 STRAIGHT_FEED_MM_PER_S,
-                "A pilot hole from the entry, and straight from its end to the target.",
+                "A pilot hole from the entry, then a straight line from its end to the target.",
                 "feedback = \"none\"\n#> tension_n = 0.0\n".to_owned(),
             ),
         };
@@ -70,7 +73,8 @@ impl Planned<'_> {
         });
         let resample = (self.thickest_mm > THICK_MM).then(|| {
             format!(
-                "resample_mm = {RESAMPLED_MM:?}       # its slices are {:.2} mm apart; thick voxels make a rough wall that jams the tool\n",
+                "resample_mm = {RESAMPLED_MM:?}       # its slices are {:.2} mm apart; thick voxels make a \
+                 rough wall that jams the tool\n",
                 self.thickest_mm
             )
         });
@@ -99,7 +103,7 @@ impl Planned<'_> {
     }
 }
 
-/// A text as TOML writes it.
+/// Quotes a string as TOML.
 fn quoted(text: &str) -> String {
     toml::Value::String(text.to_owned()).to_string()
 }
@@ -148,7 +152,7 @@ mod tests {
         }
     }
 
-    /// "To go on by hand" is no use if the lines that it offers are another scene.
+    /// The commented-out lines must describe the same scene as the plan.
     #[test]
     fn the_lines_for_going_on_by_hand_are_the_same_scene_to_their_decimals() {
         for file in [CURVE, LINE] {

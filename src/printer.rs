@@ -1,8 +1,8 @@
-//! Writes the launcher's output on a separate thread, so that a stopped terminal (Ctrl-S) or an unread pipe delays
-//! neither the response to a signal nor the run. Before [`start`], and in every other command, output is written
-//! directly.
+//! Writes the launcher's output on a separate thread, so that a stopped terminal (Ctrl-S) or an unread pipe
+//! delays neither the response to a signal nor the run. Before [`start`], and in every other command, output
+//! is written directly.
 //!
-//! Output that does not fit the queue is dropped and counted. The command's answer, its standard output, is never
+//! Output that does not fit the queue is dropped and counted. The command's result (standard output) is never
 //! dropped: `finish` waits for it at the end, up to a limit, unless a signal cuts the wait short.
 
 use std::collections::VecDeque;
@@ -21,17 +21,17 @@ use crate::say;
 const ECHO_BYTES: usize = 64 << 10;
 /// The same limit for the launcher's own messages, which are few.
 const WORD_BYTES: usize = 2 * ECHO_BYTES;
-/// How long the command waits at its end for someone to read its answer.
+/// How long the command waits at its end for its result to be read.
 const ANSWER_LIMIT: Duration = Duration::from_secs(60);
-/// The same limit if only other output waits.
+/// The same limit if only other output is pending.
 const WORD_LIMIT: Duration = Duration::from_secs(5);
 /// The same limit after a signal.
 const HURRIED_LIMIT: Duration = Duration::from_millis(500);
-/// Interval between retries on a stream that is non-blocking.
+/// Interval between retries on a non-blocking stream.
 const RETRY: Duration = Duration::from_millis(10);
 
-/// Printers of standard output and standard error; the same printer twice if both lead to the same place, to keep the
-/// order.
+/// Printers of standard output and standard error; the same printer twice if both lead to the same place, to
+/// keep the order.
 static PRINTERS: OnceLock<[Arc<Printer>; 2]> = OnceLock::new();
 static HURRIED: AtomicBool = AtomicBool::new(false);
 
@@ -66,11 +66,11 @@ struct Piece {
 struct Queue {
     /// The first one is being written.
     waiting: VecDeque<Arc<Piece>>,
-    /// Total of all waiting texts.
+    /// Total length of all pending texts.
     bytes: usize,
     /// Lines dropped and not yet reported.
     dropped: usize,
-    /// Why the answer could not be written.
+    /// Why the result could not be written.
     failed: Option<String>,
 }
 
@@ -142,7 +142,7 @@ impl Printer {
         self.changed.notify_all();
     }
 
-    /// Waits until everything is written, up to the limit for what waits.
+    /// Waits until everything is written, up to the limit for the pending output.
     fn finish(&self, to: &Arc<File>, began: Instant, is_hurried: &dyn Fn() -> bool) -> Result<(), String> {
         let mut queue = self.lock();
         queue.report_dropped(to);
@@ -155,7 +155,7 @@ impl Printer {
                 (false, _) => ANSWER_LIMIT,
             };
             if began.elapsed() >= limit {
-                return if answers > 0 { Err("nobody has read it".to_owned()) } else { Ok(()) };
+                return if answers > 0 { Err("no reader within the time limit".to_owned()) } else { Ok(()) };
             }
             let waited = self.changed.wait_timeout(queue, HURRIED_LIMIT / 10);
             queue = waited.unwrap_or_else(PoisonError::into_inner).0;
@@ -164,12 +164,12 @@ impl Printer {
     }
 }
 
-/// Whether the reader is gone: a closed pipe or terminal. That is not an error.
+/// Returns whether the reader has closed its pipe or terminal, which is not an error.
 fn is_gone(cause: &Error) -> bool {
     cause.kind() == ErrorKind::BrokenPipe || cause.raw_os_error() == Some(Errno::IO.raw_os_error())
 }
 
-/// Writes everything, even to a non-blocking stream: another program on the terminal may have made it so.
+/// Writes everything, even if another program has made the terminal non-blocking.
 fn write_all(mut to: &File, mut bytes: &[u8]) -> std::io::Result<()> {
     while !bytes.is_empty() {
         match to.write(bytes) {
@@ -186,10 +186,10 @@ fn write_all(mut to: &File, mut bytes: &[u8]) -> std::io::Result<()> {
 /// The two streams without the standard library's locks, which a blocked writer would hold.
 static STREAMS: OnceLock<[Arc<File>; 2]> = OnceLock::new();
 
-/// From now on a separate thread writes this process's output.
+/// Starts writing this process's output on a separate thread.
 ///
 /// # Errors
-/// The system refuses the thread or a duplicate handle of the streams.
+/// The thread cannot be started, or the stream handles cannot be duplicated.
 pub fn start() -> std::io::Result<()> {
     let out = File::from(rustix::stdio::stdout().try_clone_to_owned()?);
     let err = File::from(rustix::stdio::stderr().try_clone_to_owned()?);
@@ -201,17 +201,17 @@ pub fn start() -> std::io::Result<()> {
     Ok(())
 }
 
-/// Called on a signal: from now on the end of the command does not wait for slow readers.
+/// Called on a signal, so that the end of the command does not wait for slow readers.
 pub fn hurry() {
     HURRIED.store(true, Ordering::Relaxed);
 }
 
-/// Waits, up to the limit, until the command's answer has been written. Returns why it could not be.
+/// Waits, up to the limit, until the command's result is written. Returns why it could not be.
 pub fn finish_answers() -> Option<String> {
     finish(0).err()
 }
 
-/// Waits in the same way for all other output; gives up if nobody reads it.
+/// Waits in the same way for all other output; gives up if it is not read.
 pub fn finish_words() {
     let _ = finish(1);
 }
@@ -229,7 +229,7 @@ pub fn leave(code: u8) -> ! {
     std::process::exit(code.into());
 }
 
-/// Whether earlier output still waits for the terminal; then do not draw a table that would be outdated when it
+/// Returns whether earlier output is still pending, so that a table drawn now would be outdated when it
 /// appears.
 pub fn is_behind() -> bool {
     PRINTERS.get().is_some_and(|printers| !printers[1].lock().waiting.is_empty())
@@ -244,7 +244,7 @@ fn put(stream: usize, priority: Priority, bytes: &[u8]) -> std::io::Result<usize
     Ok(bytes.len())
 }
 
-/// Standard output: the command's answer.
+/// Standard output: the command's result.
 #[derive(Debug)]
 pub struct Answers;
 
@@ -286,12 +286,12 @@ mod tests {
         let to = Arc::new(File::from(std::os::fd::OwnedFd::from(writer)));
         let printer = Printer::start().unwrap();
         let line = [b"x".repeat(99), b"\n".to_vec()].concat();
-        // More than a pipe and the queue hold; how much exactly depends on what the printer has taken meanwhile.
+        // More than a pipe and the queue hold; the exact amount depends on the printer's progress.
         let lines = 5000;
         (0..lines).for_each(|_| printer.push(&to, Priority::Echo, &line));
         printer.push(&to, Priority::Word, b"a word\n");
         printer.push(&to, Priority::Answer, b"the answer\n");
-        // Nobody reads the pipe.
+        // The pipe is not read.
         let finish = |hurried: bool| printer.finish(&to, Instant::now(), &|| hurried);
         assert!(finish(true).is_err());
         let reading = read_all(reader);
@@ -300,7 +300,7 @@ mod tests {
         // The printer's handle is dropped with its last piece; the thread waits for more.
         let text = text_within(&reading, ANSWER_LIMIT, "the pipe");
         let shown = text.lines().filter(|line| line.starts_with('x')).count();
-        // One notice, or several where the printer made room while lines still came: together they count every line.
+        // There may be several notices if the printer freed space in between; together they count all lines.
         let notice = |line: &str| -> Option<usize> {
             let told = line.strip_prefix("trabecula: ")?;
             told.strip_suffix(" lines dropped because nothing read standard error")?.parse().ok()

@@ -1,6 +1,6 @@
-//! A file that redirects the browser to the viewer's page. The page's address holds the token, and every user of the
-//! machine can read every program's arguments, so the address must not be one. Only this user may read the file; the
-//! viewer removes it, or, if it was killed, the next viewer or run does.
+//! A file that redirects the browser to the viewer's page. The page's address contains the token, and all
+//! users of a machine can read the arguments of all programs, so the address must not be an argument. Only
+//! this user can read the file. The viewer removes it, or, if the viewer was killed, the next viewer or run.
 
 use std::ffi::OsStr;
 use std::fs::File;
@@ -17,17 +17,17 @@ const PREFIX: &str = "trabecula-view-";
 const SUFFIX: &str = ".html";
 /// Number of random letters and digits in the file name.
 const RANDOM: usize = 12;
-/// First bytes of every such file.
+/// First bytes of every redirect file.
 const HEAD: &str = "<!doctype html><meta charset=\"utf-8\"><title>Trabecula</title>\n";
 
-/// The redirect file. The viewer holds a lock on it for as long as it lives.
+/// The redirect file, locked for the lifetime of the viewer.
 pub struct RedirectFile {
     _file: NamedTempFile,
 }
 
 impl RedirectFile {
-    /// Asks the desktop to open a new redirect file. None without a desktop, or if the file cannot be written: the
-    /// address has already been printed.
+    /// Asks the desktop to open a new redirect file. Returns `None` without a desktop, or if the file cannot
+    /// be written; the address has already been printed.
     pub fn open(url: &str, folder: &Path) -> Option<RedirectFile> {
         if !["DISPLAY", "WAYLAND_DISPLAY"].iter().any(|name| std::env::var_os(name).is_some()) {
             return None;
@@ -47,7 +47,7 @@ impl RedirectFile {
         let opener = opener.arg(file.path()).stdin(quiet()).stdout(quiet()).stderr(quiet());
         // In its own process group, because it may become the browser, which must outlive the viewer.
         let mut child = opener.process_group(0).spawn().ok()?;
-        // Reap it whenever it ends: it may be the browser itself.
+        // Reap it when it ends, which may be late if it is the browser itself.
         std::thread::spawn(move || child.wait());
         Some(RedirectFile { _file: file })
     }
@@ -59,7 +59,7 @@ pub fn folder() -> PathBuf {
     named.unwrap_or_else(std::env::temp_dir)
 }
 
-/// Removes redirect files that this user's dead viewers left in a folder.
+/// Removes redirect files left in a folder by this user's dead viewers.
 pub fn sweep(folder: &Path) {
     let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
     for entry in entries.filter(|entry| has_our_name(&entry.file_name())) {
@@ -75,8 +75,8 @@ fn has_our_name(name: &OsStr) -> bool {
     middle.is_some_and(|text| text.len() == RANDOM && text.bytes().all(|byte| byte.is_ascii_alphanumeric()))
 }
 
-/// Whether the file is private to this user, has one link, starts as a viewer's file does, and is not locked by a
-/// viewer.
+/// Returns whether the file is private to this user, has one link, starts like a redirect file, and is not
+/// locked by a viewer.
 fn is_dead_viewers(path: &Path) -> bool {
     let flags = OFlags::RDONLY | OFlags::NOFOLLOW | OFlags::NONBLOCK | OFlags::CLOEXEC;
     let Ok(file) = openat(CWD, path, flags, Mode::empty()).map(File::from) else { return false };

@@ -1,8 +1,8 @@
 //! Standard output and error. Every command prints through this module.
 //!
-//! A reader that stops early (`| head`) is not an error. An answer that cannot be written is one, whatever else the
-//! command has done: [`unwritten`] reports it at the end. Output may contain untrusted text, so everything that a
-//! terminal would interpret is escaped.
+//! A reader that stops early (`| head`) is not an error. Output that cannot be written always is:
+//! [`unwritten`] reports it at the end. Output may contain untrusted text, so everything that a terminal
+//! would interpret is escaped.
 
 use std::io::{self, BufWriter, ErrorKind, Stdout, StdoutLock, Write};
 use std::sync::OnceLock;
@@ -14,7 +14,7 @@ use crate::printer;
 /// The first reason why standard output could not be written.
 static UNWRITTEN: OnceLock<String> = OnceLock::new();
 
-/// A writer to standard output that remembers the first failure.
+/// A writer to standard output that remembers the first error.
 #[derive(Debug)]
 pub struct Noting<W>(W);
 
@@ -45,10 +45,10 @@ pub fn standard_output() -> Noting<Stdout> {
     Noting(io::stdout())
 }
 
-/// Standard output for long answers: buffered, with terminal control characters escaped.
+/// Standard output for long results: buffered, with terminal control characters escaped.
 pub type Out<'a> = BufWriter<Plain<Noting<StdoutLock<'a>>>>;
 
-/// Opens it.
+/// Opens buffered standard output.
 pub fn out() -> Out<'static> {
     BufWriter::new(Plain::new(Noting(standard_output().0.lock())))
 }
@@ -58,22 +58,22 @@ pub fn answer(text: &str) {
     line(&mut printer::Answers, text);
 }
 
-/// How a command prints its figures.
+/// Output format of a command's results.
 #[derive(Debug, Clone, Copy, Default, clap::Args)]
 pub struct Figures {
-    /// Print the figures as one JSON object, for scripts.
+    /// Print the results as one JSON object, for scripts.
     #[arg(long)]
     pub json: bool,
 }
 
 impl Figures {
-    /// Writes an answer: its text for people, or its figures for programs.
+    /// Prints a result as text, or as JSON with `--json`.
     pub fn say(self, text: impl FnOnce() -> String, figures: impl FnOnce() -> serde_json::Value) {
         answer(&if self.json { figures().to_string() } else { text() });
     }
 }
 
-/// A JSON object with the members of another added.
+/// Adds the members of one JSON object to another.
 pub fn merged(mut object: serde_json::Value, more: serde_json::Value) -> serde_json::Value {
     if let (Some(object), serde_json::Value::Object(more)) = (object.as_object_mut(), more) {
         object.extend(more);
@@ -81,13 +81,13 @@ pub fn merged(mut object: serde_json::Value, more: serde_json::Value) -> serde_j
     object
 }
 
-/// Writes our own text unescaped, such as shell completions.
+/// Writes trusted text unescaped, such as shell completions.
 pub fn verbatim(text: &str) {
     // `Noting` remembers a failure.
     let _ = standard_output().write_all(text.as_bytes());
 }
 
-/// Why this command's answer could not be written; none if it was, or if the reader stopped early.
+/// Returns why standard output could not be written, or `None` if it was, or if the reader stopped early.
 pub fn unwritten() -> Option<&'static str> {
     let _ = standard_output().flush();
     UNWRITTEN.get().map(String::as_str)
@@ -101,15 +101,16 @@ pub fn line(out: &mut dyn Write, text: &str) {
     let _ = out.write_all(text.as_bytes());
 }
 
-/// Like `println!`, but a failed write is reported only when the command ends, and untrusted text is escaped as by
-/// `foreign_text`.
+/// Like `println!`, but a failed write is reported only when the command ends, and untrusted text is escaped
+/// as by `foreign_text`.
 #[macro_export]
 macro_rules! say {
     () => { $crate::say::answer("") };
     ($($arguments:tt)*) => { $crate::say::answer(&format!($($arguments)*)) };
 }
 
-/// Like `eprintln!`, with the same escaping; write failures are ignored, since there is nowhere left to report them.
+/// Like `eprintln!`, with the same escaping; write failures are ignored, since there is nowhere left to
+/// report them.
 #[macro_export]
 macro_rules! tell {
     ($($arguments:tt)*) => { $crate::say::line(&mut $crate::printer::Words, &format!($($arguments)*)) };

@@ -1,4 +1,4 @@
-//! The arm as the viewer's page draws it: meshes and parts where the kinematics put them.
+//! The arm as drawn by the viewer's page: meshes and parts where the kinematics place them.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by it")]
 
 use ipc_types::messages::Pose;
@@ -7,7 +7,8 @@ use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use simulation::arm::{ArmParameters, six_joints};
 use trabecula::commands::view_arm::{arm_looks, arm_parts};
 
-/// Two joints about z, 0.4 m and 0.3 m long, then four about x and y in one place; a cube of 2 cm on the second link.
+/// Two joints about z, 0.4 m and 0.3 m long, then four about x and y at one point; a cube of 2 cm on the
+/// second link.
 const SCENE: &str = "name = \"a\"
 run = { mode = \"lockstep\", duration_s = 1.0 }
 tool = { burr_start_mm = [0.0, 0.0, 0.0], direction = [1.0, 0.0, 0.0], bend_toward = [0.0, 0.0, 1.0] }
@@ -34,7 +35,7 @@ fn two_joints(look: &str) -> String {
     format!("<robot name=\"two\"><link name=\"l0\"/>{joints}</robot>")
 }
 
-/// A cube from corner to corner in text STL.
+/// Returns a cube from corner to corner in text STL.
 fn cube(low: f64, high: f64) -> String {
     let mut text = "solid cube\n".to_owned();
     for axis in 0..3 {
@@ -54,7 +55,7 @@ fn cube(low: f64, high: f64) -> String {
     text + "endsolid cube\n"
 }
 
-/// What the page does (`arm.js`), from the base on.
+/// Computes a part's frame like the page (`arm.js`), starting from the base.
 fn frame(parts: &[Pose], q_rad: &[f64], index: usize) -> Isometry3<f64> {
     let turned = |frame: Isometry3<f64>, (part, q_rad): (&Pose, &f64)| {
         let [x, y, z, w] = part.orientation_xyzw;
@@ -70,7 +71,8 @@ fn a_cube_on_the_second_link_moves_as_two_joints_in_a_plane_say() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("cube.stl"), cube(-10.0, 10.0)).unwrap();
     for mirrored in [1.0, -1.0] {
-        // Half a turn about the link's x swaps y and z's signs; the cube's centre stands 0.3 m along the link and 0.05 m above it.
+        // Half a turn about the link's x flips the signs of y and z; the cube's centre is 0.3 m along the
+        // link and 0.05 m above it.
         let look = format!(
             "<visual><origin xyz=\"0.3 0 0.05\" rpy=\"3.141592653589793 0 0\"/>\
                  <geometry><mesh filename=\"cube.stl\" scale=\"0.001 0.001 {}\"/></geometry></visual>",
@@ -100,7 +102,7 @@ fn a_cube_on_the_second_link_moves_as_two_joints_in_a_plane_say() {
             }
             assert_eq!(corners.len(), 8);
         }
-        // Facets look outward, mirrored or not: away from the cube's centre.
+        // Facets face outward, mirrored or not: away from the cube's centre.
         let middle: Vector3<f64> = (0..mesh.positions.len() as u32)
             .map(|index| Vector3::from(mesh.vertex_m(index)))
             .sum::<Vector3<f64>>()
@@ -112,7 +114,7 @@ fn a_cube_on_the_second_link_moves_as_two_joints_in_a_plane_say() {
     }
 }
 
-/// Whatever arm it is: from the base through all parts to the flange.
+/// For every arm: from the base through all parts to the flange.
 #[test]
 fn the_parts_of_every_arm_lead_to_its_flange() {
     let q_rad = six_joints([0.3, -1.2, 0.9, -0.4, 1.7, -2.2]);

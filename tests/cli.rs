@@ -1,7 +1,9 @@
-//! What commands say, as files: each page of `tests/cli` is a session in a folder of its own, which begins as a copy of the folder
-//! beside it. A command's exit code, where it is not 0, stands behind `?`, standard output and error below; `[..]` stands for anything.
+//! Command output as files: each page of `tests/cli` is a session in its own folder, which starts as a copy
+//! of the folder next to the page. A command's exit code, if not 0, follows `?`; standard output and error
+//! follow below; `[..]` matches anything.
 //!
-//! `SNAPSHOTS=overwrite cargo test --release --test cli` writes down what they say now: read the difference before you commit it.
+//! `SNAPSHOTS=overwrite cargo test --release --test cli` records the current output: review the difference
+//! before you commit it.
 #![allow(clippy::unwrap_used, clippy::panic, missing_docs)]
 
 use std::fs;
@@ -18,7 +20,7 @@ fn pages() -> PathBuf {
     root().join("tests/cli")
 }
 
-/// What a command says in a folder, with its exit code.
+/// Returns the output of a command in a folder, with its exit code.
 fn said(command: &str, folder: &Path) -> String {
     let program = Path::new(env!("CARGO_BIN_EXE_trabecula"));
     let path = [program.parent().unwrap().to_str().unwrap(), &std::env::var("PATH").unwrap()].join(":");
@@ -41,7 +43,7 @@ fn said(command: &str, folder: &Path) -> String {
     }
 }
 
-/// A page with what its commands say now.
+/// Returns a page with the current output of its commands.
 fn played(page: &str, folder: &Path) -> String {
     let (mut now, mut is_output) = (String::new(), false);
     for line in page.lines() {
@@ -67,7 +69,7 @@ fn assert_says(name: &str) {
     let now = played(&fs::read_to_string(&file).unwrap(), folder.path());
     assert!(now.contains("\n$ trabecula "), "{name}: no command");
     let expected = snapbox::Data::read_from(&file, Some(snapbox::data::DataFormat::Text));
-    // Backslashes are of regular expressions here, not of paths.
+    // The backslashes belong to regular expressions here, not to paths.
     snapbox::Assert::new().action_env("SNAPSHOTS").normalize_paths(false).eq(now, expected);
 }
 

@@ -1,4 +1,5 @@
-//! The cores compute and do nothing else: no core depends on a crate that waits, sends or opens, and none reads a clock.
+//! The cores only compute: no core depends on a crate that waits, sends or opens files, and none reads a
+//! clock.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests fail the test")]
 
@@ -30,7 +31,8 @@ const CORES: [(&str, &str); 17] = [
     ("hub_simulator", "crates/hub/simulator"),
 ];
 
-/// Crates that no core reaches, and why. Only normal dependencies count: tests and build scripts may use them.
+/// Crates that no core may reach, and why. Only normal dependencies count: tests and build scripts may use
+/// them.
 const KEPT_OUT: [(&str, &str); 17] = [
     ("iceoryx2", "shared memory: a core that sends can be driven by nothing but the real transport"),
     ("ipc_types", "sessions, ports and the monotonic clock: the transport itself"),
@@ -51,7 +53,7 @@ const KEPT_OUT: [(&str, &str); 17] = [
     ("quanta", "a clock under another name"),
 ];
 
-/// What a core reaches all the same, and why that is right. A line that is no longer needed fails the test.
+/// Exceptions that a core reaches, and why. A line that is no longer needed fails the test.
 const REACHED_ALL_THE_SAME: [(&str, &str, &str); 1] = [(
     "xray",
     "rayon",
@@ -59,7 +61,7 @@ const REACHED_ALL_THE_SAME: [(&str, &str, &str); 1] = [(
      shows in a frame (tests in crates/xray/tests/drr compare numbers of threads); the threads are those of a pool that the caller hands in",
 )];
 
-/// What no core's source says, and why.
+/// Names that no core's source may contain, and why.
 const UNSAID: [(&str, &str); 21] = [
     ("Instant", "the monotonic clock"),
     ("SystemTime", "the wall clock"),
@@ -84,7 +86,7 @@ const UNSAID: [(&str, &str); 21] = [
     ("std::{", "an import that this test does not look into: write one line for each"),
 ];
 
-/// What is said all the same: file, what, and why that is right. A line that is no longer needed fails the test.
+/// Exceptions: file, name, and why. A line that is no longer needed fails the test.
 const SAID_ALL_THE_SAME: [(&str, &str, &str); 1] = [(
     "crates/scene/src/lib.rs",
     "std::path::absolute",
@@ -95,7 +97,7 @@ fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR"))
 }
 
-/// The platform that cargo builds for here, as rustc names it.
+/// Returns the platform for which cargo builds here, as named by rustc.
 fn host() -> String {
     let rustc = std::env::var("RUSTC").unwrap_or_else(|_| "rustc".to_owned());
     let output = Command::new(rustc).arg("-vV").current_dir(root()).limited_output().unwrap();
@@ -104,7 +106,7 @@ fn host() -> String {
     host.unwrap_or_else(|| panic!("rustc -vV: {text}")).to_owned()
 }
 
-/// The normal dependencies of every package of the lock file, by their ids, and the packages' names.
+/// The normal dependencies of every package of the lock file, by id, and the packages' names.
 struct Graph {
     names: BTreeMap<String, String>,
     normal: BTreeMap<String, Vec<String>>,
@@ -113,7 +115,7 @@ struct Graph {
 impl Graph {
     fn read() -> Graph {
         let cargo = std::env::var("CARGO").unwrap_or_else(|_| "cargo".to_owned());
-        // Only what this machine's build needs: cargo has not fetched the crates of other platforms.
+        // Only the dependencies of this machine's build: cargo has not fetched the crates of other platforms.
         let platform = host();
         let arguments =
             ["metadata", "--offline", "--locked", "--format-version", "1", "--filter-platform", &platform];
@@ -138,7 +140,7 @@ impl Graph {
         Graph { names, normal: nodes.iter().map(|node| (text(&node["id"]), normal_of(node))).collect() }
     }
 
-    /// The shortest way from one crate to another, by names.
+    /// Returns the shortest path from one crate to another, by names.
     fn way(&self, from: &str, to: &str) -> Option<Vec<String>> {
         let (start, _) = self.names.iter().find(|(_, name)| *name == from)?;
         let mut seen = BTreeSet::from([start.clone()]);
@@ -163,7 +165,7 @@ impl Graph {
 #[test]
 fn no_core_depends_on_iceoryx2_or_on_another_crate_that_does_more_than_compute() {
     let graph = Graph::read();
-    // The way to it is found where there is one.
+    // An existing path is found.
     assert!(
         graph.way("physics_proc", "iceoryx2").is_some_and(|way| way.len() == 3),
         "physics, transport, iceoryx2"
@@ -183,7 +185,7 @@ fn no_core_depends_on_iceoryx2_or_on_another_crate_that_does_more_than_compute()
     assert_eq!(needed.len(), REACHED_ALL_THE_SAME.len(), "an exception that nothing needs any more");
 }
 
-/// Runs cargo in the workspace and returns what it prints.
+/// Runs cargo in the workspace and returns its output.
 fn cargo(words: &[&str]) -> String {
     let cargo = std::env::var("CARGO").unwrap_or_else(|_| "cargo".to_owned());
     let output = Command::new(cargo).args(words).current_dir(root()).limited_output().unwrap();
@@ -192,7 +194,7 @@ fn cargo(words: &[&str]) -> String {
     String::from_utf8(output.stdout).unwrap()
 }
 
-/// Every crate of a build with the features that it has there, as `cargo tree` prints them.
+/// Returns every crate of a build with its features there, as printed by `cargo tree`.
 fn crates_with_features(selection: &[&str]) -> BTreeSet<String> {
     let tree = ["tree", "--offline", "--locked", "--format", "{p} {f}", "--prefix", "none"];
     let lines = cargo(&[&tree[..], selection].concat());
@@ -200,7 +202,7 @@ fn crates_with_features(selection: &[&str]) -> BTreeSet<String> {
     lines.lines().map(|line| line.trim_end_matches(" (*)").to_owned()).collect()
 }
 
-/// The names of the workspace's packages.
+/// Returns the names of the workspace's packages.
 fn members() -> Vec<String> {
     let metadata = cargo(&["metadata", "--offline", "--locked", "--no-deps", "--format-version", "1"]);
     let metadata: Value = serde_json::from_str(&metadata).unwrap();
@@ -208,7 +210,8 @@ fn members() -> Vec<String> {
     packages.iter().map(|package| package["name"].as_str().unwrap().to_owned()).collect()
 }
 
-/// Fails unless each selection gives every crate the features that it has in a build of the whole workspace with its tests.
+/// Asserts that each selection gives every crate the same features as in a build of the whole workspace with
+/// its tests.
 fn assert_one_build_of_each_crate<'a>(selections: impl IntoIterator<Item = Vec<&'a str>>, edges: &str) {
     let whole = crates_with_features(&["--workspace", "--edges", "normal,build,dev"]);
     let mut apart = BTreeMap::<String, String>::new();
@@ -229,17 +232,17 @@ fn assert_one_build_of_each_crate<'a>(selections: impl IntoIterator<Item = Vec<&
     assert!(lines.is_empty(), "built twice, with other features ({hint}):\n{}", lines.join("\n"));
 }
 
-/// `pip install .` after `cargo run`, and `cargo build` after it, built most crates again.
+/// Regression: `pip install .` after `cargo run`, and `cargo build` after it, rebuilt most crates.
 #[test]
 fn every_build_shares_all_of_its_crates_with_the_build_of_the_workspace() {
     let members = members();
     let of_each = members.iter().map(|member| vec!["-p", member]);
-    // What `cargo run` builds, and what clients/python/build_backend.py does.
+    // The builds of `cargo run` and of clients/python/build_backend.py.
     let run_and_pip = [vec![], vec!["-p", "trabecula", "-p", "trabecula_client", "-p", "trabecula_sim"]];
     assert_one_build_of_each_crate(run_and_pip.into_iter().chain(of_each), "normal,build");
 }
 
-/// `cargo test -p hub` after `cargo run` did.
+/// Regression: the same with `cargo test -p hub` after `cargo run`.
 #[test]
 fn the_tests_of_every_package_share_all_of_their_crates_with_the_build_of_the_workspace() {
     let members = members();
@@ -261,7 +264,8 @@ fn dependencies_of_tests_and_build_scripts_do_not_count() {
     assert_eq!(graph(r#""build""#).way("hub", "tokio"), None);
 }
 
-/// The lines of a source that are compiled into the crate, with their numbers: no comments, and nothing behind `#[cfg(test)]`.
+/// Returns the lines of a source that are compiled into the crate, with their numbers: no comments, and
+/// nothing after `#[cfg(test)]`.
 fn code_of(source: &str) -> Vec<(usize, &str)> {
     let mut in_tests = false;
     let mut code = Vec::new();
@@ -271,13 +275,13 @@ fn code_of(source: &str) -> Vec<(usize, &str)> {
             let end = line.find("//").unwrap_or(line.len());
             code.push((index + 1, &line[..end]));
         }
-        // As rustfmt lays it out, an item ends with a brace or a semicolon in a line that is not indented.
+        // In rustfmt's layout, an item ends with a brace or a semicolon in a line that is not indented.
         in_tests &= !(line == "}" || (!line.starts_with([' ', '#']) && line.ends_with(';')));
     }
     code
 }
 
-/// Whether a line says it: as whole words, whatever stands around.
+/// Returns whether a line contains this text as whole words, in any context.
 fn says(line: &str, what: &str) -> bool {
     let is_word = |c: char| c.is_alphanumeric() || c == '_';
     line.match_indices(what).any(|(at, _)| {
@@ -287,7 +291,7 @@ fn says(line: &str, what: &str) -> bool {
     })
 }
 
-/// The Rust files below a folder that are a library's: programs (`main.rs`, `bin/`) are shells.
+/// Returns the Rust files below a folder that belong to a library; programs (`main.rs`, `bin/`) are shells.
 fn library_sources(folder: &Path) -> Vec<PathBuf> {
     let mut found = Vec::new();
     for entry in std::fs::read_dir(folder).unwrap() {

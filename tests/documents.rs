@@ -1,4 +1,4 @@
-//! The documents say what the code says, and their links lead somewhere.
+//! Checks that the documents agree with the code, and that their links are valid.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests fail the test")]
 
@@ -16,17 +16,17 @@ fn read(name: impl AsRef<Path>) -> String {
 fn documents() -> Vec<PathBuf> {
     let in_docs = std::fs::read_dir(root().join("docs")).unwrap().map(|entry| entry.unwrap().path());
     let pages = in_docs.filter(|path| path.extension().is_some_and(|extension| extension == "md"));
-    let others = ["README.md", "ARCHITECTURE.md", "CONTRIBUTING.md", ".github/SECURITY.md"];
+    let others = ["README.md", "ARCHITECTURE.md", ".github/CONTRIBUTING.md", ".github/SECURITY.md"];
     pages.chain(others.map(|name| root().join(name))).collect()
 }
 
-/// The module documentation of a source file, without its marks.
+/// Returns the module documentation of a source file, without its markers.
 fn module_doc(source: &str) -> Vec<String> {
     let lines = source.lines().map_while(|line| line.strip_prefix("//!"));
     lines.map(|line| line.trim().to_owned()).filter(|line| !line.is_empty()).collect()
 }
 
-/// The `text` blocks of a page, line by line.
+/// Returns the `text` blocks of a page, line by line.
 fn text_blocks(page: &str) -> Vec<Vec<String>> {
     let blocks = page.split("\n```text\n").skip(1).filter_map(|rest| rest.split("\n```").next());
     blocks.map(|block| block.lines().map(|line| line.trim().to_owned()).collect()).collect()
@@ -82,7 +82,7 @@ fn every_scene_that_the_documents_name_is_there() {
     }
 }
 
-/// They said half a second in one place and four in another.
+/// Regression: they said half a second in one place and four in another.
 #[test]
 fn the_documents_say_how_much_the_recorders_queues_hold() {
     use ipc_types::messages::services::{FRAME, LATCHED, RECORDER_QUEUE_TICKS, REMOVED, STATE, TICK_TIMING};
@@ -108,7 +108,7 @@ fn the_documents_say_how_much_the_recorders_queues_hold() {
     }
 }
 
-/// The folder of each package of the workspace.
+/// Returns the folder of each package of the workspace.
 fn packages() -> Vec<(String, PathBuf)> {
     let manifest = read("Cargo.toml");
     let (members, _) = manifest.split_once("\nmembers = [").unwrap().1.split_once("\n]").unwrap();
@@ -126,7 +126,7 @@ fn packages() -> Vec<(String, PathBuf)> {
         .collect()
 }
 
-/// Whether a folder has a target of this kind: `tests`, `examples` or `src/bin`.
+/// Returns whether a folder has a target of this kind: `tests`, `examples` or `src/bin`.
 fn has_target(folder: &Path, kind: &str, name: &str) -> bool {
     let place = folder.join(kind);
     let own = kind == "src/bin" && read(folder.join("Cargo.toml")).contains(&format!("name = \"{name}\""));
@@ -157,7 +157,7 @@ fn every_package_test_and_program_that_the_documents_call_is_there() {
 
 #[test]
 fn every_file_that_the_guides_for_changing_it_name_is_there() {
-    for page in ["ARCHITECTURE.md", "CONTRIBUTING.md"] {
+    for page in ["ARCHITECTURE.md", ".github/CONTRIBUTING.md"] {
         let text = read(page);
         let named = text.split('`').skip(1).step_by(2).filter(|name| {
             let is_path = name.chars().all(|c| c.is_ascii_alphanumeric() || "_-./".contains(c));
@@ -168,7 +168,7 @@ fn every_file_that_the_guides_for_changing_it_name_is_there() {
     }
 }
 
-/// The integer constants of a source file, as written.
+/// Returns the integer constants of a source file, as written.
 fn constants(path: &str) -> Vec<(String, String)> {
     let text = read(path);
     let mut found = Vec::new();
@@ -183,7 +183,7 @@ fn constants(path: &str) -> Vec<(String, String)> {
     found
 }
 
-/// The value of a sum, product or shift of integers and constants of the same file.
+/// Returns the value of a sum, product or shift of integers and constants of the same file.
 fn value(path: &str, expression: &str) -> u64 {
     let expression = expression.trim();
     let parts = |operator: &str| expression.rsplit_once(operator);
@@ -202,8 +202,8 @@ fn value(path: &str, expression: &str) -> u64 {
     }
 }
 
-/// Constants that are named like capacities and limit nothing that a user has: working memory of a method, time, what is derived from a
-/// listed constant, what a report or a terminal shows.
+/// Constants that are named like capacities but do not limit users: a method's working memory, times, values
+/// derived from a listed constant, limits of what a report or a terminal shows.
 const NO_CAPACITIES: &[(&str, &str)] = &[
     ("LONGEST", "ipc_types/src/session/folder.rs"),
     ("LONGEST_GAP", "crates/run_log/src/gaps.rs"),
@@ -265,7 +265,7 @@ fn sources(folder: &Path, found: &mut Vec<String>) {
     }
 }
 
-/// Bug: a full pool of partly cut voxels stopped the burr, and no page said that there was one.
+/// Regression: a full pool of partly cut voxels stopped the burr, and no page mentioned the pool.
 #[test]
 fn the_table_of_capacities_holds_the_values_of_the_code() {
     let page = read("docs/capacities.md");

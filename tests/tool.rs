@@ -18,7 +18,7 @@ fn scene(burr: &str) -> Scene {
     Scene::parse(&text, Path::new("tool.toml")).unwrap()
 }
 
-/// The radii that each of them has: the physics (burr, tube, contact spheres), the X-ray (burr, tube).
+/// Returns the radii used by the physics (burr, tube, contact spheres) and by the X-ray (burr, tube).
 fn radii_m(scene: &Scene) -> [Vec<f64>; 2] {
     let parameters = manipulator_parameters(scene).unwrap();
     let physics = [
@@ -54,7 +54,7 @@ fn physics_and_x_ray_take_the_tools_radii_from_one_place() {
     }
 }
 
-/// A scene with the tool of a file, one line of it changed.
+/// Returns a scene with the tool of a file, with one line of it changed.
 fn with_tool(from: &str, to: &str) -> Scene {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("configs/tools");
     let read = |file: &Path| {
@@ -67,7 +67,8 @@ fn with_tool(from: &str, to: &str) -> Scene {
     Scene::parse_with(text, &folder.join("scene.toml"), &read).unwrap()
 }
 
-/// What each of them takes from one line of a tool file: physics, X-ray, viewer, exported surface, robot description.
+/// Everything that depends on one line of a tool file: physics, X-ray, viewer, exported surface, robot
+/// description.
 #[test]
 fn a_changed_radius_in_a_tool_file_changes_physics_x_ray_and_viewer() {
     let seen = |scene: &Scene| {
@@ -133,7 +134,7 @@ fn a_changed_radius_of_an_outer_tube_changes_physics_x_ray_and_viewer() {
     assert!((after.4 - before.4 - steel_mm3).abs() < 0.02 * steel_mm3, "{} {}", before.4, after.4);
 }
 
-/// A log keeps the tool itself: what it holds reads as the same without the file.
+/// A log stores the tool itself, so it reads as the same tool without the file.
 #[test]
 fn what_a_log_keeps_of_a_described_tool_is_the_tool() {
     let scene = with_tool("pitch_mm", "pitch_mm");
@@ -146,7 +147,7 @@ fn dimension_mm(scene: &Scene, name: &str) -> f64 {
     dimensions(scene).unwrap().into_iter().find(|dimension| dimension.name == name).unwrap().value
 }
 
-/// The figures were in no document, and users measured them in X-ray frames.
+/// Regression: the figures were in no document, and users measured them in X-ray frames.
 #[test]
 fn the_dimensions_shown_are_those_of_the_simulated_tool() {
     for change in ["", "[manipulator]\nburr_diameter_mm = 5.0\n", "[manipulator]\nlinks = 9\n"] {

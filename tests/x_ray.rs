@@ -1,4 +1,4 @@
-//! `trabecula drr`: files of X-ray frames, and what it refuses.
+//! `trabecula drr`: files of X-ray frames, and rejected input.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, missing_docs)]
 
 use std::fs;
@@ -24,7 +24,7 @@ fn text(path: &Path) -> &str {
     path.to_str().unwrap()
 }
 
-/// A folder with a ball of 1 mm voxels, and a small detector's options.
+/// Returns a folder with a ball of 1 mm voxels, and the options of a small detector.
 fn ball() -> (tempfile::TempDir, PathBuf) {
     let place = tempfile::tempdir().unwrap();
     let volume = place.path().join("ball.nrrd");
@@ -34,7 +34,7 @@ fn ball() -> (tempfile::TempDir, PathBuf) {
 
 const SMALL: [[&str; 2]; 3] = [["--columns", "64"], ["--rows", "48"], ["--pixel-pitch-mm", "3"]];
 
-/// A small frame, but for what `more` says itself.
+/// Renders a small frame, except for the settings in `more`.
 fn drr(volume: &Path, output: &Path, more: &[&str]) -> Done {
     let small = SMALL.iter().filter(|[flag, _]| !more.contains(flag)).flatten().copied();
     let head = ["drr", text(volume), "-o", text(output)];
@@ -117,14 +117,14 @@ fn a_dicom_file_says_how_it_was_taken_and_an_nrrd_file_holds_the_attenuation() {
     let nrrd = fs::read(path("f.nrrd")).unwrap();
     let data = &nrrd[nrrd.len() - 64 * 48 * 4..];
     let values: Vec<f32> = data.chunks(4).map(|b| f32::from_le_bytes(b.try_into().unwrap())).collect();
-    // Bone dark: the larger the attenuation the smaller the grey.
+    // Bone is dark: the larger the attenuation the smaller the grey value.
     for (pair, grey) in values.windows(2).zip(greys.windows(2)) {
         assert!(pair[0] <= pair[1] || grey[0] <= grey[1]);
     }
     assert!(values.iter().all(|v| (0.0..20.0).contains(v)) && values.iter().any(|v| *v > 0.5));
 }
 
-/// What a radiologist's and an engineer's readers make of the files.
+/// The files as read by radiologists' and engineers' software.
 #[test]
 fn pydicom_and_simpleitk_read_the_files() {
     let packages = ["pydicom==3.0.2", "SimpleITK==2.5.7"];
@@ -163,7 +163,7 @@ for name in sys.argv[1:]:
     let values = data.chunks(4).map(|b| f64::from(f32::from_le_bytes(b.try_into().unwrap())));
     let (size, theirs) = lines[3].rsplit_once(' ').unwrap();
     let (theirs, ours): (f64, f64) = (theirs.parse().unwrap(), values.sum());
-    // The order of the sums is theirs.
+    // The libraries sum in another order.
     assert!(size == "64 48" && (theirs / ours - 1.0).abs() < 1e-12, "{theirs} {ours}");
 }
 
@@ -181,7 +181,8 @@ fn a_sweep_is_a_numbered_series_or_an_animation_and_a_csv_file_is_a_batch() {
     assert!(path("b_0000.dcm").exists() && path("b_0001.dcm").exists());
 }
 
-/// Every frame was a study of its own, of a patient with an incomplete record; angles of zero were -0.
+/// Regression: every frame was a separate study, of a patient with an incomplete record; angles of zero were
+/// -0.
 #[test]
 fn a_sweep_is_one_series_that_dciodvfy_accepts() {
     let (place, volume) = ball();
@@ -208,7 +209,7 @@ fn a_sweep_is_one_series_that_dciodvfy_accepts() {
     }
     assert_eq!(text_of(&sweep[0], 0x0020, 0x0020), "L\\F");
     assert_eq!(text_of(&path("b.dcm"), 0x0018, 0x0060), "80.00000000");
-    // Greys to intensity: the brightest grey of a dark-boned frame is all of it.
+    // Greys to intensity: the brightest grey of a frame with dark bone is the full intensity.
     let object = open_file(&sweep[0]).unwrap();
     let table = object.element(Tag(0x0028, 0x3000)).unwrap().items().unwrap()[0].clone();
     let entries = table.element(Tag(0x0028, 0x3006)).unwrap().to_multi_int::<u16>().unwrap();

@@ -1,7 +1,9 @@
-"""Builds the wheel, with the program, the client library and the native half of trabecula.sim from cargo; and the sdist.
+"""Build backend: the wheel with the program, the client library and the native half of trabecula.sim from
+cargo; and the sdist.
 
-Needs Rust, a C++ compiler with its binutils and Python. Settings (`-C` of pip and build): `platform=manylinux_2_28_x86_64` names what the
-given binaries were built for; without it the wheel is for machines like this one.
+Needs Rust, a C++ compiler with binutils, and Python. Setting (`-C` of pip and build):
+`platform=manylinux_2_28_x86_64` states the platform of prebuilt binaries; without it the wheel is for
+machines like this one.
 """
 
 from __future__ import annotations
@@ -29,37 +31,54 @@ except ModuleNotFoundError:  # Python before 3.11
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
-#: The native half of trabecula.sim keeps to the interface that every Python from 3.9 on has.
+#: The native half of trabecula.sim uses only the stable ABI of Python 3.9 and newer.
 TAG = "cp39-abi3"
-#: Longest time for a build from nothing and for any other program, s. Only a hang reaches it.
+#: Time limits for a full build and for any other program, s; only reached by a hang.
 BUILD_LIMIT_S = 4 * 3600
 LIMIT_S = 120
-#: Licences of what is linked in, beside the wheel's own; made for each wheel, so not in the source distribution.
+#: File with the licences of linked crates, in addition to the wheel's own; generated per wheel, so not in the
+#: source distribution.
 THIRD_PARTY = "THIRD_PARTY"
-#: Zip files know no time before; a fixed one makes the same wheel of the same files.
+#: Earliest time in zip files; a fixed time makes the wheel reproducible.
 EPOCH = (1980, 1, 1, 0, 0, 0)
 
 
 class Binary(NamedTuple):
-    """One file of cargo's."""
+    """A file built by cargo."""
 
-    #: Place in the wheel; {data} is the folder of what goes elsewhere than into the package.
+    #: Path in the wheel; {data} is the folder for files outside the package.
     place: str
-    #: Name as cargo builds it.
+    #: File name of cargo's build.
     built: str
-    #: Package of the workspace, and the option that names what of it.
+    #: Workspace package, and the option that selects its target.
     package: str
     target: str
-    #: Environment variable with the path of one that is built already.
+    #: Environment variable with the path of a prebuilt file.
     variable: str
     mode: int
 
 
 LIBRARIES = [
-    Binary("trabecula/libtrabecula_client.so", "libtrabecula_client.so", "trabecula_client", "--lib", "TRABECULA_CLIENT_LIBRARY", 0o644),
-    Binary("trabecula/_sim.abi3.so", "libtrabecula_sim.so", "trabecula_sim", "--lib", "TRABECULA_SIM_LIBRARY", 0o644),
+    Binary(
+        "trabecula/libtrabecula_client.so",
+        "libtrabecula_client.so",
+        "trabecula_client",
+        "--lib",
+        "TRABECULA_CLIENT_LIBRARY",
+        0o644,
+    ),
+    Binary(
+        "trabecula/_sim.abi3.so",
+        "libtrabecula_sim.so",
+        "trabecula_sim",
+        "--lib",
+        "TRABECULA_SIM_LIBRARY",
+        0o644,
+    ),
 ]
-PROGRAM = Binary("{data}/scripts/trabecula", "trabecula", "trabecula", "--bin=trabecula", "TRABECULA_PROGRAM", 0o755)
+PROGRAM = Binary(
+    "{data}/scripts/trabecula", "trabecula", "trabecula", "--bin=trabecula", "TRABECULA_PROGRAM", 0o755
+)
 
 
 def _project() -> dict:
@@ -71,22 +90,24 @@ def _version() -> str:
 
 
 def _binaries() -> dict[Binary, Path]:
-    """Those that are given; if no library is, all as cargo builds them."""
+    """Returns the prebuilt files, if a library is given; otherwise builds all with cargo."""
     binaries = [*LIBRARIES, PROGRAM]
     if any(os.environ.get(library.variable) for library in LIBRARIES):
-        return {binary: Path(os.environ[binary.variable]) for binary in binaries if os.environ.get(binary.variable)}
+        given = [binary for binary in binaries if os.environ.get(binary.variable)]
+        return {binary: Path(os.environ[binary.variable]) for binary in given}
     packages = [f"--package={binary.package}" for binary in binaries]
     targets = sorted({binary.target for binary in binaries})
     built = ROOT / os.environ.get("CARGO_TARGET_DIR", "target") / "release"
-    # pip shows this and cargo's progress with `-v` only.
-    print(f"Building program and libraries in {built}, as `cargo build --release` does", file=sys.stderr, flush=True)
+    # pip shows this and cargo's progress only with `-v`.
+    text = f"Building program and libraries in {built}, as `cargo build --release` does"
+    print(text, file=sys.stderr, flush=True)
     line = ["cargo", "build", "--release", "--locked", *packages, *targets]
     subprocess.run(line, cwd=ROOT, check=True, timeout=BUILD_LIMIT_S)
     return {binary: built / binary.built for binary in binaries}
 
 
 def _stripped(path: Path) -> bytes:
-    """Without line tables and symbols, nine tenths of a program's file."""
+    """Strips line tables and symbols, nine tenths of a program's file."""
     with tempfile.TemporaryDirectory() as folder:
         small = Path(folder) / path.name
         subprocess.run(["strip", "-o", str(small), str(path)], check=True, timeout=LIMIT_S)
@@ -107,26 +128,34 @@ def _metadata(licences: list[str]) -> str:
         *(f"Requires-Dist: {requirement}" for requirement in project["dependencies"]),
     ]
     for extra, requirements in project["optional-dependencies"].items():
-        lines += [f"Provides-Extra: {extra}", *(f"Requires-Dist: {wanted}; extra == '{extra}'" for wanted in requirements)]
+        lines.append(f"Provides-Extra: {extra}")
+        lines += [f"Requires-Dist: {wanted}; extra == '{extra}'" for wanted in requirements]
     lines += ["Description-Content-Type: text/markdown", "", (ROOT / project["readme"]).read_text()]
     return "\n".join(lines)
 
 
-#: Beginnings of the names of files with a licence or a notice, in lower case.
+#: Prefixes of the names of licence and notice files, in lower case.
 NOTICES = ("license", "licence", "copying", "copyright", "notice", "unlicense", "ofl", "ufl")
 
 
 def _third_party() -> str:
-    """Licences and notices of every crate that is linked into the binaries, as its package holds them; each text once.
+    """Returns licences and notices of every crate linked into the binaries, as found in its package; each
+    text once.
 
-    By `cargo metadata` for this machine's kind: what the three packages need when they run, on no other system, neither for tests nor for
-    building alone. A crate without a file of its own is named with its licence, its authors and where it comes from.
+    Uses `cargo metadata` for this machine's platform: the normal dependencies of the three packages, without
+    those of other systems, of tests and of builds. A crate without a licence file is listed with its licence,
+    authors and source.
     """
-    line = ["cargo", "metadata", "--locked", "--format-version=1", f"--filter-platform={os.uname().machine}-unknown-linux-gnu"]
+    platform = f"--filter-platform={os.uname().machine}-unknown-linux-gnu"
+    line = ["cargo", "metadata", "--locked", "--format-version=1", platform]
     said = json.loads(subprocess.run(line, cwd=ROOT, check=True, capture_output=True, timeout=LIMIT_S).stdout)
     packages = {package["id"]: package for package in said["packages"]}
     needs = {
-        node["id"]: [other["pkg"] for other in node["deps"] if any(kind["kind"] is None for kind in other["dep_kinds"])]
+        node["id"]: [
+            other["pkg"]
+            for other in node["deps"]
+            if any(kind["kind"] is None for kind in other["dep_kinds"])
+        ]
         for node in said["resolve"]["nodes"]
     }
     own = {binary.package for binary in [*LIBRARIES, PROGRAM]}
@@ -135,18 +164,24 @@ def _third_party() -> str:
         if (crate := new.pop()) not in linked:
             linked.add(crate)
             new += needs[crate]
-    crates = sorted((packages[crate] for crate in linked if packages[crate]["source"]), key=lambda crate: (crate["name"], crate["version"]))
+    crates = sorted(
+        (packages[crate] for crate in linked if packages[crate]["source"]),
+        key=lambda crate: (crate["name"], crate["version"]),
+    )
     texts: dict[str, list[str]] = {}
-    lines = ["Other people's work in the binaries of Trabecula: crate, licence, authors, source. The texts follow.", ""]
+    heading = "Third-party software in the binaries of Trabecula: crate, licence, authors, source."
+    lines = [f"{heading} The texts follow.", ""]
     for crate in crates:
         licence = crate["license"] or (crate["license_file"] and "see below")
         if not licence:
             raise ValueError(f"crate {crate['name']} {crate['version']} states no licence")
         named = f"{crate['name']} {crate['version']}"
-        lines.append(f"{named}: {licence}; {', '.join(crate['authors']) or 'authors not stated'}; {crate['repository'] or 'crates.io'}")
+        authors = ", ".join(crate["authors"]) or "authors not stated"
+        lines.append(f"{named}: {licence}; {authors}; {crate['repository'] or 'crates.io'}")
         folder = Path(crate["manifest_path"]).parent
         for file in sorted([*folder.glob("*"), *folder.glob("*/*")]):
-            if file.name.lower().startswith(NOTICES) and file.suffix.lower() in ("", ".md", ".txt", ".apache", ".mit") and file.is_file():
+            is_text = file.suffix.lower() in ("", ".md", ".txt", ".apache", ".mit")
+            if file.name.lower().startswith(NOTICES) and is_text and file.is_file():
                 text = file.read_text(errors="replace").strip()
                 texts.setdefault(text, []).append(f"{named}, {file.relative_to(folder)}")
     for text, places in texts.items():
@@ -167,12 +202,13 @@ def _write_wheel(path: Path, files: dict[str, tuple[bytes, int]], record: str) -
 
 
 def build_wheel(wheel_directory, config_settings=None, metadata_directory=None):
-    """PEP 517: the wheel with the sources, the libraries and the program."""
+    """PEP 517: builds the wheel with the sources, the libraries and the program."""
     name = f"trabecula-{_version()}"
     info, data = f"{name}.dist-info", f"{name}.data"
     platform = (config_settings or {}).get("platform") or re.sub(r"[-.]", "_", sysconfig.get_platform())
     sources = [path for path in sorted((HERE / "trabecula").glob("*.py*")) if path.is_file()]
-    files = {f"trabecula/{path.name}": (path.read_bytes(), 0o644) for path in [*sources, HERE / "trabecula/py.typed"]}
+    sources.append(HERE / "trabecula/py.typed")
+    files = {f"trabecula/{path.name}": (path.read_bytes(), 0o644) for path in sources}
     for binary, path in _binaries().items():
         files[binary.place.format(data=data)] = (_stripped(path), binary.mode)
     wheel = f"Wheel-Version: 1.0\nGenerator: trabecula\nRoot-Is-Purelib: false\nTag: {TAG}-{platform}\n"
@@ -187,24 +223,30 @@ def build_wheel(wheel_directory, config_settings=None, metadata_directory=None):
 
 
 def _source_files() -> list[str]:
-    """What belongs to the sources: what git knows, or, in an unpacked sdist, all that cargo has not made."""
+    """Returns the source files: those known to git, or, in an unpacked sdist, all except cargo's output."""
     if (ROOT / ".git").exists():
-        git = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, check=True, capture_output=True, timeout=LIMIT_S)
+        line = ["git", "ls-files", "-z"]
+        git = subprocess.run(line, cwd=ROOT, check=True, capture_output=True, timeout=LIMIT_S)
         return [name for name in git.stdout.decode().split("\0") if name and (ROOT / name).is_file()]
     found = []
     for folder, folders, names in os.walk(ROOT):
-        folders[:] = [name for name in folders if not (name in ("__pycache__", ".venv") or (name in ("target", "out") and Path(folder) == ROOT))]
-        found += [str((Path(folder) / name).relative_to(ROOT)) for name in names if not (name == "PKG-INFO" and Path(folder) == ROOT)]
+        is_root = Path(folder) == ROOT
+        left_out = ("__pycache__", ".venv", "target", "out") if is_root else ("__pycache__", ".venv")
+        folders[:] = [name for name in folders if name not in left_out]
+        own = [name for name in names if not (name == "PKG-INFO" and is_root)]
+        found += [str((Path(folder) / name).relative_to(ROOT)) for name in own]
     return sorted(found)
 
 
 def build_sdist(sdist_directory, config_settings=None):
-    """PEP 517: the whole workspace, because program and libraries are built from it."""
+    """PEP 517: builds the sdist with the whole workspace, because program and libraries are built from it."""
     name = f"trabecula-{_version()}"
     path = Path(sdist_directory) / f"{name}.tar.gz"
     contents = [("PKG-INFO", _metadata(_project()["license-files"]).encode(), 0o644)]
-    contents += [(file, (ROOT / file).read_bytes(), 0o755 if os.access(ROOT / file, os.X_OK) else 0o644) for file in _source_files()]
-    # Fixed times, so that the same sources make the same file.
+    for file in _source_files():
+        mode = 0o755 if os.access(ROOT / file, os.X_OK) else 0o644
+        contents.append((file, (ROOT / file).read_bytes(), mode))
+    # Fixed times, so that the same sources give the same file.
     with open(path, "wb") as raw, gzip.GzipFile("", "wb", mtime=0, fileobj=raw) as packed:
         with tarfile.open(fileobj=packed, mode="w", format=tarfile.PAX_FORMAT) as archive:
             for file, content, mode in contents:

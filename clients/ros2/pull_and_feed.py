@@ -1,4 +1,6 @@
-"""Feeds the tool 5 mm along its axis and pulls the tendon to 5 N, through ROS 2 alone: needs a shell with ROS 2 sourced, and nothing of ours."""
+"""Feeds the tool 5 mm along its axis and pulls the tendon to 5 N, using only ROS 2: needs a shell with ROS 2
+sourced, and no package of Trabecula.
+"""
 import rclpy
 from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import JointState

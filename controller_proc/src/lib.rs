@@ -1,7 +1,8 @@
 //! The process of a built-in controller, and the loop that runs any Rust controller.
 //!
-//! **Boundary:** ports, clock and signals are here; the control laws are in `controllers`, which knows no session.
-//! **Invariants:** one command per state, numbered without a gap; the loop ends with its session, whatever ends that.
+//! **Boundary:** ports, clock and signals are here; the control laws are in `controllers`, which does not
+//! know sessions. **Invariants:** one command per state, numbered without gaps; the loop ends with its
+//! session, however that ends.
 //!
 //! ```
 //! use controller_proc::process::{self, ControllerError};

@@ -19,7 +19,7 @@ use thiserror::Error;
 
 use controllers::{CalibrationError, Controller, built_in};
 
-/// Time between two polls for a frame that is due.
+/// Time between polls for a frame that is due.
 const FRAME_POLL_PERIOD: Duration = Duration::from_micros(500);
 const POLL_PERIOD: Duration = Duration::from_millis(100);
 
@@ -40,7 +40,8 @@ pub enum ControllerError {
     Port(#[from] PortError),
     /// The scene's controller of this name is not built in.
     #[error(
-        "controller `{name}` is not a built-in one; expected `curved_drilling`, `skiving`, `tension_sweep`, `tube_deployment` or `hold` in the scene"
+        "controller `{name}` is not built in; expected `curved_drilling`, `skiving`, `tension_sweep`, \
+         `tube_deployment` or `hold` in the scene"
     )]
     NotBuiltIn {
         /// Its name.
@@ -50,7 +51,7 @@ pub enum ControllerError {
     #[error(transparent)]
     NoFrame(#[from] NoFrame),
     /// Signals cannot be handled.
-    #[error("signals cannot be handled: {0}")]
+    #[error("cannot install signal handlers: {0}")]
     Signals(std::io::Error),
 }
 
@@ -106,9 +107,9 @@ struct Ports {
     states: Subscriber<State>,
     status: Subscriber<RunStatus>,
     frames: Option<Frames>,
-    /// None without sensors.
+    /// `None` without sensors.
     readings: Option<Subscriber<SensorReading>>,
-    /// Taken from the queue, and arrives with a later state.
+    /// Taken from the queue, but arrives with a later state.
     kept: Option<SensorReading>,
     commands: Publisher<Command>,
     events: EventSender,
@@ -125,7 +126,7 @@ impl Ports {
         let scene = session_scene(session_folder)?;
         let index = session.controller_index(name)?;
         let frames = match scene.drr {
-            // A separate queue, so that frames requested by others cannot push out the one that is due.
+            // A separate queue, so that frames requested by other programs cannot evict the one that is due.
             Some(_) => Some(Frames::new(session.lossless_subscriber(&services::FRAME)?, scene.clone())),
             None => None,
         };
@@ -153,7 +154,7 @@ impl Ports {
         Ok(self.ended)
     }
 
-    /// Shows the controller the frames that it is to see before it answers the state of this tick.
+    /// Shows the controller the frames that it must see before it answers the state of this tick.
     fn frames_for(
         &mut self,
         tick: Tick,
@@ -162,19 +163,19 @@ impl Ports {
     ) -> Result<(), ControllerError> {
         let Some(mut frames) = self.frames.take() else { return Ok(()) };
         frames.begin(tick);
-        // A run that has ended may have no further frame.
+        // After the end of a run no further frame may arrive.
         while frames.show_arrived(controller)? == FrameStep::Wait && !end.is_set() && !self.run_has_ended()? {
             std::thread::sleep(FRAME_POLL_PERIOD);
         }
         if let lost @ 1.. = frames.decide.take_lost() {
-            let text = format!("{lost} frames passed while this controller was busy");
+            let text = format!("{lost} frames lost: this controller was busy");
             self.events.warn(tick, EventCode::MessagesLost, &text)?;
         }
         self.frames = Some(frames);
         Ok(())
     }
 
-    /// Gives the controller the readings that arrive up to the state of this tick. They were published before it.
+    /// Passes on the readings that arrive up to the state of this tick. They were published before it.
     fn readings_for(&mut self, tick: Tick, controller: &mut dyn Controller) -> Result<(), PortError> {
         let Some(readings) = &self.readings else { return Ok(()) };
         loop {
@@ -196,7 +197,7 @@ impl Ports {
     fn report_gap(&mut self, last: Tick, tick: Tick) -> Result<Tick, PortError> {
         let missed = tick.since(last).saturating_sub(1);
         if last > Tick::START && missed > services::STATE.queue_length as u64 {
-            let text = format!("this controller was busy and missed {missed} states");
+            let text = format!("{missed} states lost: this controller was busy");
             self.events.warn(tick, EventCode::MessagesLost, &text)?;
         }
         Ok(tick)
@@ -207,7 +208,7 @@ impl Ports {
 struct Frames {
     subscriber: Subscriber<Frame>,
     decide: ControllerFrames,
-    /// Taken from the queue, and seen at a later state.
+    /// Taken from the queue, but shown at a later state.
     kept: Option<Received<Frame>>,
     scene: Scene,
     pixels: Vec<u16>,
@@ -223,7 +224,7 @@ impl Frames {
         self.decide.begin(self.scene.frame_seen_at(tick.0).map(Tick), now_ns());
     }
 
-    /// Shows what is there; returns whether to wait for more or to answer.
+    /// Shows the frames that have arrived; returns whether to wait for more or to answer.
     fn show_arrived(&mut self, controller: &mut dyn Controller) -> Result<FrameStep, ControllerError> {
         loop {
             let next = match self.kept.take() {

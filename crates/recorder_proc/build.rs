@@ -1,5 +1,5 @@
-//! Gives the crate its target, its compiler, and a hash of all source code that decides a tick. They go into every
-//! log's header, so that a log of another build is refused by name.
+//! Provides the crate's target, its compiler, and a hash of all source code that decides a tick. They go into
+//! every log's header, so that a log of another build is rejected with that build's name.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -32,7 +32,7 @@ fn main() {
     SOURCES.iter().for_each(|source| println!("cargo::rerun-if-changed={source}"));
 }
 
-/// First 12 hexadecimal digits of the SHA-256 of all names and contents, in order of the names.
+/// Returns the first 12 hexadecimal digits of the SHA-256 of all names and contents, in order of the names.
 fn source_hash() -> String {
     let mut files = Vec::new();
     SOURCES.iter().for_each(|source| collect(Path::new(source), &mut files));

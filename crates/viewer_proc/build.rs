@@ -1,4 +1,4 @@
-//! Lists the page's files, so that the program carries them.
+//! Lists the page's files, so that they are embedded in the program.
 
 use std::fmt::Write;
 use std::path::{Path, PathBuf};

@@ -1,4 +1,5 @@
-//! Time (ms) and error of the exact projectors on a thigh of 240 x 200 x 320 voxels of 1 mm, 384 x 384 pixels.
+//! Measures time (ms) and error of the exact projectors on a thigh of 240 x 200 x 320 voxels of 1 mm, 384 x
+//! 384 pixels.
 //!
 //! `cargo run --release -p drr_proc --example render_time -- [threads]`
 
@@ -35,7 +36,7 @@ fn main() -> Result<(), Box<dyn Error>> {
             let mut image = vec![0_u16; c_arm.pixels()];
             let mut least_ms = f64::INFINITY;
             for _ in 0..ROUNDS {
-                // A frame of another C-arm between, so that none is cached.
+                // A frame of another C-arm in between, so that none is cached.
                 for c_arm in [&away, &c_arm] {
                     let started = Instant::now();
                     renderer.render(&view, c_arm, &Tool::default(), FrameSeed::default(), &mut image)?;
@@ -46,8 +47,8 @@ fn main() -> Result<(), Box<dyn Error>> {
                 exact = renderer.anatomy().to_vec();
             }
             println!(
-                "{name:8} {projector:?}: full frame {least_ms:.1} ms, relative rms error {:.2e} (closed form), \
-                 {:.2e} (Siddon)",
+                "{name:8} {projector:?}: full frame {least_ms:.1} ms, relative rms error {:.2e} (closed \
+                 form), {:.2e} (Siddon)",
                 reference::relative_rms(renderer.anatomy(), &truth),
                 reference::relative_rms(renderer.anatomy(), &exact)
             );

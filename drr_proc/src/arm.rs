@@ -6,10 +6,10 @@ use ipc_types::arm_meshes::{ArmMeshError, solids};
 use ipc_types::scene::Arm;
 use xray::arm_model::ArmModel;
 
-/// The X-ray model of a scene's arm; `None` where frames show none of it.
+/// Returns the X-ray model of a scene's arm; `None` if frames do not show it.
 ///
 /// # Errors
-/// A mesh file is not there, is not that of the run, or is not closed.
+/// If a mesh file is missing, differs from the run's, or is not closed.
 pub fn arm_model(arm: &Arm) -> Result<Option<Arc<ArmModel>>, ArmMeshError> {
     Ok(ArmModel::new(arm, solids(arm)?).map(Arc::new))
 }

@@ -16,13 +16,14 @@ impl Machine for ThisMachine {
         pool.build().map_err(|cause| cause.to_string())
     }
 
-    /// Uses the standard library's clock, which also works under valgrind (`trabecula-lab bench instructions`).
+    /// Uses the standard library's clock, which also works under valgrind (`trabecula-lab bench
+    /// instructions`).
     fn now_ns(&self) -> u64 {
         static START: LazyLock<Instant> = LazyLock::new(Instant::now);
         START.elapsed().as_nanos() as u64
     }
 
-    /// `MemAvailable` of `/proc/meminfo` (proc_meminfo(5)); `None` if it is missing.
+    /// Returns `MemAvailable` of `/proc/meminfo` (proc_meminfo(5)); `None` if it is missing.
     fn available_bytes(&self) -> Option<u64> {
         let text = std::fs::read_to_string("/proc/meminfo").ok()?;
         let line = text.lines().find_map(|line| line.strip_prefix("MemAvailable:"))?;

@@ -1,4 +1,4 @@
-//! What a client sends: the lengths of its messages, its commands, its requests for X-rays.
+//! Messages from clients: their lengths, commands, and X-ray requests.
 
 use std::cell::RefCell;
 use std::path::Path;
@@ -38,8 +38,9 @@ thread_local! {
     });
 }
 
-/// The first byte says what it is: a message of any service by its length, a request for an X-ray, or commands one after
-/// the other. Every tick after an accepted command is made, and ends in a state of finite numbers.
+/// The first byte selects the kind: a message of any service by its length, a request for an X-ray, or a
+/// sequence of commands. Every tick after an accepted command is computed, and its state must contain only
+/// finite numbers.
 pub fn client_message(data: &[u8]) {
     let Some((kind, bytes)) = data.split_first() else { return };
     match kind {
@@ -99,7 +100,7 @@ fn is_finite(state: &State) -> bool {
     numbers.into_iter().flatten().all(|number| number.is_finite())
 }
 
-/// A command of each mode, some together, a request, and each message's zeros.
+/// Seeds: a command of each mode, some combined, a request, and each message filled with zeros.
 pub fn seeds() -> Vec<Vec<u8>> {
     let scene = Scene::parse(&format!("{SCENE}{TOOL}"), Path::new("fuzz.toml")).unwrap();
     let start = *Simulation::new(&scene, None).unwrap().state();

@@ -1,4 +1,4 @@
-//! Keyframes: the physics' own bytes in a log, which somebody may have altered.
+//! Keyframes: the physics' own bytes in a log, which may have been altered.
 
 use std::cell::RefCell;
 use std::panic::{self, AssertUnwindSafe};
@@ -13,7 +13,7 @@ use simulation::bone::GridGeometry;
 use simulation::{CtView, Simulation, SimulationSnapshot};
 use test_support::scenes::TOOL;
 
-/// Bone, bodies, elastic joints, and each kind of manipulator: what a keyframe can hold.
+/// Bone, bodies, elastic joints, and each kind of manipulator: everything that a keyframe can contain.
 const SCENES: [&str; 5] = [
     r#"
 name = "bone"
@@ -62,11 +62,12 @@ manipulator = { model = "modal" }
 "#,
 ];
 
-/// Longest keyframe here.
+/// Longest keyframe of these scenes in bytes.
 const LONGEST: usize = 1 << 20;
 
 struct World {
-    // In a box, and made one at a time: four of 105 kB, moved a few times each, are too many for the 2 MB of a thread's stack.
+    // Boxed and built one at a time: four of 105 kB each, moved a few times, would overflow a thread's stack
+    // of 2 MB.
     simulation: Box<Simulation<'static>>,
     initial: SimulationSnapshot,
     start: State,
@@ -131,9 +132,10 @@ thread_local! {
     static WORLDS: RefCell<Vec<World>> = RefCell::new(SCENES.iter().map(|text| World::new(text)).collect());
 }
 
-/// The first byte says which scene's; the others are the keyframe. What is taken leads to ticks, and comes out again as a
-/// keyframe that is taken. The world of rigid bodies is Rapier's own, whose tables only Rapier could check: where it panics, a replay
-/// says so and goes on (`run_log::segments`), and so does this target.
+/// The first byte selects the scene; the rest is the keyframe. An accepted keyframe leads to ticks, and is
+/// written again as a keyframe that is accepted. The world of rigid bodies belongs to Rapier, and only Rapier
+/// could check its tables: if it panics, a replay reports that and continues (`run_log::segments`), and so
+/// does this target.
 pub fn keyframe(data: &[u8]) {
     let Some((scene, bytes)) = data.split_first() else { return };
     WORLDS.with_borrow_mut(|worlds| {
@@ -149,7 +151,7 @@ pub fn keyframe(data: &[u8]) {
     });
 }
 
-/// Runs something that may panic; libFuzzer's hook would end the process.
+/// Runs an action that may panic; libFuzzer's hook would end the process.
 fn quietly(run: impl FnOnce()) -> std::thread::Result<()> {
     let hook = panic::take_hook();
     panic::set_hook(Box::new(|_| {}));
@@ -158,7 +160,7 @@ fn quietly(run: impl FnOnce()) -> std::thread::Result<()> {
     outcome
 }
 
-/// Keyframes of the scenes at their start and under way.
+/// Seeds: keyframes of the scenes, initial and during the run.
 pub fn seeds() -> Vec<Vec<u8>> {
     let mut all = Vec::new();
     for (index, text) in SCENES.iter().enumerate() {

@@ -1,8 +1,8 @@
-//! What a fuzzer runs: every reader of foreign bytes as a function of bytes that must end without a panic, without much
-//! memory and soon, whatever the bytes are. Each function checks what must hold besides.
+//! Fuzz targets: every reader of untrusted bytes as a function that must return without a panic, quickly and
+//! with little memory, for any bytes. Each function also asserts the reader's other guarantees.
 //!
-//! `tests/stable.rs` runs them with stable Rust over the kept corpus and over mutated seeds; `libfuzzer/` runs them under
-//! libFuzzer. See `fuzz/README.md`.
+//! `tests/stable.rs` runs them with stable Rust on the stored corpus and on mutated seeds; `libfuzzer/` runs
+//! them under libFuzzer. See `fuzz/README.md`.
 #![allow(
     clippy::unwrap_used,
     clippy::expect_used,
@@ -22,17 +22,17 @@ pub mod urdf;
 pub mod viewer;
 pub mod volume;
 
-/// A reader of foreign bytes.
+/// A reader of untrusted bytes.
 pub struct Target {
-    /// Its name: of its corpus folder too.
+    /// Name of the target and of its corpus archive.
     pub name: &'static str,
     /// Reads the bytes.
     pub run: fn(&[u8]),
-    /// Small valid inputs, made by the project's own writers.
+    /// Returns small valid inputs, created by the project's own writers.
     pub seeds: fn() -> Vec<Vec<u8>>,
 }
 
-/// All of them.
+/// All targets.
 pub const TARGETS: &[Target] = &[
     Target { name: "log", run: log::log, seeds: seeds::logs },
     Target { name: "chunk_content", run: log::chunk_content, seeds: seeds::chunks },

@@ -1,4 +1,4 @@
-//! Logs: ticks, frames, keyframes put together from their parts, the summary, the survey of a repair.
+//! Logs: ticks, frames, keyframes assembled from their parts, the summary, the survey of a repair.
 
 use std::io::Cursor;
 use std::path::Path;
@@ -16,21 +16,21 @@ fn stream(data: &[u8]) -> Result<MessageStream, LogError> {
     MessageStream::from_reader(Box::new(Cursor::new(data.to_vec())), Path::new("fuzz.mcap"), OPTIONS)
 }
 
-/// A whole file, through all that read one.
+/// Reads a complete file with every reader.
 pub fn log(data: &[u8]) {
     ticks(data);
     summary(data);
     repair(data);
 }
 
-/// The records of a chunk whose checksum is right: what the checksum otherwise keeps the fuzzer from.
+/// Reads the records of a chunk with a correct checksum, which would otherwise keep the fuzzer out.
 pub fn chunk_content(data: &[u8]) {
     let file = with_chunk(data);
     ticks(&file);
     repair(&file);
 }
 
-/// Ticks come without a gap, keyframes are whole, and nothing comes after an error.
+/// Checks that ticks have no gap, keyframes are complete, and nothing follows an error.
 fn ticks(data: &[u8]) {
     let mut keyframes = 0;
     if let Ok(mut reader) = stream(data).and_then(LogReader::from_stream) {
@@ -53,7 +53,7 @@ fn ticks(data: &[u8]) {
         let frames = FrameReader::from_stream(stream).map_while(Result::ok);
         frames.zip(1..).for_each(|(frame, number)| assert_eq!(frame.frame.sequence, number));
     }
-    // Threads are dear: only where there is a keyframe to begin at.
+    // Threads are expensive: only if there is a keyframe to begin at.
     if keyframes > 0
         && let Ok(mut reader) = stream(data).and_then(LogReader::from_stream)
     {
@@ -63,7 +63,7 @@ fn ticks(data: &[u8]) {
     }
 }
 
-/// `log info`, and every message as `log cat` shows it.
+/// Runs `log info`, and formats every message as `log cat` does.
 fn summary(data: &[u8]) {
     if let Ok(info) = run_log::info(&LogBytes::new("fuzz.mcap", data), OPTIONS) {
         let mut text = Vec::new();
@@ -77,7 +77,7 @@ fn summary(data: &[u8]) {
     }
 }
 
-/// The survey of a repair. What it leaves out lies in the file.
+/// Surveys a repair. Skipped pieces must lie within the file.
 fn repair(data: &[u8]) {
     let Ok(report) = survey(Cursor::new(data), Path::new("fuzz.mcap")) else { return };
     let mut end = 0;
@@ -88,7 +88,7 @@ fn repair(data: &[u8]) {
     assert!(end <= data.len() as u64);
 }
 
-/// A file with the header of a log and one uncompressed chunk of these records.
+/// Builds a file with the header of a log and one uncompressed chunk of these records.
 fn with_chunk(records: &[u8]) -> Vec<u8> {
     let mut file = header();
     let mut body = [0_u8; 16].to_vec();
@@ -103,7 +103,7 @@ fn with_chunk(records: &[u8]) -> Vec<u8> {
     file
 }
 
-/// All of an empty log up to its first chunk.
+/// Returns an empty log up to its first chunk.
 fn header() -> Vec<u8> {
     let header = run_log::LogHeader {
         scene_toml: String::new(),

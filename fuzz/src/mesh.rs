@@ -1,11 +1,11 @@
-//! Meshes of the arm's links, of either kind.
+//! Meshes of the arm's links, of both formats.
 
 use ipc_types::scene::mesh::{MeshFormat, triangles};
 
-/// Triangles at most: few, so that a file that announces more is met, too.
+/// Maximum number of triangles: small, so that the limit is reached, too.
 const MOST: usize = 1000;
 
-/// A mesh file, taken as STL and as OBJ. What is taken is some triangles of finite corners.
+/// Reads a mesh file as STL and as OBJ. An accepted mesh consists of triangles with finite corners.
 pub fn mesh(data: &[u8]) {
     for format in [MeshFormat::Stl, MeshFormat::Obj] {
         let Ok(triangles) = triangles(data, format, MOST) else { continue };
@@ -19,7 +19,7 @@ pub fn mesh(data: &[u8]) {
     }
 }
 
-/// A binary STL, one as text, and an OBJ.
+/// Seeds: a binary STL, a text STL, and an OBJ.
 pub fn seeds() -> Vec<Vec<u8>> {
     let corners: [f32; 12] = [0.0, 0.0, 1.0, 0.0, 0.0, 0.5, 1.0, 0.0, 0.5, 0.0, 2.0, 0.5];
     let mut binary = vec![b' '; 80];

@@ -1,10 +1,10 @@
-//! OpenIGTLink streams of peers.
+//! OpenIGTLink streams from peers.
 
 use openigtlink::{Body, Decoder, Error, HeaderVersion, Message, Point, PolyData, Transform};
 
 const MOST: usize = 1 << 16;
 
-/// A stream in pieces. What was understood can be written again and means the same.
+/// Decodes a stream in pieces. A decoded message can be encoded again with the same meaning.
 pub fn openigtlink(bytes: &[u8]) {
     let mut decoder = Decoder::new(MOST);
     for piece in bytes.chunks(997) {
@@ -28,7 +28,7 @@ fn again(message: &Message) {
     assert_eq!(decoder.next().as_ref(), Ok(&Some(message.clone())));
 }
 
-/// A message of each type in both versions, and all in one stream.
+/// Seeds: a message of each type in both versions, and all in one stream.
 pub fn seeds() -> Vec<Vec<u8>> {
     let rotation = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
     let point = |name: &str| Point {

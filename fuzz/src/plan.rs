@@ -1,4 +1,4 @@
-//! Markups of 3D Slicer, and a scene with the plan in them.
+//! Markups of 3D Slicer, and a scene that uses them as its plan.
 
 use std::path::Path;
 
@@ -9,8 +9,8 @@ const SCENE: &str = "name = \"plan\"\n[run]\nmode = \"lockstep\"\nduration_s = 1
                      [drr]\nrate_hz = 0.0\ncolumns = 16\nrows = 16\npixel_pitch_mm = 1.0\n[[controller]]\nname = \"c\"\ndrives = []\n\
                      curved_drilling = { feed_mm_per_s = 1.0, tension_n = 1.0, burr_speed_rpm = 0.0, feedback = \"none\" }\n";
 
-/// A file of markups. What is taken has finite places and reads as itself when written; a plan in it makes a scene, or the scene says
-/// which of its keys is out of range.
+/// Reads a file of markups. An accepted one has finite positions and is unchanged when written and read
+/// again. A plan in it makes a valid scene, or the scene reports which of its keys is out of range.
 pub fn plan(data: &[u8]) {
     let Ok(text) = std::str::from_utf8(data) else { return };
     let Ok(markups) = read(text) else { return };
@@ -41,7 +41,7 @@ pub fn plan(data: &[u8]) {
     }
 }
 
-/// Points, a line and a curve in both formats.
+/// Seeds: points, a line and a curve in both formats.
 pub fn seeds() -> Vec<Vec<u8>> {
     let points_mm = [[-150.2, -135.1, 101.5], [-99.1, -143.6, 116.6], [-82.0, -146.5, 129.3]];
     let named = |text: String| {

@@ -1,4 +1,4 @@
-//! Small valid inputs, made by the writers of the project and its tests.
+//! Small valid inputs, created by the writers of the project and its tests.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -31,12 +31,12 @@ pub(crate) const JPEG_SYNTAXES: [&str; 4] =
     ["1.2.840.10008.1.2.4.50", "1.2.840.10008.1.2.4.51", "1.2.840.10008.1.2.4.57", "1.2.840.10008.1.2.4.70"];
 /// Transfer syntaxes of JPEG-LS and JPEG 2000, lossless.
 pub(crate) const LATER_SYNTAXES: [&str; 2] = ["1.2.840.10008.1.2.4.80", "1.2.840.10008.1.2.4.90"];
-/// Data set packed by deflate.
+/// Transfer syntax of a deflated data set.
 pub(crate) const DEFLATED_SYNTAX: &str = "1.2.840.10008.1.2.1.99";
 /// Transfer syntax of RLE lossless.
 pub(crate) const RLE_SYNTAX: &str = "1.2.840.10008.1.2.5";
 
-/// Bytes of a keyframe that travel in one message.
+/// Bytes of a keyframe in one message.
 const PART: usize = 4000;
 
 /// A log of some ticks with keyframes.
@@ -85,7 +85,7 @@ fn timing_log() -> Vec<u8> {
     log.finish(EndReason::Interrupted, &BTreeMap::from([("/state".to_owned(), 3)])).unwrap().1
 }
 
-/// Whole logs: short ones, one with a reset, one with keyframes, one of the timing lane.
+/// Seeds: complete logs: short ones, one with a reset, one with keyframes, one of the timing lane.
 pub fn logs() -> Vec<Vec<u8>> {
     let mut all: Vec<Vec<u8>> = [(1, None), (3, None), (25, Some(12))]
         .map(|(ticks, reset)| write_log(&run_messages(ticks, reset)))
@@ -95,7 +95,7 @@ pub fn logs() -> Vec<Vec<u8>> {
     all
 }
 
-/// The records of the chunks of a log, unpacked: all of them, and each chunk's.
+/// Seeds: the unpacked records of the chunks of a log, all together and chunk by chunk.
 pub fn chunks() -> Vec<Vec<u8>> {
     let unpacked = |bytes: &[u8]| -> Vec<Vec<u8>> {
         let summary = mcap::Summary::read(bytes).unwrap().unwrap();
@@ -121,7 +121,7 @@ pub fn chunks() -> Vec<Vec<u8>> {
     all
 }
 
-/// A folder of the repository.
+/// Returns a folder of the repository.
 fn folder(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("..").join(name)
 }
@@ -136,17 +136,17 @@ fn files(name: &str) -> Vec<Vec<u8>> {
     paths.iter().map(|path| std::fs::read(path).unwrap()).collect()
 }
 
-/// One of the scenes of `configs/`.
+/// Loads one of the scenes of `configs/`.
 pub(crate) fn scene_file(name: &str) -> Scene {
     ipc_types::scene_file::load(&folder("configs").join(name)).unwrap()
 }
 
-/// The scenes of `configs/`.
+/// Seeds: the scenes of `configs/`.
 pub fn scenes() -> Vec<Vec<u8>> {
     files("configs")
 }
 
-/// A calibration and an announcement.
+/// Seeds: a calibration and an announcement.
 pub fn settings() -> Vec<Vec<u8>> {
     let announcement = Announcement {
         pid: 4711,
@@ -165,14 +165,14 @@ pub fn settings() -> Vec<Vec<u8>> {
     vec![rows.join("\n").into_bytes(), whole.into_bytes(), serde_json::to_vec_pretty(&announcement).unwrap()]
 }
 
-/// NIfTI-1, plain and packed, and a header that stands alone.
+/// Seeds: NIfTI-1, plain and compressed, and a detached header.
 pub fn nifti() -> Vec<Vec<u8>> {
     let affine = [[1.0, 0.0, 0.0, 5.0], [0.0, 2.0, 0.0, 6.0], [0.0, 0.0, 3.0, 7.0]];
     let plain = NiftiBytes::new([2, 3, 4], affine, &[7; 24]);
     let mut float = NiftiBytes::new([2, 3, 4], affine, &[0x3f80; 48]);
     float.put(70, &16_i16.to_le_bytes());
     float.put(72, &32_i16.to_le_bytes());
-    // By quaternion.
+    // With a quaternion.
     let mut turned = NiftiBytes::new([2, 3, 4], affine, &[7; 24]);
     turned.put(252, &1_i16.to_le_bytes());
     turned.put(254, &0_i16.to_le_bytes());
@@ -183,7 +183,7 @@ pub fn nifti() -> Vec<Vec<u8>> {
     vec![gz.finish().unwrap(), plain.0, float.0, turned.0, pair.0]
 }
 
-/// NRRD: raw, packed, as text, and a header that stands alone.
+/// Seeds: NRRD: raw, compressed, as text, and a detached header.
 pub fn nrrd() -> Vec<Vec<u8>> {
     let grid = VoxelGrid::axis_aligned([2, 3, 4], [1e-3; 3], [0.0; 3]).unwrap();
     let volume = Volume { grid, hu: (0..24).collect() };
@@ -213,7 +213,7 @@ pub fn nrrd() -> Vec<Vec<u8>> {
     ]
 }
 
-/// MetaImage: local, packed, as text, and with a data file.
+/// Seeds: MetaImage: local, compressed, as text, and with a data file.
 pub fn metaimage() -> Vec<Vec<u8>> {
     let header = |binary: &str, packed: &str, kind: &str, file: &str| {
         format!(
@@ -237,7 +237,7 @@ pub fn metaimage() -> Vec<Vec<u8>> {
     ]
 }
 
-/// DICOM: slices in several encodings, and packed pixels alone.
+/// Seeds: DICOM: slices in several encodings, and compressed pixels alone.
 pub fn dicom() -> Vec<Vec<u8>> {
     let mut rle = vec![0_u8; 64];
     (rle[0], rle[4], rle[8]) = (2, 64, 66);
@@ -261,15 +261,17 @@ pub fn dicom() -> Vec<Vec<u8>> {
     ]
 }
 
-/// A JPEG 2000 codestream of 130 x 100 pixels (ITU-T T.800) with what [`jpeg_2000`] lacks: four tiles, two decompositions by the irreversible
-/// transform, three layers, precincts, code-blocks of 16 x 16 in several passes' segments, and packets of arbitrary bits.
+/// Builds a JPEG 2000 codestream of 130 x 100 pixels (ITU-T T.800) with features that [`jpeg_2000`] lacks:
+/// four tiles, two decompositions by the irreversible transform, three layers, precincts, code-blocks of 16 x
+/// 16 in segments of several passes, and packets of arbitrary bits.
 fn jpeg_2000_tiles() -> Vec<u8> {
     let whole = jpeg_2000(100, 130);
     let [siz, main] = [whole[..45].to_vec(), whole[45..].to_vec()];
     let mut data = siz;
     data[24..28].copy_from_slice(&65_u32.to_be_bytes());
     data[28..32].copy_from_slice(&50_u32.to_be_bytes());
-    // By position, markers of packets, three layers; blocks of 16 x 16, terminated and bypassing the arithmetic coder.
+    // By position, markers of packets, three layers; blocks of 16 x 16, terminated and bypassing the
+    // arithmetic coder.
     data.extend([0xff, 0x52, 0, 15, 7, 2, 0, 3, 0, 2, 2, 2, 0x2d, 0, 0x44, 0x55, 0x66]);
     // Two guard bits, the exponents and mantissas of 7 subbands.
     data.extend([0xff, 0x5c, 0, 17, 0x42]);
@@ -286,7 +288,7 @@ fn jpeg_2000_tiles() -> Vec<u8> {
     data
 }
 
-/// A JPEG-LS frame of 5 x 4 pixels (ITU-T T.87): headers, and a scan of arbitrary bits.
+/// Builds a JPEG-LS frame of 5 x 4 pixels (ITU-T T.87): headers, and a scan of arbitrary bits.
 fn jpeg_ls() -> Vec<u8> {
     let mut data = vec![0xff, 0xd8, 0xff, 0xf7, 0, 11, 12, 0, 4, 0, 5, 1, 1, 0x11, 0];
     // Presets: MAXVAL, T1, T2, T3, RESET.

@@ -1,4 +1,4 @@
-//! Texts: scenes, calibrations, a session's announcement.
+//! Text files: scenes, calibrations, a session's announcement.
 
 use std::path::Path;
 
@@ -9,7 +9,7 @@ use simulation::Simulation;
 use xray::from_scene::{scene_c_arm, scene_isocentre_m};
 use xray::message::{c_arm_message, c_arm_of, projection_message};
 
-/// A scene's text. One that is taken has a C-arm and a simulation, or says why not.
+/// Reads a scene's text. An accepted scene has a C-arm and a simulation, or an error explains why not.
 pub fn scene(data: &[u8]) {
     let Ok(text) = std::str::from_utf8(data) else { return };
     let Ok(scene) = Scene::parse(text, Path::new("/scene.toml")) else { return };
@@ -28,7 +28,7 @@ pub fn scene(data: &[u8]) {
     }
 }
 
-/// A calibration and an announcement.
+/// Reads a calibration and an announcement.
 pub fn settings(data: &[u8]) {
     let Ok(text) = std::str::from_utf8(data) else { return };
     if let Ok(calibration) = Calibration::parse(text) {

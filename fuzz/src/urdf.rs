@@ -1,4 +1,4 @@
-//! Arms in URDF files, by way of a scene that names one.
+//! Arms in URDF files, read through a scene that names one.
 
 use std::path::Path;
 
@@ -9,7 +9,8 @@ const SCENE: &str = "name = \"arm\"\n[run]\nmode = \"lockstep\"\nduration_s = 1.
                      direction = [1.0, 0.0, 0.0]\nbend_toward = [0.0, 0.0, 1.0]\n[arm]\nurdf = \"a\"\n\
                      initial_joints_deg = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]\n";
 
-/// A URDF file. What is taken is an arm of finite poses, and its scene is the same when written and read again.
+/// Reads a URDF file. An accepted one is an arm of finite poses, and its scene is unchanged when written and
+/// read again.
 pub fn urdf(data: &[u8]) {
     let Ok(text) = std::str::from_utf8(data) else { return };
     let Ok(scene) = Scene::parse_with(SCENE, Path::new("/s.toml"), &|_| Ok(text.to_owned())) else { return };
@@ -21,7 +22,7 @@ pub fn urdf(data: &[u8]) {
     assert_eq!(again.arm, scene.arm);
 }
 
-/// Six joints, and six between a fixed one and a finger.
+/// Seeds: six joints, and six between a fixed one and a finger.
 pub fn seeds() -> Vec<Vec<u8>> {
     let joint = |kind: &str, i: usize| {
         let above = i - 1;

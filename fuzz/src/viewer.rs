@@ -1,4 +1,4 @@
-//! What a browser sends to the viewer: the head of a request, texts and calls of the WebSocket protocol.
+//! Messages from a browser to the viewer: the head of a request, texts and calls of the WebSocket protocol.
 
 use std::cell::OnceCell;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
@@ -18,7 +18,7 @@ thread_local! {
     static BOARD: OnceCell<Board> = const { OnceCell::new() };
 }
 
-/// One message, taken for each kind that a client may send.
+/// Reads one message as each kind that a client may send.
 pub fn viewer(data: &[u8]) {
     request_head(data);
     if let Ok(text) = std::str::from_utf8(data)
@@ -78,7 +78,7 @@ fn obey(service: u32, payload: &[u8]) {
     }
 }
 
-/// Requests as browsers and the page send them.
+/// Seeds: requests as sent by browsers and the page.
 pub fn seeds() -> Vec<Vec<u8>> {
     let call = |service: u32, payload: &str| {
         let mut bytes = vec![2];

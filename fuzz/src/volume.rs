@@ -9,7 +9,7 @@ use voxel_grid::Volume;
 
 use crate::seeds::{DEFLATED_SYNTAX, DicomSlice, JPEG_SYNTAXES, LATER_SYNTAXES, RLE_SYNTAX};
 
-/// A folder that is gone with the process, and what lies in it beside the input.
+/// A folder that is removed with the process, with the files that accompany the input.
 struct Folder(tempfile::TempDir);
 
 thread_local! {
@@ -22,7 +22,7 @@ impl Folder {
         let parent = if memory.is_dir() { memory.to_path_buf() } else { std::env::temp_dir() };
         let folder = tempfile::Builder::new().prefix("trabecula_fuzz_").tempdir_in(parent).unwrap();
         let voxels: Vec<u8> = (0..4096_u32).map(|n| n as u8).collect();
-        // Data files of headers that stand alone.
+        // Data files of detached headers.
         std::fs::write(folder.path().join("v.raw"), &voxels).unwrap();
         std::fs::write(folder.path().join("v.img"), &voxels).unwrap();
         // A neighbour in the series of the slice that is read.
@@ -34,7 +34,7 @@ impl Folder {
     }
 }
 
-/// A file of these bytes.
+/// Writes a file of these bytes.
 pub(crate) fn in_memory(name: &str, bytes: &[u8]) -> PathBuf {
     let path = FOLDER.with(|folder| folder.get_or_init(Folder::new).0.path().join(name));
     std::fs::write(&path, bytes).unwrap();
@@ -73,7 +73,7 @@ fn bzip2(bytes: &[u8]) -> Vec<u8> {
     out.finish().unwrap()
 }
 
-/// NIfTI: plain, packed as it is, and packed by us, so that the checksum of gzip keeps nothing out.
+/// NIfTI: plain, compressed as given, and compressed here, so that the checksum of gzip rejects nothing.
 pub fn nifti(data: &[u8]) {
     if data.starts_with(&[0x1f, 0x8b]) {
         read("v.nii.gz", data);
@@ -94,7 +94,7 @@ pub fn nifti(data: &[u8]) {
     }
 }
 
-/// NRRD: as it is, and with what lies behind its header packed by us as the header says.
+/// NRRD: as given, and with the data after its header compressed here, as the header states.
 pub fn nrrd(data: &[u8]) {
     read("v.nrrd", data);
     let end = data.windows(2).position(|pair| pair == b"\n\n").map(|at| at + 2);
@@ -107,7 +107,7 @@ pub fn nrrd(data: &[u8]) {
     }
 }
 
-/// MetaImage: as it is, and with what lies behind its header packed by us.
+/// MetaImage: as given, and with the data after its header compressed here.
 pub fn metaimage(data: &[u8]) {
     read("v.mha", data);
     let key = b"ElementDataFile";
@@ -121,8 +121,9 @@ pub fn metaimage(data: &[u8]) {
     }
 }
 
-/// DICOM: a file, read with its neighbour in the series, and its data set deflated by us; or, where it is none, a data set without a
-/// preamble, and packed pixels of a slice that is valid but for them. Their first bytes are transfer syntax, rows and columns.
+/// DICOM: a file, read with its neighbour in the series, and its data set deflated here; or, if it is not
+/// DICOM, a data set without a preamble, and compressed pixels of an otherwise valid slice. Their first bytes
+/// are transfer syntax, rows and columns.
 pub fn dicom(data: &[u8]) {
     if data.get(128..132) == Some(b"DICM") {
         read("series/001.dcm", data);
@@ -144,7 +145,8 @@ pub fn dicom(data: &[u8]) {
     read("v.dcm", &slice.bytes());
 }
 
-/// A slice's meta group that says "deflated", and behind it what follows the preamble and the first 200 bytes, deflated.
+/// Builds a slice whose meta group says "deflated", followed by the deflated bytes after the preamble and the
+/// first 200 bytes.
 fn deflated(data: &[u8]) -> Vec<u8> {
     let slice = DicomSlice { transfer_syntax: DEFLATED_SYNTAX, ..DicomSlice::default() }.bytes();
     let told = slice.get(140..144).and_then(|bytes| bytes.try_into().ok()).map_or(0, u32::from_le_bytes);

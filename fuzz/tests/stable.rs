@@ -1,4 +1,4 @@
-//! The targets with stable Rust: over the kept corpus and over seeded mutations of the seeds.
+//! Runs the targets with stable Rust: on the stored corpus and on seeded mutations of the seeds.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, missing_docs)]
 
 use std::io::Read;
@@ -14,11 +14,11 @@ use trabecula_fuzz::{TARGETS, Target};
 #[global_allocator]
 static ALLOCATOR: &StatsAlloc<std::alloc::System> = &INSTRUMENTED_SYSTEM;
 
-/// Most memory that an input of the corpus may take, all its pieces one after the other together.
+/// Memory limit for an input of the corpus, summed over all allocations, in bytes.
 const MOST_BYTES: usize = 1 << 30;
-/// Longest time for one input: a machine under load takes seconds where libFuzzer allows ten.
+/// Time limit for one input: a machine under load takes seconds where libFuzzer allows ten.
 const LIMIT: Duration = Duration::from_secs(120);
-/// Numbers at which readers go wrong.
+/// Numbers at which readers tend to fail.
 const EDGES: [u64; 8] = [0, 1, 0xff, 0x7fff_ffff, 0xffff_ffff, 1 << 40, u64::MAX - 8, u64::MAX];
 
 fn mutate(seed: &[u8], random: &mut Rng) -> Vec<u8> {
@@ -55,13 +55,14 @@ fn mutate(seed: &[u8], random: &mut Rng) -> Vec<u8> {
     data
 }
 
-/// Runs the inputs of all targets, each named, and fails for one that panics, takes too much memory or does not end.
+/// Runs the inputs of all targets, each with a name, and fails if one panics, takes too much memory or does
+/// not finish.
 fn run(inputs: impl Fn(&'static Target) -> Vec<(String, Vec<u8>)>) {
     for target in TARGETS {
         let inputs = inputs(target);
         let (done, finished) = channel();
         let names: Vec<String> = inputs.iter().map(|(name, _)| name.clone()).collect();
-        // With the 2 MB of stack that a thread of a user's has.
+        // With a stack of 2 MB, as in a user's thread.
         let worker = std::thread::spawn(move || {
             for (name, data) in &inputs {
                 let region = Region::new(ALLOCATOR);
@@ -84,12 +85,12 @@ fn run(inputs: impl Fn(&'static Target) -> Vec<(String, Vec<u8>)>) {
     }
 }
 
-/// The archives of the corpus, by target.
+/// Returns the folder of the corpus archives.
 fn archives() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("corpus")
 }
 
-/// The kept inputs of a target, in the archive's order.
+/// Returns the stored inputs of a target, in the archive's order.
 fn corpus(target: &Target) -> Vec<(String, Vec<u8>)> {
     let path = archives().join(format!("{}.tar.gz", target.name));
     let file = std::fs::File::open(&path).unwrap_or_else(|cause| panic!("{}: {cause}", path.display()));

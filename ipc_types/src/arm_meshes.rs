@@ -1,4 +1,4 @@
-//! The meshes of an arm, for the 3D view and for X-ray frames, read from the files that a scene names.
+//! Reads an arm's meshes, for the 3D view and X-ray frames, from the files that a scene names.
 
 use std::collections::BTreeSet;
 use std::path::PathBuf;
@@ -15,7 +15,7 @@ use xxhash_rust::xxh3::xxh3_128;
 /// A mesh with its triangles.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LoadedMesh<'a> {
-    /// What the scene says about it.
+    /// The mesh's entry in the scene.
     pub mesh: &'a ArmMesh,
     /// Its triangles, in the file's frame and unit.
     pub triangles: Vec<Triangle>,
@@ -25,43 +25,44 @@ pub struct LoadedMesh<'a> {
 #[derive(Debug, thiserror::Error)]
 #[error("`arm.mesh.file` {}, {fault}", of(.joint, .file))]
 pub struct ArmMeshError {
-    /// Joint with which it moves; none: the arm's base.
+    /// Joint that the mesh moves with; `None` for the arm's base.
     pub joint: Option<String>,
     /// The file.
     pub file: PathBuf,
-    /// What is wrong with it.
+    /// The defect.
     pub fault: ArmMeshFault,
 }
 
-/// What is wrong with a mesh of the arm.
+/// A defect of one of the arm's meshes.
 #[derive(Debug, thiserror::Error)]
 pub enum ArmMeshFault {
-    /// The system's reason.
+    /// The file could not be read; holds the system's error.
     #[error("which cannot be read ({0}); expected an STL or OBJ file of at most {MAX_MESH_BYTES} bytes")]
     Unreadable(std::io::Error),
     /// Not a mesh, or an invalid one.
     #[error("which {0}")]
     Refused(MeshError),
-    /// X-ray frames were rendered with another file of this name.
+    /// The file differs from the one that earlier X-ray frames were rendered with.
     #[error(
-        "whose content has the XXH3-128 {found}, expected {expected} (`arm.mesh.file_xxh3`): X-ray frames show it, so put the file of \
-         that time there, or leave the key out"
+        "which has changed: its XXH3-128 is {found}, expected {expected} (`arm.mesh.file_xxh3`); X-ray \
+         frames show it, so restore the original file or remove the key"
     )]
     Changed {
-        /// Of the file that is there.
+        /// Digest of the present file.
         found: String,
-        /// Of the file that was there.
+        /// Digest of the original file.
         expected: String,
     },
-    /// A ray through it has no length in it.
+    /// Not a closed surface, so a ray's length inside it is undefined.
     #[error(
-        "which {0}: X-ray frames need closed meshes; repair the file, or leave `arm.xray_density_g_per_cm3` out, which shows no arm there"
+        "which {0}: X-ray frames need closed meshes; repair the file, or omit `arm.xray_density_g_per_cm3` \
+         to leave the arm out of X-ray frames"
     )]
     NotSolid(MeshFault),
-    /// Most likely in millimetres; holds its largest coordinate, m.
+    /// Too large, most likely because it is in millimetres; holds its largest coordinate, m.
     #[error(
-        "which reaches {0:.1} m from its own frame, expected {FARTHEST_M} m at most: `arm.mesh.scale` (URDF: `scale` of the mesh) is \
-         0.001 for a file in millimetres"
+        "which extends {0:.1} m from its frame's origin, expected at most {FARTHEST_M} m; for a file in \
+         millimetres set `arm.mesh.scale` (URDF: `scale` of the mesh) to 0.001"
     )]
     Far(f64),
 }
@@ -78,10 +79,11 @@ fn of(joint: &Option<String>, file: &std::path::Path) -> String {
     }
 }
 
-/// Reads all meshes of an arm that can be drawn, in the order of the scene.
+/// Reads all of an arm's drawable meshes, in the order of the scene.
 ///
 /// # Errors
-/// [`ArmMeshError`]: the first that is not there or is broken; too many triangles in all.
+/// [`ArmMeshError`] for the first file that is missing or invalid, or if there are too many triangles in
+/// total.
 pub fn load(arm: &Arm) -> Result<Vec<LoadedMesh<'_>>, ArmMeshError> {
     let mut left = MOST_TRIANGLES;
     let mut loaded = Vec::new();
@@ -110,10 +112,11 @@ pub fn load(arm: &Arm) -> Result<Vec<LoadedMesh<'_>>, ArmMeshError> {
     Ok(loaded)
 }
 
-/// The meshes that X-ray frames show, in the file's frame and unit; none without `arm.xray_density_g_per_cm3`.
+/// Returns the meshes that X-ray frames show, in the file's frame and unit; empty without
+/// `arm.xray_density_g_per_cm3`.
 ///
 /// # Errors
-/// As [`load`]; a mesh that is not closed.
+/// As [`load`]; also if a mesh is not closed.
 pub fn solids(arm: &Arm) -> Result<Vec<(&ArmMesh, ClosedMesh)>, ArmMeshError> {
     if arm.xray_density_g_per_cm3.is_none() {
         return Ok(Vec::new());
@@ -125,8 +128,8 @@ pub fn solids(arm: &Arm) -> Result<Vec<(&ArmMesh, ClosedMesh)>, ArmMeshError> {
     load(arm)?.into_iter().map(solid).collect()
 }
 
-/// Notes what is in the files that X-ray frames show, so that a replay shows the same or says why not. Files that cannot be read are left
-/// to [`load`].
+/// Stores the digest of each file that X-ray frames show, so that a replay either shows the same meshes or
+/// reports the change. Unreadable files are left for [`load`] to report.
 pub fn note_content(arm: &mut Arm) {
     if arm.xray_density_g_per_cm3.is_none() {
         return;
@@ -143,7 +146,7 @@ fn digest(content: &[u8]) -> String {
     format!("{:032x}", xxh3_128(content))
 }
 
-/// A text for each mesh of a kind that is not read: what it is, and what is drawn instead.
+/// Returns a warning for each mesh in an unsupported format, with what is drawn instead.
 pub fn undrawn(arm: &Arm) -> Vec<String> {
     let is_read = |mesh: &&ArmMesh| MeshFormat::of(&mesh.file).is_some();
     let meshes = || arm.mesh.iter().flatten();
@@ -154,11 +157,11 @@ pub fn undrawn(arm: &Arm) -> Vec<String> {
             false => "the link is drawn as a tube",
         };
         let in_frames = match arm.xray_density_g_per_cm3 {
-            Some(_) => ", and X-ray frames lack it",
+            Some(_) => " and is missing from X-ray frames",
             None => "",
         };
         format!(
-            "`arm.mesh.file` {}, which is not drawn: expected STL or OBJ; {instead}{in_frames}",
+            "`arm.mesh.file` {}, an unsupported format: expected STL or OBJ; {instead}{in_frames}",
             of(&mesh.joint, &mesh.file)
         )
     };

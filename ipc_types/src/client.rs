@@ -38,8 +38,9 @@ impl Session {
     /// Joins the session in a folder; waits up to ten seconds for its announcement.
     ///
     /// # Errors
-    /// [`SessionError::NotASession`], at once; [`SessionError::NoSession`]; [`SessionError::Version`], [`SessionError::Transport`] or [`SessionError::Layout`] for
-    /// a hub of another version; a transport failure.
+    /// [`SessionError::NotASession`], at once; [`SessionError::NoSession`]; [`SessionError::Version`],
+    /// [`SessionError::Transport`] or [`SessionError::Layout`] for a hub of another version; a transport
+    /// failure.
     pub fn join(folder: &Path) -> Result<Session, SessionError> {
         Session::join_within(folder, JOIN_TIME)
     }
@@ -62,17 +63,18 @@ impl Session {
         Ok(Session { folder: folder.to_owned(), handle, id, announcement, node, _remains: remains, page })
     }
 
-    /// Whether the session's host is running; works even if its folder has been removed.
+    /// Returns whether the session's host is running; works even if its folder has been removed.
     pub fn host_is_alive(&self) -> bool {
         is_locked(&self.handle)
     }
 
-    /// Whether the announcement is still in the session's folder. A host removes it when it ends; a killed host leaves it behind.
+    /// Returns whether the announcement is still in the session's folder. A host removes it when it ends; a
+    /// killed host leaves it behind.
     pub fn is_announced(&self) -> bool {
         rustix::fs::accessat(&self.handle, ANNOUNCEMENT_FILE, Access::EXISTS, AtFlags::empty()).is_ok()
     }
 
-    /// Says why the physics ends the run early, to whoever asks [`Session::blame`].
+    /// Stores why the physics ends the run early, for [`Session::blame`].
     ///
     /// # Errors
     /// Any system error.
@@ -80,37 +82,37 @@ impl Session {
         write_blame(&self.handle, blame)
     }
 
-    /// Why the physics ended the run early; `None` if it did not.
+    /// Returns why the physics ended the run early; `None` if it did not.
     pub fn blame(&self) -> Option<Blame> {
         read_blame(&self.handle)
     }
 
-    /// The session's name, which is also its folder's.
+    /// Returns the session's name, which is also its folder's.
     pub fn name(&self) -> String {
         self.id.to_string()
     }
 
-    /// The session's folder.
+    /// Returns the session's folder.
     pub fn folder(&self) -> &Path {
         &self.folder
     }
 
-    /// The environment variables that make a program this controller.
+    /// Returns the environment variables with which a program connects as this controller.
     pub fn how_to_connect(&self, controller: &str) -> String {
         format!("{SESSION_VARIABLE}={} {CONTROLLER_VARIABLE}={controller}", self.folder.display())
     }
 
-    /// The transport's node, for measurements outside the session's services.
+    /// Returns the transport's node, for measurements outside the session's services.
     pub fn node(&self) -> &Node<ipc::Service> {
         &self.node
     }
 
-    /// What the host announced.
+    /// Returns the host's announcement.
     pub fn announcement(&self) -> &Announcement {
         &self.announcement
     }
 
-    /// Index of a controller in the scene.
+    /// Returns a controller's index in the scene.
     ///
     /// # Errors
     /// [`SessionError::UnknownController`].
@@ -123,16 +125,16 @@ impl Session {
         })
     }
 
-    /// A publisher for a service, with all its shared memory reserved.
+    /// Opens a publisher for a service, with all its shared memory reserved.
     ///
     /// # Errors
-    /// [`SessionError::Layout`], [`SessionError::SharedMemory`], [`SessionError::Reserved`] for a service of a part that this program is
-    /// not ([`Session::claim`]), or a transport failure.
+    /// [`SessionError::Layout`], [`SessionError::SharedMemory`], [`SessionError::Reserved`] if the service
+    /// belongs to a part that this program has not claimed ([`Session::claim`]), or a transport failure.
     pub fn publisher<M: Message>(&self, service: &Service) -> Result<Publisher<M>, SessionError> {
         self.named_publisher(service.name, service, M::DESCRIPTION).map(Publisher::new)
     }
 
-    /// The publisher of a controller's commands; only one at a time.
+    /// Opens the publisher of a controller's commands; only one can exist at a time.
     ///
     /// # Errors
     /// [`SessionError::ControllerTaken`], and those of [`Session::publisher`].
@@ -142,7 +144,7 @@ impl Session {
         self.named_publisher(&name, &services::COMMAND, Command::DESCRIPTION).map(Publisher::new)
     }
 
-    /// A subscriber to a service.
+    /// Opens a subscriber to a service.
     ///
     /// # Errors
     /// [`SessionError::Layout`] or a transport failure.
@@ -150,8 +152,8 @@ impl Session {
         self.named_subscriber(service.name, service, M::DESCRIPTION).map(Subscriber::new)
     }
 
-    /// A subscriber that keeps only the newest message. The writer then cycles through a few cached samples instead of filling a long queue
-    /// for a reader that rarely polls.
+    /// Opens a subscriber that keeps only the newest message. The writer then cycles through a few cached
+    /// samples instead of filling a long queue for a reader that rarely polls.
     ///
     /// # Errors
     /// As [`Session::subscriber`].
@@ -160,7 +162,8 @@ impl Session {
         self.named_subscriber(service.name, &service, M::DESCRIPTION).map(Subscriber::new)
     }
 
-    /// A subscriber with the longest queue, for readers that must not lose a message even if they stall for seconds.
+    /// Opens a subscriber with the longest queue, for readers that must not lose a message even if they stall
+    /// for seconds.
     ///
     /// # Errors
     /// As [`Session::subscriber`].
@@ -168,7 +171,7 @@ impl Session {
         self.named_subscriber(service.name, &lossless(service), M::DESCRIPTION).map(Subscriber::new)
     }
 
-    /// The subscriber of a controller's commands.
+    /// Opens the subscriber of a controller's commands.
     ///
     /// # Errors
     /// [`SessionError::UnknownController`], and those of [`Session::subscriber`].
@@ -188,7 +191,7 @@ impl Session {
         self.named_subscriber(&name, &lossless(&services::COMMAND), Command::DESCRIPTION).map(Subscriber::new)
     }
 
-    /// Lets this process sleep until another wakes it.
+    /// Creates the waiter with which this process sleeps until another wakes it.
     ///
     /// # Errors
     /// A transport failure.
@@ -200,7 +203,7 @@ impl Session {
         let listener = service.listener_builder().create().map_err(transported(&name, "listening"))?;
         self.page.raise_for_new_reader(reader.slot());
         let way = match reader {
-            // They poll at intervals; nobody waits for them.
+            // They poll at intervals; no other process waits for them.
             Reader::Recorder | Reader::Drr => Way::Hybrid,
             Reader::Physics | Reader::Controller(_) => {
                 let spinning = 1 + self.announcement.controllers.len();
@@ -216,7 +219,7 @@ impl Session {
         })
     }
 
-    /// Wakes another process.
+    /// Creates the waker that wakes another process.
     ///
     /// # Errors
     /// A transport failure.
@@ -251,7 +254,8 @@ impl Session {
         let builder = || self.node.service_builder(&service_name).publish_subscribe::<[u8]>();
         let end = Instant::now() + OPEN_TIME;
         let mut opened = builder().open_with_attributes(&attributes);
-        // The host has announced the service, so it exists; on a loaded machine opening it may still fail briefly.
+        // The host has announced the service, so it exists, but on a loaded machine opening it can fail
+        // briefly.
         while matches!(opened, Err(PublishSubscribeOpenError::DoesNotExist)) && Instant::now() < end {
             std::thread::sleep(RETRY_TIME);
             opened = builder().open_with_attributes(&attributes);

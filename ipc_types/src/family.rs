@@ -1,4 +1,4 @@
-//! Parents and children: ties a process's life to its parent's, and finds all descendants of a process.
+//! Parents and children: ties a process's lifetime to its parent's, and finds all descendants of a process.
 
 use std::os::unix::process::CommandExt;
 use std::process::Command;
@@ -6,16 +6,18 @@ use std::process::Command;
 use rustix::io::Errno;
 use rustix::process::{Pid, Signal, getpid, getppid, set_parent_process_death_signal, setsid};
 
-/// Has the kernel send SIGTERM to this process when its parent dies, so that a killed launcher leaves no orphans. This misses a parent that
-/// died earlier, so a part checks its session's lock afterwards ([`host_is_alive`](crate::session::host_is_alive)).
+/// Has the kernel send SIGTERM to this process when its parent dies, so that a killed launcher leaves no
+/// orphans. This misses a parent that died earlier, so a part checks its session's lock afterwards
+/// ([`host_is_alive`](crate::session::host_is_alive)).
 pub fn end_with_parent() {
     // If the kernel refuses, the process still ends when its session's states stop.
     let _ = set_parent_process_death_signal(Some(Signal::TERM));
 }
 
-/// As [`end_with_parent`], for a program about to be started. Also makes it a session of its own: the terminal's Ctrl-C then does not reach
-/// it, because the launcher ends its parts in order, and the kernel shares cores between it and everything else
-/// ([`prioritise`](crate::process::prioritise)). The thread that starts it counts as its parent.
+/// As [`end_with_parent`], for a program about to be started; also puts it into its own session. The
+/// terminal's Ctrl-C then does not reach it, because the launcher ends its parts in order, and the kernel
+/// shares cores between it and everything else ([`prioritise`](crate::process::prioritise)). The thread that
+/// starts it counts as its parent.
 pub fn bind_to_parent(command: &mut Command) -> &mut Command {
     bind_to_parent_with(command, Signal::TERM)
 }
@@ -23,8 +25,8 @@ pub fn bind_to_parent(command: &mut Command) -> &mut Command {
 /// As [`bind_to_parent`], with another signal.
 pub fn bind_to_parent_with(command: &mut Command, signal: Signal) -> &mut Command {
     let parent = getpid();
-    // SAFETY: the closure runs between fork and exec, where only async-signal-safe calls are allowed; it makes three system calls (prctl,
-    // getppid, setsid), allocates nothing and takes no lock.
+    // SAFETY: the closure runs between fork and exec, where only async-signal-safe calls are allowed; it
+    // makes three system calls (prctl, getppid, setsid), allocates nothing and takes no lock.
     unsafe {
         command.pre_exec(move || {
             let _ = set_parent_process_death_signal(Some(signal));
@@ -38,8 +40,8 @@ pub fn bind_to_parent_with(command: &mut Command, signal: Signal) -> &mut Comman
     }
 }
 
-/// All living descendants of a process, whatever group or session they have created. Orphans count as children of their nearest subreaper
-/// (`PR_SET_CHILD_SUBREAPER`).
+/// Lists all living descendants of a process, whatever group or session they have created. Orphans count as
+/// children of their nearest subreaper (`PR_SET_CHILD_SUBREAPER`).
 pub fn descendants(of: Pid) -> Vec<Pid> {
     let pairs = families();
     let mut found = vec![of];
@@ -52,30 +54,31 @@ pub fn descendants(of: Pid) -> Vec<Pid> {
     found
 }
 
-/// This process's living children.
+/// Lists this process's living children.
 pub fn children() -> Vec<Pid> {
     let own = getpid();
     families().into_iter().filter(|(_, parent)| *parent == own).map(|(child, _)| child).collect()
 }
 
-/// Every living process and its parent.
+/// Lists every living process with its parent.
 fn families() -> Vec<(Pid, Pid)> {
     let entries = std::fs::read_dir("/proc").into_iter().flatten().flatten();
     entries.filter_map(|entry| parentage(entry.file_name().to_str()?)).collect()
 }
 
-/// A living process and its parent; none for a dead one, or one whose parent is outside this PID namespace.
+/// Returns a living process with its parent; `None` if it is dead or its parent is outside this PID
+/// namespace.
 fn parentage(process: &str) -> Option<(Pid, Pid)> {
     let parent = living_parent(process)?;
     Some((Pid::from_raw(process.parse().ok()?)?, Pid::from_raw(parent)?))
 }
 
-/// Whether a process with this number is alive here. A zombie is not.
+/// Returns whether a process with this number is alive in this PID namespace. A zombie is not.
 pub fn is_alive(process: u32) -> bool {
     living_parent(&process.to_string()).is_some()
 }
 
-/// The parent's number of a living process, 0 for a parent outside this PID namespace.
+/// Process number of a living process's parent; 0 if the parent is outside this PID namespace.
 fn living_parent(process: &str) -> Option<i32> {
     let text = std::fs::read_to_string(format!("/proc/{process}/stat")).ok()?;
     // State and parent follow the name, which may contain anything (proc_pid_stat(5)).

@@ -1,9 +1,10 @@
-//! Removes shared memory that a process was killed while creating.
+//! Removes shared-memory segments left incomplete by a process killed while creating them.
 //!
-//! The transport creates a segment in two steps, `shm_open` and `ftruncate`. A process that opens a segment of size zero waits for the
-//! second step without a limit (iceoryx2 0.10, `dynamic_storage/posix_shared_memory.rs`, the arm `MappingSizeIsZero`). If the creator is
-//! killed between the two, every process that opens the segment, or cleans up after dead processes, hangs. Removing the name ends their
-//! wait with an error.
+//! The transport creates a segment in two steps, `shm_open` and `ftruncate`. A process that opens a segment
+//! of size zero waits for the second step without a limit (iceoryx2 0.10,
+//! `dynamic_storage/posix_shared_memory.rs`, the arm `MappingSizeIsZero`). If the creator is killed between
+//! the two, every process that opens the segment, or cleans up after dead processes, hangs. Removing the name
+//! ends their wait with an error.
 
 use std::collections::BTreeMap;
 use std::os::fd::OwnedFd;
@@ -18,13 +19,13 @@ use crate::identity::process_of;
 use crate::session::{SessionId, is_locked, open_folder};
 use crate::shared_memory::SharedMemory;
 
-/// Time between two sweeps.
+/// Time between sweeps.
 const SWEEP_PERIOD: Duration = Duration::from_millis(200);
-/// How long a segment may have size zero while every process in its name is alive. Creation takes microseconds; the timeout is the only
-/// evidence about a creator in another PID namespace.
+/// How long a segment may have size zero while every process in its name is alive. Creation takes
+/// microseconds; the timeout is the only evidence about a creator in another PID namespace.
 const LONGEST_MAKING: Duration = Duration::from_secs(10);
 
-/// A thread that removes a session's half-made segments until it is dropped.
+/// A thread that removes a session's incomplete segments until it is dropped.
 #[derive(Debug)]
 pub struct HalfMadeSweeper {
     is_over: Arc<AtomicBool>,
@@ -32,11 +33,13 @@ pub struct HalfMadeSweeper {
 }
 
 impl HalfMadeSweeper {
-    /// Sweeps the session in this folder as soon as its host is dead, which until then sweeps by itself. Every part runs one, because each
-    /// may be the last, and started before it joins, because joining opens segments. When it is dropped, it removes what it still finds.
+    /// Sweeps the session in this folder once its host is dead; until then the host does this itself. Every
+    /// part runs a sweeper, because each may be the last to end, and starts it before joining, because
+    /// joining opens segments. Dropping the sweeper removes whatever is left.
     ///
     /// # Errors
-    /// The folder is not a session's; the system refuses to start the thread or to open the shared-memory folder.
+    /// If the folder does not belong to a session, or the system refuses to start the thread or to open the
+    /// shared-memory folder.
     pub fn after_host(session: &Path) -> std::io::Result<HalfMadeSweeper> {
         let id = SessionId::of(session).ok_or(std::io::ErrorKind::InvalidInput)?;
         let folder = open_folder(session).map_err(std::io::Error::other)?;
@@ -47,7 +50,7 @@ impl HalfMadeSweeper {
     /// Sweeps the segments whose names start with `prefix`.
     ///
     /// # Errors
-    /// The system refuses to start the thread or to open the folder.
+    /// If the system refuses to start the thread or to open the folder.
     pub(crate) fn start(prefix: String) -> std::io::Result<HalfMadeSweeper> {
         let sweep = Sweep::new(prefix)?;
         HalfMadeSweeper::run(move |is_over| sweep.until(is_over))
@@ -62,7 +65,7 @@ impl HalfMadeSweeper {
     }
 }
 
-/// What the thread does.
+/// State of the sweeping thread.
 struct Sweep {
     memory: SharedMemory,
     prefix: String,
@@ -96,7 +99,7 @@ impl Sweep {
             self.once();
             std::thread::park_timeout(SWEEP_PERIOD);
         }
-        // A client may outlive every part, and has no such thread. Two looks are needed to remove a segment.
+        // A client may outlive every part, and has no such thread. Removing a segment takes two sweeps.
         self.once();
         if !self.empty_since.is_empty() {
             std::thread::sleep(SWEEP_PERIOD);
@@ -133,7 +136,7 @@ fn sweep(memory: &SharedMemory, prefix: &str, empty_since: &mut BTreeMap<String,
     }
 }
 
-/// The processes whose numbers are in a segment's name. A connection's name holds those of both ends.
+/// Processes whose numbers are in a segment's name. A connection's name holds those of both ends.
 fn makers(name: &str) -> impl Iterator<Item = u32> + '_ {
     let numbers = name.split(['_', '.']).filter_map(|part| part.parse::<u128>().ok());
     numbers.filter(|number| *number > u128::from(u64::MAX)).map(process_of)
@@ -186,7 +189,8 @@ mod tests {
         assert!(!in_the_making.0.exists() && whole.0.exists());
     }
 
-    /// A run without a recorder hung if its launcher was killed while it made a segment: only launcher and recorder swept.
+    /// Regression: a run without a recorder hung if its launcher was killed while creating a segment, because
+    /// only launcher and recorder swept.
     #[test]
     fn a_part_sweeps_when_its_host_is_dead_and_a_last_time_when_it_ends() {
         let prefix = format!("trabecula_half_made_after_host_{}_", std::process::id());

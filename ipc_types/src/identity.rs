@@ -1,5 +1,5 @@
-//! Identifies a message's sender by the transport, not by what the message claims: which controller sent it, and whether a part's message
-//! really comes from that part.
+//! Identifies a message's sender by the transport, not by what the message claims: which controller sent it,
+//! and whether a part's message really comes from that part.
 
 use std::cell::{Cell, RefCell};
 
@@ -14,13 +14,14 @@ use crate::ports::Received;
 use crate::session::{ByteService, Session, SessionError};
 use crate::shared_page::SharedPage;
 
-/// The process whose number is part of a unique number of the transport: bits 64 to 95 (iceoryx2-bb-posix 0.10, `UniqueSystemId`).
+/// Process number contained in one of the transport's unique numbers: bits 64 to 95 (iceoryx2-bb-posix 0.10,
+/// `UniqueSystemId`).
 pub(crate) fn process_of(number: u128) -> u32 {
     (number >> 64) as u32
 }
 
 impl Session {
-    /// Claims a part for this program, before it opens the part's ports. Each part exists once.
+    /// Claims a part for this program; call it before opening the part's ports. Each part exists once.
     ///
     /// # Errors
     /// [`SessionError::PartTaken`].
@@ -31,17 +32,17 @@ impl Session {
         }
     }
 
-    /// Whether this program is one of these writers.
+    /// Returns whether this program has claimed one of these parts; true if any program may write.
     pub(crate) fn is_one_of(&self, writers: &[Part]) -> bool {
         let node = self.node.id().value();
         writers.is_empty() || writers.iter().any(|part| self.page.node_of(*part) == Some(node))
     }
 }
 
-/// Connections that a reader remembers; an older one is looked up again.
+/// Connections that a reader caches; one that was evicted is looked up again.
 const KNOWN_CONNECTIONS: usize = 32;
 
-/// Tells a part's messages from those of programs that took a free port of the part's service.
+/// Filters out messages of programs that took a free port of a part's service.
 #[derive(Debug)]
 pub(crate) struct Guard {
     service: ByteService,
@@ -53,14 +54,14 @@ pub(crate) struct Guard {
 }
 
 impl Guard {
-    /// `None` for a service that every client may write.
+    /// Creates the guard; `None` for a service that every client may write to.
     pub(crate) fn of(session: &Session, service: ByteService, writers: &'static [Part]) -> Option<Guard> {
         let (known, foreign_messages) = (RefCell::default(), Cell::new(0));
         let page = session.page.clone();
         (!writers.is_empty()).then_some(Guard { service, page, writers, known, foreign_messages })
     }
 
-    /// The part at the other end of a connection. Counts messages of other programs.
+    /// Returns the part at the other end of a connection. Counts messages of other programs.
     pub(crate) fn part_of(&self, sender: UniquePublisherId) -> Option<Part> {
         let known = self.known.borrow().iter().find(|(known, _)| *known == sender).map(|(_, part)| *part);
         let part = known.unwrap_or_else(|| {
@@ -78,8 +79,9 @@ impl Guard {
         part
     }
 
-    /// Once a part has ended its port is gone, but its last messages may still be queued. It is then identified by its process number,
-    /// which both the port's and the node's number contain.
+    /// Identifies a connection's part. Once a part has ended, its port is gone, but its last messages may
+    /// still be queued; it is then identified by its process number, which both the port's and the node's
+    /// number contain.
     fn look_for(&self, sender: UniquePublisherId) -> Option<Part> {
         let node = publishers(&self.service).find(|details| details.publisher_id == sender);
         let node = node.map(|details| details.node_id.value());
@@ -99,10 +101,10 @@ impl Guard {
     }
 }
 
-/// Tells who may request frames from the DRR process, from the connected ports.
+/// Identifies the sender of a frame request to the DRR process from the connected ports.
 ///
-/// A program has one node in a session, and all its ports belong to it. The program that holds a controller's command port is that
-/// controller, so no request can impersonate another's.
+/// A program has one node in a session, and all its ports belong to it. The program that holds a controller's
+/// command port is that controller, so no request can impersonate another's.
 #[derive(Debug)]
 pub struct Requesters {
     requests: ByteService,
@@ -110,7 +112,7 @@ pub struct Requesters {
 }
 
 impl Session {
-    /// A view of the connected programs.
+    /// Opens the view of the connected programs.
     ///
     /// # Errors
     /// As [`Session::subscriber`].
@@ -125,7 +127,8 @@ impl Session {
 }
 
 impl Requesters {
-    /// The controller that sent a request; `None` if it came from an observer or from a program that has since ended.
+    /// Returns the controller that sent a request; `None` if it came from an observer or from a program that
+    /// has since ended.
     pub fn controller_of(&self, request: &Received<DrrRequest>) -> Option<ControllerIndex> {
         let Sender(sender) = request.sender();
         let node = publishers(&self.requests).find(|details| details.publisher_id == sender)?.node_id;
@@ -149,14 +152,14 @@ fn publishers(service: &ByteService) -> impl Iterator<Item = PublisherDetails> {
 pub struct Sender(UniquePublisherId);
 
 impl Sender {
-    /// A number unique to this connection.
+    /// Returns a number unique to this connection.
     pub fn number(self) -> u128 {
         self.0.value()
     }
 }
 
 impl<M: Message> Received<M> {
-    /// The connection this message came over.
+    /// Returns the connection that this message arrived over.
     pub fn sender(&self) -> Sender {
         Sender(self.sample.publisher_id())
     }

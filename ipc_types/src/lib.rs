@@ -1,10 +1,12 @@
-//! The transport: sessions, ports, waiting and waking over iceoryx2, and what all processes of the hub share.
+//! The transport: sessions, ports, waiting and waking over iceoryx2, and what all of the hub's processes
+//! share.
 //!
-//! **Boundary:** it moves messages without knowing their meaning; nothing below it (`messages`, `scene`) knows iceoryx2. It re-exports
-//! both, so that a client depends on one crate.
+//! **Boundary:** moves messages without knowing their meaning; nothing below it (`messages`, `scene`) knows
+//! iceoryx2. It re-exports both, so that a client depends on one crate.
 //!
-//! **Invariants:** only the host creates services; no reader blocks a writer, and a reader that loses a message can tell; each `unsafe`
-//! states its proof. New memory is reserved and touched first, so that a full `/dev/shm` is an error and not a signal.
+//! **Invariants:** only the host creates services; no reader blocks a writer, and a reader that loses a
+//! message can tell; each `unsafe` states its proof. New memory is reserved and touched first, so that a full
+//! `/dev/shm` is an error and not a signal.
 //!
 //! A client joins a session, opens ports of its services and takes the messages that have arrived:
 //!

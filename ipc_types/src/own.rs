@@ -1,10 +1,11 @@
 //! Resources that belong to the process that created them and not to its `fork` children.
 //!
-//! A `fork` child has a copy of every port of its parent and would close them when it ends, which would free the parent's slots in the
-//! services, its files and its shared memory. Each of these is therefore an [`Own`], which only its creator cleans up.
+//! A `fork` child has a copy of every port of its parent and would close them when it ends, freeing the
+//! parent's slots in the services, its files and its shared memory. Each of these is therefore an [`Own`],
+//! which only its creator cleans up.
 //!
-//! A process recognises itself by a page that the kernel zeroes in every child (`MADV_WIPEONFORK`). Checking it is one load, where `getpid`
-//! is a system call, and it works however the process forks.
+//! A process recognises itself by a page that the kernel zeroes in every child (`MADV_WIPEONFORK`). Checking
+//! it is one load, where `getpid` is a system call, and it works however the process forks.
 
 use core::mem::ManuallyDrop;
 use core::ops::{Deref, DerefMut};
@@ -18,16 +19,16 @@ use memmap2::{MmapMut, MmapRaw};
 pub struct Generation(u64);
 
 impl Generation {
-    /// The calling process's number.
+    /// Returns the calling process's number.
     pub fn current() -> Generation {
         static PAGE: OnceLock<Option<MmapRaw>> = OnceLock::new();
-        // Inherited by a child, which counts on from its parent's number.
+        // A child inherits it and continues from its parent's number.
         static NEWEST: AtomicU64 = AtomicU64::new(0);
         let Some(page) = PAGE.get_or_init(wiped_page) else {
             return Generation(u64::from(std::process::id()));
         };
-        // SAFETY: the mapping is one page long, page-aligned, and lives as long as the program, which reads and writes these eight bytes
-        // only through atomics.
+        // SAFETY: the mapping is one page long, page-aligned, and lives as long as the program, which reads
+        // and writes these eight bytes only through atomics.
         let mark = unsafe { AtomicU64::from_ptr(page.as_mut_ptr().cast::<u64>()) };
         match mark.load(Ordering::Relaxed) {
             0 => {
@@ -41,15 +42,16 @@ impl Generation {
     }
 }
 
-/// A page that is zeroed in a child; `None` if the kernel cannot do that (before Linux 4.14).
+/// Maps a page that is zeroed in a child; `None` if the kernel cannot do that (before Linux 4.14).
 fn wiped_page() -> Option<MmapRaw> {
     let page: MmapRaw = MmapMut::map_anon(size_of::<u64>()).ok()?.into();
-    // SAFETY: the range is a live, private, anonymous mapping, and the advice changes nothing in this process.
+    // SAFETY: the range is a live, private, anonymous mapping, and the advice changes nothing in this
+    // process.
     let outcome = unsafe { libc::madvise(page.as_mut_ptr().cast(), page.len(), libc::MADV_WIPEONFORK) };
     (outcome == 0).then_some(page)
 }
 
-/// A value that only the process that created it drops.
+/// A value that only its creating process drops.
 #[derive(Debug)]
 pub struct Own<T> {
     value: ManuallyDrop<T>,
@@ -60,12 +62,12 @@ pub struct Own<T> {
 }
 
 impl<T> Own<T> {
-    /// Makes this process the value's owner.
+    /// Wraps a value; this process becomes its owner.
     pub fn new(value: T) -> Own<T> {
         Own { value: ManuallyDrop::new(value), made_by: Generation::current(), drop: ManuallyDrop::<T>::drop }
     }
 
-    /// Whether this process owns it; if not, its parent does.
+    /// Returns whether this process owns it; if not, its parent does.
     pub fn is_ours(&self) -> bool {
         self.made_by == Generation::current()
     }
@@ -116,7 +118,8 @@ mod tests {
         let before = Generation::current();
         let own = Own::new(Bell(bell));
         assert!(own.is_ours());
-        // SAFETY: the child allocates nothing, drops a value whose drop makes at most one system call, and exits with `_exit`.
+        // SAFETY: the child allocates nothing, drops a value whose drop makes at most one system call, and
+        // exits with `_exit`.
         let child = unsafe { libc::fork() };
         if child == 0 {
             let is_foreign = !own.is_ours() && Generation::current() != before;

@@ -1,4 +1,5 @@
-//! Publishers and subscribers: messages are bytes in shared memory, checked against their layout at both ends.
+//! Publishers and subscribers: messages are bytes in shared memory, checked against their layout at both
+//! ends.
 
 use core::marker::PhantomData;
 use core::mem::MaybeUninit;
@@ -17,12 +18,12 @@ use crate::messages::layout::Message;
 use crate::messages::services;
 use crate::own::Own;
 
-/// Messages of the wrong length that one call takes off a queue, so that a flood of them cannot stall the reader.
+/// Malformed messages that one call discards, so that a flood of them cannot stall the reader.
 const REFUSED_AT_ONCE: usize = 64;
-/// From here on a message is copied by two threads: far beyond every message of a tick.
+/// Size from which two threads copy a message: far above every per-tick message.
 const TWO_THREADS_BYTES: usize = 32 << 20;
-/// The same limit for other programs' messages on a part's service. More than any queue holds, because the part's own messages behind them must
-/// not be late.
+/// The same limit for other programs' messages on a part's service. Larger than any queue, because the part's
+/// own messages behind them must not be delayed.
 const MAX_FOREIGN_MESSAGES: usize = 1 << 14;
 
 const _: () = {
@@ -36,7 +37,7 @@ const _: () = {
 /// Why a message could not be sent or received.
 #[derive(Debug, Error)]
 pub enum PortError {
-    /// The volume did not arrive.
+    /// The volume did not arrive in time.
     #[error("the volume did not arrive within {limit_s} s; is the launcher running?")]
     NoVolume {
         /// Seconds waited.
@@ -44,7 +45,8 @@ pub enum PortError {
     },
     /// The publisher could not get a free sample.
     #[error(
-        "service `{service}`: no sample to write {bytes} bytes into ({cause}); a message may have at most {limit} bytes"
+        "service `{service}`: could not allocate a sample of {bytes} bytes ({cause}); messages are limited \
+         to {limit} bytes"
     )]
     Loan {
         /// Service name.
@@ -73,7 +75,7 @@ pub enum PortError {
         cause: String,
     },
     /// A message's length does not match its type and its own count.
-    #[error("service `{service}`: a message of {bytes} bytes arrived, expected {expected}")]
+    #[error("service `{service}`: received a message of {bytes} bytes, expected {expected}")]
     Length {
         /// Service name.
         service: String,
@@ -143,8 +145,8 @@ impl ByteSender {
             copy(part, head);
             rest = tail;
         }
-        // SAFETY: the sample is exactly as long as all parts together, and `copy` has written each part; a thread of it that died would have
-        // let the scope, and so this function, panic.
+        // SAFETY: the sample is exactly as long as all parts together, and `copy` has written each part; if
+        // one of its threads had died, the scope, and so this function, would have panicked.
         let sample = unsafe { sample.assume_init() };
         sample
             .send()
@@ -159,7 +161,8 @@ impl ByteSender {
     }
 }
 
-/// Copies bytes to a place of the same length, all of it. A volume on two threads: the kernel makes its pages at their first use.
+/// Copies bytes to a target of the same length. Uses two threads for a volume, because the kernel allocates
+/// its pages on first use.
 fn copy(bytes: &[u8], target: &mut [MaybeUninit<u8>]) {
     if bytes.len() >= TWO_THREADS_BYTES {
         let (first, second) = bytes.split_at(bytes.len() / 2);
@@ -191,22 +194,23 @@ impl<M: Message> Subscriber<M> {
         Subscriber { port, message: PhantomData }
     }
 
-    /// Takes the oldest message in the queue, if any. Its bytes stay in shared memory until the return value is dropped.
+    /// Takes the oldest message in the queue, if any. Its bytes stay in shared memory until the return value
+    /// is dropped.
     ///
-    /// Takes a message of the wrong length off the queue and returns an error. On a part's service, skips and counts messages from programs
-    /// that are not that part ([`Subscriber::foreign_messages`]).
+    /// Returns an error for a message of the wrong length, which is taken off the queue. On a part's service,
+    /// skips and counts messages from programs that are not that part ([`Subscriber::foreign_messages`]).
     pub fn receive(&self) -> Result<Option<Received<M>>, PortError> {
         let Some((sample, part)) = self.port.receive()? else { return Ok(None) };
         Received::new(sample, part, &self.port.name).map(Some)
     }
 
-    /// Messages so far from programs that are not the part that owns the service.
+    /// Returns the number of messages so far from programs that are not the part that owns the service.
     pub fn foreign_messages(&self) -> u64 {
         self.port.guard.as_ref().map_or(0, Guard::foreign_messages)
     }
 
-    /// Takes the oldest valid message, if any, on services that every client may write. Messages of the wrong length go to `refused`, a
-    /// limited number per call so that the caller is not held up.
+    /// Takes the oldest valid message, if any, on services that every client may write to. Messages of the
+    /// wrong length go to `refused`, a limited number per call so that the caller is not held up.
     ///
     /// # Errors
     /// [`PortError::Receive`].
@@ -232,7 +236,7 @@ impl<M: Message> Subscriber<M> {
         Ok(newest)
     }
 
-    /// Whether the queue holds a message.
+    /// Returns whether the queue holds a message.
     pub fn has_message(&self) -> bool {
         self.port.has_message()
     }
@@ -243,7 +247,7 @@ impl<M: Message> Subscriber<M> {
 pub(crate) struct ByteReceiver {
     raw: Own<RawSubscriber<ipc::Service, [u8], ()>>,
     name: String,
-    /// Present on services that only parts of the hub may write.
+    /// Present on services that only the hub's parts may write to.
     guard: Option<Guard>,
 }
 
@@ -295,7 +299,8 @@ impl ByteSample {
     }
 }
 
-/// A message in shared memory. Copy it before deciding on its content: its writer is another process and could change it.
+/// A message in shared memory. Copy it before deciding on its content: its writer is another process and
+/// could change it.
 #[derive(Debug)]
 pub struct Received<M> {
     pub(crate) sample: ByteSample,
@@ -319,28 +324,28 @@ impl<M: Message> Received<M> {
         Ok(Received { sample, part, copy })
     }
 
-    /// The part that sent it; `None` on services that every client may write.
+    /// Returns the part that sent it; `None` on services that every client may write to.
     pub fn part(&self) -> Option<Part> {
         self.part
     }
 
-    /// The message without its tail. Not a copy.
+    /// Returns the message without its tail, without copying.
     pub fn message(&self) -> &M {
         match &self.copy {
             Some(copy) => copy,
-            // SAFETY: `new` checked that the sample holds at least a message's bytes and, as there is no copy, proved with
-            // `ref_from_prefix` that they form a valid `&M`. The sample keeps them in place for as long as `self` lives, and no writer gets
-            // them before it is dropped.
+            // SAFETY: `new` checked that the sample holds at least a message's bytes and, as there is no
+            // copy, proved with `ref_from_prefix` that they form a valid `&M`. The sample keeps them in place
+            // for as long as `self` lives, and no writer gets them before it is dropped.
             None => unsafe { &*self.sample.payload().as_ptr().cast::<M>() },
         }
     }
 
-    /// What follows the message: its tail, or a frame's image. Not a copy.
+    /// Returns the bytes after the message (its tail, or a frame's image), without copying.
     pub fn tail(&self) -> &[u8] {
         &self.sample.payload()[M::DESCRIPTION.size..]
     }
 
-    /// All bytes, as in shared memory.
+    /// Returns all bytes, as in shared memory.
     pub fn bytes(&self) -> &[u8] {
         self.sample.payload()
     }
@@ -356,7 +361,7 @@ mod tests {
             let bytes: Vec<u8> = (0..length).map(|i| (i % 251) as u8).collect();
             let mut target = vec![MaybeUninit::new(255); length];
             copy(&bytes, &mut target);
-            // SAFETY: every byte has been initialised when the vector was made.
+            // SAFETY: every byte was initialised when the vector was created.
             let copied: Vec<u8> = target.iter().map(|byte| unsafe { byte.assume_init() }).collect();
             assert!(copied == bytes, "{length} bytes");
         }

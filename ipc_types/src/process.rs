@@ -1,4 +1,4 @@
-//! What all processes of the hub share: they end when asked, end with their parent, and send events.
+//! What all of the hub's processes share: they end on request and with their parent, and send events.
 
 use std::path::Path;
 use std::time::{Duration, Instant};
@@ -20,7 +20,7 @@ pub use crate::signals::{Continued, EndRequest, EndSignal};
 pub const EXIT_FAILED: u8 = 1;
 /// Exit code for bad input: nothing written, nothing lost.
 pub const EXIT_BAD_INPUT: u8 = 2;
-/// Exit code for finished work with an incomplete log: a gap, a cut, no end.
+/// Exit code for finished work with an incomplete log: a gap, a truncation, or no end.
 pub const EXIT_GAP: u8 = 3;
 
 /// How long a process waits for the volume.
@@ -29,7 +29,8 @@ const VOLUME_LIMIT: Duration = Duration::from_secs(60);
 /// Waits for the volume, which stays in shared memory as long as the return value lives.
 ///
 /// # Errors
-/// [`PortError::NoVolume`] if it did not arrive before the process was asked to end; the transport's.
+/// [`PortError::NoVolume`] if it did not arrive in time or the process was asked to end first; transport
+/// errors.
 pub fn await_volume(volumes: &Subscriber<Volume>, end: &EndRequest) -> Result<Received<Volume>, PortError> {
     let limit = Instant::now() + VOLUME_LIMIT;
     while Instant::now() < limit && !end.is_set() {
@@ -44,17 +45,18 @@ pub fn await_volume(volumes: &Subscriber<Volume>, end: &EndRequest) -> Result<Re
 /// CPU time that a process has used, user and system.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct ProcessorTime {
-    /// All its threads.
+    /// CPU time of all its threads.
     pub own: Duration,
-    /// Child processes that have ended.
+    /// CPU time of child processes that have ended.
     pub children: Duration,
 }
 
 impl ProcessorTime {
-    /// CPU time of the process with this number, or of `self`; `None` if it is gone.
+    /// Returns the CPU time of the process with this number, or of `self`; `None` if it is gone.
     pub fn of(process: &str) -> Option<ProcessorTime> {
         let text = std::fs::read_to_string(format!("/proc/{process}/stat")).ok()?;
-        // Fields 14 to 17 of the file, 11 to 14 after the name, which may contain anything (proc_pid_stat(5)); in hundredths of a second.
+        // Fields 14 to 17 of the file, 11 to 14 after the name, which may contain anything
+        // (proc_pid_stat(5)); in hundredths of a second.
         let (_, fields) = text.rsplit_once(')')?;
         let mut times = fields.split_whitespace().skip(11).map(|field| field.parse::<u64>().ok());
         let mut two = || Some(Duration::from_millis(10 * (times.next()?? + times.next()??)));
@@ -62,14 +64,15 @@ impl ProcessorTime {
     }
 }
 
-/// What a part does for the run, most urgent first. Under overload an earlier role preempts a later one.
+/// A part's role in the run, most urgent first. Under overload an earlier role preempts a later one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Role {
     /// Keeps the tick.
     Physics,
-    /// Commands for the next tick.
+    /// Computes commands for the next tick.
     Controller,
-    /// May be delayed, but must never starve: its queues hold [`RECORDER_QUEUE_TICKS`](crate::messages::services::RECORDER_QUEUE_TICKS).
+    /// May be delayed, but must never starve: its queues hold
+    /// [`RECORDER_QUEUE_TICKS`](crate::messages::services::RECORDER_QUEUE_TICKS).
     Recorder,
     /// Renders frames; the frame rate may drop.
     Drr,
@@ -84,13 +87,14 @@ pub struct Priority {
     pub fifo: Option<i32>,
     /// Nice value if time-shared: one step changes the share of the core by a quarter (sched(7)).
     pub nice: i32,
-    /// Time slice to request if time-shared, instead of the kernel's default (about 3 ms). A thread with a short slice preempts one with a
-    /// long slice as soon as it wakes (Linux 6.12, `PREEMPT_SHORT`). Needs no privilege.
+    /// Time slice to request if time-shared, instead of the kernel's default (about 3 ms). A thread with a
+    /// short slice preempts one with a long slice as soon as it wakes (Linux 6.12, `PREEMPT_SHORT`). Needs no
+    /// privilege.
     pub slice_ns: Option<u64>,
 }
 
 impl Role {
-    /// The priority for this role. FIFO priorities stay below 50, where the kernel's interrupt threads run.
+    /// Returns this role's priority. FIFO priorities stay below 50, where the kernel's interrupt threads run.
     pub fn priority(self, policy: Policy) -> Priority {
         let (fifo, nice, slice_ns) = match self {
             Role::Physics => (Some(40), -15, Some(SHORTEST_SLICE_NS)),
@@ -103,14 +107,16 @@ impl Role {
     }
 }
 
-/// The kernel's minimum.
+/// The kernel's minimum time slice.
 const SHORTEST_SLICE_NS: u64 = 100_000;
 
-/// Gives this thread, and the threads it starts from now on, a role's priority, as far as the system permits. Raising it needs a privilege
-/// (`CAP_SYS_NICE`, or RLIMIT_NICE and RLIMIT_RTPRIO), lowering it does not. Returns the priority in effect.
+/// Gives this thread, and the threads it starts from now on, a role's priority, as far as the system permits.
+/// Raising it needs a privilege (`CAP_SYS_NICE`, or RLIMIT_NICE and RLIMIT_RTPRIO), lowering it does not.
+/// Returns the priority in effect.
 ///
-/// Linux shares a core between sessions first, and only then between a session's threads (autogroup, sched(7)). A session leader therefore
-/// sets the same nice value for its session; otherwise the value would count only among its own threads.
+/// Linux shares a core between sessions first, and only then between a session's threads (autogroup,
+/// sched(7)). A session leader therefore sets the same nice value for its session; otherwise the value would
+/// count only among its own threads.
 pub fn prioritise(role: Role, policy: Policy) -> Priority {
     let wanted = role.priority(policy);
     let own = |nice: i32| rustix::process::setpriority_process(None, nice).is_ok();
@@ -137,10 +143,11 @@ struct SchedulingAttributes {
     period_ns: u64,
 }
 
-/// Requests a time slice for this thread, which is time-shared with this nice value. Kernels before 6.12 ignore it.
+/// Requests a time slice for this thread, which is time-shared with this nice value. Kernels before 6.12
+/// ignore it.
 ///
 /// # Errors
-/// The system does not permit it.
+/// If the system does not permit it.
 pub fn set_slice(slice_ns: u64, nice: i32) -> std::io::Result<()> {
     let mut attributes = SchedulingAttributes {
         size: size_of::<SchedulingAttributes>() as u32,
@@ -152,8 +159,9 @@ pub fn set_slice(slice_ns: u64, nice: i32) -> std::io::Result<()> {
         deadline_ns: 0,
         period_ns: 0,
     };
-    // SAFETY: 0 names the calling thread. The pointer is to a whole `sched_attr` of the size it states, which outlives the call; the kernel
-    // writes only its own size to it, if it knows a smaller one. The last argument is flags, none set.
+    // SAFETY: 0 names the calling thread. The pointer is to a whole `sched_attr` of the size it states, which
+    // outlives the call; the kernel writes only its own size to it, if it knows a smaller one. The last
+    // argument is flags, none set.
     let outcome = unsafe { libc::syscall(libc::SYS_sched_setattr, 0, &raw mut attributes, 0) };
     if outcome == 0 { Ok(()) } else { Err(std::io::Error::last_os_error()) }
 }
@@ -161,17 +169,17 @@ pub fn set_slice(slice_ns: u64, nice: i32) -> std::io::Result<()> {
 /// Puts this thread under `SCHED_FIFO`, but not the threads it starts later (`SCHED_RESET_ON_FORK`).
 ///
 /// # Errors
-/// The system does not permit it.
+/// If the system does not permit it.
 pub fn set_fifo(priority: i32) -> std::io::Result<()> {
     let parameters = libc::sched_param { sched_priority: priority };
-    // SAFETY: 0 names the calling thread. The second pointer is to a whole `sched_param` that outlives the call, and the kernel only reads
-    // it.
+    // SAFETY: 0 names the calling thread. The second pointer is to a whole `sched_param` that outlives the
+    // call, and the kernel only reads it.
     let outcome =
         unsafe { libc::sched_setscheduler(0, libc::SCHED_FIFO | libc::SCHED_RESET_ON_FORK, &parameters) };
     if outcome == 0 { Ok(()) } else { Err(std::io::Error::last_os_error()) }
 }
 
-/// The scene of a session, from the file that the launcher put into the session's folder.
+/// Loads a session's scene from the file that the launcher put into the session's folder.
 ///
 /// # Errors
 /// As [`crate::scene_file::load`].
@@ -188,7 +196,7 @@ pub struct EventSender {
 }
 
 impl EventSender {
-    /// The sender of this process's events.
+    /// Creates the sender of this process's events.
     ///
     /// # Errors
     /// As [`Session::publisher`].
@@ -196,10 +204,10 @@ impl EventSender {
         Ok(EventSender { publisher: session.publisher(&services::EVENT)?, sender, sequence: 0 })
     }
 
-    /// Sends one event. Text over the limit is cut at a character boundary.
+    /// Sends one event. Text over the limit is truncated at a character boundary.
     ///
     /// # Errors
-    /// The transport's.
+    /// Transport errors.
     pub fn send(
         &mut self,
         tick: Tick,
@@ -226,7 +234,7 @@ impl EventSender {
     /// Sends a warning.
     ///
     /// # Errors
-    /// The transport's.
+    /// Transport errors.
     pub fn warn(&mut self, tick: Tick, code: EventCode, text: &str) -> Result<(), PortError> {
         self.send(tick, Severity::Warning, code, text)
     }
@@ -234,7 +242,7 @@ impl EventSender {
     /// Sends an informational event.
     ///
     /// # Errors
-    /// The transport's.
+    /// Transport errors.
     pub fn inform(&mut self, tick: Tick, code: EventCode, text: &str) -> Result<(), PortError> {
         self.send(tick, Severity::Info, code, text)
     }

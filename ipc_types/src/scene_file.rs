@@ -5,17 +5,17 @@ use std::path::Path;
 use crate::scene::{Scene, SceneError};
 use crate::{arm_meshes, text_file};
 
-/// Reads and checks a scene file, and the plan that it may name.
+/// Reads and checks a scene file and the plan that it names, if any.
 ///
 /// # Errors
-/// [`SceneError`]: the file cannot be read, a key is unknown or missing, or a value is out of its range.
+/// [`SceneError`] if the file cannot be read, a key is unknown or missing, or a value is out of range.
 pub fn load(path: &Path) -> Result<Scene, SceneError> {
     let text = text_file::read(path)
         .map_err(|cause| SceneError::Unreadable { file: path.to_owned(), cause: cause.to_string() })?;
     parse(&text, path)
 }
 
-/// Checks a scene's text; `path` names it, and the files that it may name are looked for from there.
+/// Checks a scene's text; `path` is its file name, and files that it names are resolved relative to it.
 ///
 /// # Errors
 /// As [`load`].

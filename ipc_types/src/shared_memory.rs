@@ -1,5 +1,5 @@
-//! A session's names in `/dev/shm`, a folder where every user of the machine can create files. Anything to be changed, reserved or removed
-//! there is first opened and checked to belong to this user.
+//! A session's names in `/dev/shm`, a folder where every user of the machine can create files. Anything to be
+//! changed, reserved or removed there is first opened and checked to belong to this user.
 
 use std::fmt::{self, Display, Formatter};
 use std::io;
@@ -15,28 +15,29 @@ const FOLDER: &str = "/dev/shm";
 #[derive(Debug)]
 pub(crate) struct SharedMemory(OwnedFd);
 
-/// A number that the kernel draws at each start (random(4)).
+/// A number that the kernel draws at each boot (random(4)).
 const BOOT_ID: &str = "/proc/sys/kernel/random/boot_id";
 
-/// Which `/dev/shm` a program sees: the machine's, or that of a container. Its text is what a session's folder keeps.
+/// Identifies the `/dev/shm` that a program sees: the machine's, or a container's. Its text form is stored in
+/// a session's folder.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Identity {
-    /// The machine's start, which ends all shared memory before it.
+    /// The machine's boot, which ends all earlier shared memory.
     boot: String,
-    /// Number of the file system; each that is mounted has its own.
+    /// Number of the file system; each mounted one has its own.
     device: u64,
 }
 
 impl Identity {
-    /// That of the `/dev/shm` that this program sees.
+    /// Identifies the `/dev/shm` that this program sees.
     pub(crate) fn here() -> io::Result<Identity> {
         // Not readable in some containers.
         let boot = std::fs::read_to_string(BOOT_ID).unwrap_or_default().trim().to_owned();
         Ok(Identity { boot, device: rustix::fs::fstat(SharedMemory::open()?.0)?.st_dev })
     }
 
-    /// Whether what remains of the memory of a session that has kept this text is in this one: it is the same one, or that one ended with the
-    /// machine's last start.
+    /// Returns whether this memory holds whatever remains of the session that stored this text: it is the
+    /// same memory, or that memory ended with the machine's last boot.
     pub(crate) fn holds_what_remains_of(&self, text: &str) -> bool {
         let Some((boot, device)) = text.split_once(' ') else { return false };
         let has_ended = boot != self.boot && !boot.is_empty() && !self.boot.is_empty();
@@ -69,7 +70,7 @@ impl SharedMemory {
         names.filter(|name| name.starts_with(prefix)).collect()
     }
 
-    /// Names of a session's segments of size zero: still being created, or left by a creator that was killed.
+    /// Lists a session's segments of size zero: still being created, or left by a creator that was killed.
     pub(crate) fn empty_segments(&self, prefix: &str) -> Vec<String> {
         let is_empty = |name: &String| {
             let stat = rustix::fs::statat(&self.0, name, AtFlags::SYMLINK_NOFOLLOW);
@@ -86,8 +87,8 @@ impl SharedMemory {
         (is_own(&stat) && stat.st_nlink == 1).then_some((file, stat))
     }
 
-    /// Closes a session's shared memory to other users. The transport's first node makes one segment world-writable, for nodes of several
-    /// users; a session has none.
+    /// Closes a session's shared memory to other users. The transport's first node makes one segment
+    /// world-writable, for nodes of several users; a session has none.
     pub(crate) fn close_to_others(&self, prefix: &str) -> io::Result<()> {
         for name in self.names(prefix) {
             if let Some((file, _)) = self.open_own(&name, OFlags::RDONLY) {
@@ -97,7 +98,7 @@ impl SharedMemory {
         Ok(())
     }
 
-    /// [`Self::remove`], if there is a shared memory.
+    /// As [`Self::remove`], but does nothing if there is no shared memory.
     pub(crate) fn remove_all(prefix: &str) {
         if let Ok(memory) = SharedMemory::open() {
             memory.remove(prefix);
@@ -115,8 +116,9 @@ impl SharedMemory {
         }
     }
 
-    /// Reserves the memory of every data segment of a session now, so that a full `/dev/shm` is an error here rather than a SIGBUS at the
-    /// first write. Passes over what another port has reserved: reserving a page twice makes the kernel clear it at once.
+    /// Reserves the memory of every data segment of a session now, so that a full `/dev/shm` is an error here
+    /// rather than a SIGBUS at the first write. Skips what another port has reserved, because reserving a
+    /// page twice makes the kernel clear it at once.
     pub(crate) fn reserve(&self, prefix: &str) -> Result<(), Short> {
         for name in self.names(prefix).iter().filter(|name| name.ends_with(".data")) {
             // The segment of a process that has just ended needs no memory.
@@ -131,7 +133,8 @@ impl SharedMemory {
     }
 }
 
-/// Whether a segment has memory for all its bytes. Shared memory is given in whole pages, each counted once.
+/// Returns whether a segment has memory for all its bytes. Shared memory is allocated in whole pages, each
+/// counted once.
 fn is_reserved(stat: &Stat) -> bool {
     stat.st_blocks.saturating_mul(STAT_BLOCK_BYTES) >= stat.st_size
 }
@@ -144,8 +147,8 @@ fn is_own(stat: &Stat) -> bool {
         && stat.st_uid == rustix::process::geteuid().as_raw()
 }
 
-/// Checks for free memory before a port is created: the transport touches its memory before we can reserve it, and that is a SIGBUS if
-/// there is none.
+/// Checks for free memory before a port is created: the transport touches its memory before we can reserve
+/// it, which is a SIGBUS if there is none.
 pub(crate) fn require_free(bytes: u64) -> Result<(), Short> {
     match rustix::fs::statvfs(FOLDER) {
         Ok(stat) if stat.f_blocks > 0 && stat.f_bavail * stat.f_frsize < bytes => {
@@ -171,7 +174,8 @@ pub(crate) enum Refused {
     },
 }
 
-/// Why shared memory takes no more files or bytes, if so. The transport reports neither where nor why it failed to create a segment.
+/// Returns why shared memory takes no more files or bytes; `None` if it does. The transport reports neither
+/// where nor why it failed to create a segment.
 pub(crate) fn refusal() -> Option<Refused> {
     refusal_of(FOLDER)
 }
@@ -197,19 +201,17 @@ impl Display for Refused {
             Refused::NoFiles { left } => {
                 return write!(
                     f,
-                    "it has room for only {left} more files; remove unused files there, or allow more (`mount -o \
-                     remount,nr_inodes=100k {FOLDER}`)"
+                    "only {left} more files can be created there; remove unused ones, or raise the limit \
+                     (`mount -o remount,nr_inodes=100k {FOLDER}`)"
                 );
             }
         }
         f.write_str(match self {
             Refused::System(Errno::ROFS) => {
-                "it must be writable: `mount -o remount,rw /dev/shm`; start a container without `--read-only`, or with \
-                 `--tmpfs /dev/shm`"
+                "it must be writable: `mount -o remount,rw /dev/shm`; start a container without \
+                 `--read-only`, or with `--tmpfs /dev/shm`"
             }
-            Refused::System(Errno::NOENT | Errno::NOTDIR) => {
-                "it must exist: `mount -t tmpfs tmpfs /dev/shm`"
-            }
+            Refused::System(Errno::NOENT | Errno::NOTDIR) => "it must exist: `mount -t tmpfs tmpfs /dev/shm`",
             Refused::System(Errno::ACCESS | Errno::PERM) => {
                 "every user must be able to create files there: set its mode to 1777"
             }
@@ -244,7 +246,7 @@ mod tests {
         for name in ["empty", "some", "whole"] {
             assert!(blocks(&format!("{PREFIX}{name}.data")) * STAT_BLOCK_BYTES >= bytes as i64, "{name}");
         }
-        // What is there stays.
+        // Existing content is kept.
         let whole = fs::read(folder.path().join(format!("{PREFIX}some.data"))).unwrap();
         assert!(
             whole[..50 * 4096].iter().all(|byte| *byte == 1)
@@ -252,7 +254,8 @@ mod tests {
         );
     }
 
-    /// Links and other users' files under a session's names must be left alone, including the file that a link points to.
+    /// Links and other users' files under a session's names must be left alone, including the file that a
+    /// link points to.
     #[test]
     fn planted_files_and_links_keep_their_mode_and_stay() {
         let folder = tempfile::tempdir().unwrap();
@@ -283,13 +286,13 @@ mod tests {
         }
         memory.remove(PREFIX);
         assert!(!path(&ours).exists() && path("other").exists() && path("trabecula010_other").exists());
-        assert!(fs::symlink_metadata(path(&linked)).is_ok(), "a link is none of ours");
+        assert!(fs::symlink_metadata(path(&linked)).is_ok(), "a link does not belong to the session");
         assert_eq!(fs::read(path("secret")).unwrap(), b"secret");
         if is_root {
             assert_eq!(mode(&foreign), 0o666);
             assert!(path(&foreign).exists());
         } else {
-            println!("\n*** SKIPPED in part: only root can make another user's file ***\n");
+            println!("\n*** SKIPPED in part: only root can create another user's file ***\n");
         }
     }
 }

@@ -1,7 +1,8 @@
-//! The page of memory that all processes of a session share beside the transport: the readers' wake flags, and which node is which part.
+//! The memory page that all processes of a session share besides the transport: the readers' wake flags, and
+//! which node is which part.
 //!
-//! It is a file in the session's folder, mapped by everyone who joins. What lies in it is therefore there as long as anyone needs it, even
-//! if the folder's name is removed during the run.
+//! It is a file in the session's folder, mapped by every program that joins. Its content therefore lives as
+//! long as anyone needs it, even if the folder's name is removed during the run.
 
 use std::fs::File;
 use std::os::fd::AsFd;
@@ -16,12 +17,12 @@ use crate::session::{PAGE_FILE, create_file};
 
 /// Bytes between two readers' flags: a cache line.
 pub(crate) const FLAG_STRIDE: usize = 64;
-/// Most readers in a session.
+/// Maximum number of readers in a session.
 pub(crate) const FLAG_COUNT: usize = 32;
-/// Flag of a reader that has not waited yet: raised.
+/// Value of a reader's flag before its first wait: raised.
 pub(crate) const FLAG_NEW: u32 = 2;
 
-/// The node numbers stand behind the flags: of each part two words, the lower and the upper 64 bits.
+/// The node numbers follow the flags: two words for each part, the lower and the upper 64 bits.
 const NODES_OFFSET: usize = FLAG_STRIDE * FLAG_COUNT;
 const WORD: usize = size_of::<u64>();
 const PAGE_BYTES: usize = NODES_OFFSET + 2 * WORD * Part::ALL.len();
@@ -49,30 +50,31 @@ impl SharedPage {
         let file = File::from(rustix::fs::openat(folder, PAGE_FILE, flags, Mode::empty())?);
         let map = MmapRaw::map_raw(&file)?;
         if map.len() != PAGE_BYTES {
-            return Err(std::io::Error::other("the session's shared page has a wrong length"));
+            return Err(std::io::Error::other("the session's shared page has the wrong length"));
         }
         Ok(SharedPage { map: Arc::new(map) })
     }
 
-    /// Raises the flag of a new reader, so that writers that had given up on its predecessor wake it.
+    /// Raises the flag of a new reader, so that writers that gave up on its predecessor wake it.
     pub(crate) fn raise_for_new_reader(&self, reader: usize) {
         self.flag(reader).store(FLAG_NEW, Ordering::SeqCst);
     }
 
     pub(crate) fn flag(&self, reader: usize) -> &AtomicU32 {
         assert!(reader < FLAG_COUNT, "a session has {FLAG_COUNT} readers at most");
-        // SAFETY: the mapping is page-aligned, PAGE_BYTES long (checked when mapped) and lives as long as `self`; `reader` is in range, so
-        // the four bytes lie inside, before NODES_OFFSET, and are aligned. Every process accesses them only through atomics of this size.
+        // SAFETY: the mapping is page-aligned, PAGE_BYTES long (checked when mapped) and lives as long as
+        // `self`; `reader` is in range, so the four bytes lie inside, before NODES_OFFSET, and are aligned.
+        // Every process accesses them only through atomics of this size.
         unsafe { AtomicU32::from_ptr(self.map.as_mut_ptr().add(reader * FLAG_STRIDE).cast::<u32>()) }
     }
 
-    /// Makes a node the part, if no other is. Returns whether it is.
+    /// Claims a part for a node unless another node has it. Returns whether the node now has it.
     ///
-    /// A node's number is not 0 in either half: the upper one holds the process number, the lower one the time at which the node was made
-    /// (iceoryx2-bb-posix 0.10, `UniqueSystemId`).
+    /// A node's number is not 0 in either half: the upper one holds the process number, the lower one the
+    /// node's creation time (iceoryx2-bb-posix 0.10, `UniqueSystemId`).
     pub(crate) fn claim(&self, part: Part, node: u128) -> bool {
         let [lower, upper] = self.node_words(part);
-        // The upper half decides who has it; the lower one is written last and says that both are there.
+        // The upper half decides who has it; the lower one is written last and marks both as valid.
         let taken = upper.compare_exchange(0, (node >> 64) as u64, Ordering::Relaxed, Ordering::Relaxed);
         match taken {
             Ok(_) => {
@@ -83,7 +85,7 @@ impl SharedPage {
         }
     }
 
-    /// The node of a part; `None` before it is claimed.
+    /// Returns a part's node; `None` before it is claimed.
     pub(crate) fn node_of(&self, part: Part) -> Option<u128> {
         let [lower, upper] = self.node_words(part);
         let below = lower.load(Ordering::Acquire);
@@ -93,8 +95,9 @@ impl SharedPage {
     fn node_words(&self, part: Part) -> [&AtomicU64; 2] {
         [0, 1].map(|word| {
             let offset = NODES_OFFSET + WORD * (2 * part as usize + word);
-            // SAFETY: as for `flag`: `part as usize` is below the number of parts, so the eight bytes lie inside the mapping, behind the
-            // flags, and are aligned. Every process accesses them only through atomics of this size.
+            // SAFETY: as for `flag`: `part as usize` is below the number of parts, so the eight bytes lie
+            // inside the mapping, behind the flags, and are aligned. Every process accesses them only through
+            // atomics of this size.
             unsafe { AtomicU64::from_ptr(self.map.as_mut_ptr().add(offset).cast::<u64>()) }
         })
     }
@@ -120,7 +123,7 @@ mod tests {
         assert!((0..FLAG_COUNT).all(|reader| other.flag(reader).load(Ordering::SeqCst) == 1));
     }
 
-    /// Of many programs that claim a part at a time one gets it, and nobody sees halves of two numbers.
+    /// If several programs claim a part at once, exactly one succeeds; reads are never torn.
     #[test]
     fn of_many_that_claim_a_part_one_gets_it() {
         let folder = tempfile::tempdir().unwrap();

@@ -1,4 +1,4 @@
-//! The signals that a process of the hub handles: requests to end, and resuming after a stop.
+//! The signals that the hub's processes handle: requests to end, and resuming after a stop.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -8,11 +8,12 @@ use signal_hook::consts::{SIGCONT, SIGHUP, SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
 use signal_hook::low_level::signal_name;
 
-/// Signals within this time count as one request: `timeout` signals a process and then its group, and a closing terminal sends SIGHUP
-/// twice.
+/// Signals within this time count as one request: `timeout` signals a process and then its group, and a
+/// closing terminal sends SIGHUP twice.
 const ONE_REQUEST: Duration = Duration::from_millis(300);
 
-/// Set when the process is asked to end: SIGTERM, SIGINT (Ctrl-C), SIGHUP (a closed terminal, a dropped connection).
+/// Set when the process is asked to end: SIGTERM, SIGINT (Ctrl-C), SIGHUP (a closed terminal, a dropped
+/// connection).
 #[derive(Debug, Clone, Default)]
 pub struct EndRequest {
     asked: Arc<AtomicBool>,
@@ -29,9 +30,10 @@ pub enum EndSignal {
 }
 
 impl EndRequest {
-    /// From now on the signals set the flag instead of killing the process. An ignored SIGHUP (`nohup`) stays ignored.
+    /// Installs handlers: from now on the signals set the flag instead of killing the process. An ignored
+    /// SIGHUP (`nohup`) stays ignored.
     ///
-    /// # Errors
+    /// If the system refuses to install a handler.
     /// The system refuses to install a handler.
     pub fn install() -> std::io::Result<EndRequest> {
         let request = EndRequest::default();
@@ -41,11 +43,11 @@ impl EndRequest {
         Ok(request)
     }
 
-    /// As [`install`](EndRequest::install), with a thread that hands each request to `answer` at once, however busy the rest of the process
-    /// is.
+    /// As [`install`](EndRequest::install), with a thread that hands each request to `answer` at once,
+    /// however busy the rest of the process is.
     ///
     /// # Errors
-    /// The system refuses to install a handler or to start the thread.
+    /// If the system refuses to install a handler or to start the thread.
     pub fn answered(mut answer: impl FnMut(EndSignal) + Send + 'static) -> std::io::Result<EndRequest> {
         let mut signals = Signals::new(heard_signals())?;
         let request = EndRequest::install()?;
@@ -70,33 +72,35 @@ impl EndRequest {
         Ok(request)
     }
 
-    /// Whether the process has been asked to end.
+    /// Returns whether the process has been asked to end.
     pub fn is_set(&self) -> bool {
         self.asked.load(Ordering::Relaxed)
     }
 
-    /// Whether it has been asked again. SIGHUP never counts as the second request: the user has left and cannot be impatient.
+    /// Returns whether it has been asked again. SIGHUP never counts as the second request: the user has left
+    /// and cannot be impatient.
     pub fn is_urgent(&self) -> bool {
         self.urged.load(Ordering::Relaxed)
     }
 }
 
-/// Set when the process resumes after a stop (SIGSTOP, Ctrl-Z, a debugger's detach); the kernel then sends SIGCONT.
+/// Set when the process resumes after a stop (SIGSTOP, Ctrl-Z, a debugger's detach); the kernel then sends
+/// SIGCONT.
 #[derive(Debug, Clone, Default)]
 pub struct Continued(Arc<AtomicBool>);
 
 impl Continued {
-    /// From now on SIGCONT sets the flag; the process resumes as before.
+    /// Installs a handler: from now on SIGCONT sets the flag; the process resumes as before.
     ///
     /// # Errors
-    /// The system refuses to install a handler.
+    /// If the system refuses to install a handler.
     pub fn install() -> std::io::Result<Continued> {
         let flag = Arc::new(AtomicBool::new(false));
         signal_hook::flag::register(SIGCONT, Arc::clone(&flag))?;
         Ok(Continued(flag))
     }
 
-    /// Whether the process has resumed since the last call.
+    /// Returns whether the process has resumed since the last call.
     pub fn take(&self) -> bool {
         self.0.load(Ordering::Relaxed) && self.0.swap(false, Ordering::Relaxed)
     }
@@ -110,7 +114,7 @@ fn heard_signals() -> Vec<i32> {
     signals
 }
 
-/// Whether this process was started with a signal ignored (proc_pid_status(5)).
+/// Returns whether this process was started with a signal ignored (proc_pid_status(5)).
 fn is_ignored(signal: i32) -> bool {
     let text = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let mask = text.lines().find_map(|line| line.strip_prefix("SigIgn:"));

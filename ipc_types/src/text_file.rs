@@ -1,5 +1,5 @@
-//! Reads files that a user names, whole: texts (scenes, poses, calibrations) and meshes. A device, a pipe or an endless file is rejected by
-//! name; reading it would block or fill the memory.
+//! Reads whole files that a user names: texts (scenes, poses, calibrations) and meshes. A device, a pipe or
+//! an endless file is rejected by name; reading it would block or fill the memory.
 
 use std::fs::OpenOptions;
 use std::io::{self, Read};
@@ -11,10 +11,11 @@ pub const MAX_TEXT_BYTES: u64 = 16 << 20;
 
 const BYTE_ORDER_MARK: char = '\u{feff}';
 
-/// Reads a regular file of at most [`MAX_TEXT_BYTES`] as UTF-8, without the byte order mark with which spreadsheets and editors begin some.
+/// Reads a regular file of at most [`MAX_TEXT_BYTES`] as UTF-8, without the byte order mark that some
+/// spreadsheets and editors write.
 ///
 /// # Errors
-/// The system's; not a regular file; too long; not UTF-8.
+/// System errors; also if it is not a regular file, too long, or not UTF-8.
 pub fn read(path: &Path) -> io::Result<String> {
     let not_text = |_| io::Error::new(io::ErrorKind::InvalidData, "stream did not contain valid UTF-8");
     let mut text = String::from_utf8(read_bytes(path, MAX_TEXT_BYTES)?).map_err(not_text)?;
@@ -27,7 +28,7 @@ pub fn read(path: &Path) -> io::Result<String> {
 /// Reads a regular file of at most `most` bytes.
 ///
 /// # Errors
-/// The system's; not a regular file; too long.
+/// System errors; also if it is not a regular file or too long.
 pub fn read_bytes(path: &Path, most: u64) -> io::Result<Vec<u8>> {
     // Non-blocking, so that opening a pipe returns and the type check can reject it.
     let file = OpenOptions::new().read(true).custom_flags(libc::O_NONBLOCK).open(path)?;

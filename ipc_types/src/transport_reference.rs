@@ -5,7 +5,7 @@ use crate::messages::{ControllerIndex, PHASE_ENDED};
 use crate::session::{CONTROLLER_VARIABLE, ICEORYX2_VERSION, PAGE_FILE, Reader, SESSION_VARIABLE, prefix_of};
 use crate::shared_page::FLAG_STRIDE;
 
-/// The text, with names, numbers and offsets taken from the hub's own constants.
+/// Returns the text, with names, numbers and offsets taken from the hub's own constants.
 pub(crate) fn transport_reference() -> String {
     let prefix = prefix_of("<name of the folder>");
     let command = services::command_name("<controller>");

@@ -1,15 +1,17 @@
 //! Waiting for messages: poll for a short while, then sleep until woken.
 //!
-//! How long a reader polls before it sleeps is set by its [`Way`]. No reader holds a core that another part needs: it spins only while
-//! there are more cores than spinning parts; otherwise it yields between two polls. If a yield loses the core to another thread, it sleeps
-//! instead, for this wait and the next ones ([`YieldBackoff`]).
+//! How long a reader polls before it sleeps is set by its [`Way`]. No reader holds a core that another part
+//! needs: it spins only while there are more cores than spinning parts; otherwise it yields between polls. If
+//! a yield loses the core to another thread, it sleeps instead, for this wait and the next ones
+//! ([`YieldBackoff`]).
 //!
-//! Waking must be free while the reader is awake. A reader about to sleep therefore raises a flag that it shares with its writers, polls
-//! its queues once more, and then blocks on its iceoryx2 event; a writer sends the event only if the flag is raised. The flag starts
-//! raised, so a client that does not know about it is always woken.
+//! Waking must be free while the reader is awake. A reader about to sleep therefore raises a flag that it
+//! shares with its writers, polls its queues once more, and then blocks on its iceoryx2 event; a writer sends
+//! the event only if the flag is raised. The flag starts raised, so a client that ignores it is always woken.
 //!
-//! No wake-up is lost: the reader stores the flag before it polls the queue, the writer stores into the queue before it reads the flag, and
-//! both have a sequentially consistent fence in between. At least one of them sees the other's store.
+//! No wake-up is lost: the reader stores the flag before it polls the queue, the writer stores into the queue
+//! before it reads the flag, and both have a sequentially consistent fence in between. At least one of them
+//! sees the other's store.
 
 use std::cell::Cell;
 use std::sync::atomic::{Ordering, fence};
@@ -24,12 +26,13 @@ use crate::scene::{Policy, Wait};
 use crate::session::EventService;
 use crate::shared_page::{FLAG_NEW, SharedPage};
 
-/// How long a reader yields before it sleeps. Measured: pure spinning is a thousand times slower once spinners outnumber cores; yielding
-/// for 20 µs costs nothing there and catches nearly every answer of a running peer.
+/// How long a reader yields before it sleeps. Measured: pure spinning is a thousand times slower once
+/// spinners outnumber cores; yielding for 20 µs costs nothing there and catches nearly every answer of a
+/// running peer.
 pub const YIELD_TIME: Duration = Duration::from_micros(20);
 
-/// Shortest sleep. iceoryx2 passes it to the kernel as `SO_RCVTIMEO` in whole microseconds, and 0 means no limit: a reader with less than 1
-/// µs left would sleep until woken, and nobody wakes the recorder.
+/// Shortest sleep. iceoryx2 passes it to the kernel as `SO_RCVTIMEO` in whole microseconds, where 0 means no
+/// limit: a reader with less than 1 µs left would sleep until woken, and the recorder is never woken.
 const SHORTEST_SLEEP: Duration = Duration::from_micros(10);
 /// Longest sleep before a reader polls again by itself.
 const LONGEST_SLEEP: Duration = Duration::from_millis(10);
@@ -48,7 +51,7 @@ pub struct Waker {
 }
 
 impl Waker {
-    /// Number of messages to skip after a wake-up that reached nobody.
+    /// Number of messages to skip after a wake-up that reached no listener.
     const PATIENCE: u32 = 64;
 
     /// Wakes the reader if it sleeps. Call it after sending the message.
@@ -56,10 +59,11 @@ impl Waker {
         self.try_to_wake();
     }
 
-    /// As [`wake`](Waker::wake); returns whether it took a system call.
+    /// As [`wake`](Waker::wake); returns whether it made a system call.
     ///
-    /// A reader killed in its sleep leaves its flag raised. A writer that woke nobody therefore does not retry at every message, but only
-    /// when the number of listeners has changed, when the flag has been down, or after some messages.
+    /// A reader killed in its sleep leaves its flag raised. A writer that woke no reader therefore does not
+    /// retry at every message, but only when the number of listeners has changed, when the flag has been
+    /// down, or after some messages.
     pub fn try_to_wake(&self) -> bool {
         fence(Ordering::SeqCst);
         let flag = self.page.flag(self.reader).load(Ordering::Relaxed);
@@ -79,27 +83,28 @@ impl Waker {
     }
 }
 
-/// Cores that this thread may use; 1 if the system does not tell.
+/// Returns the number of cores that this thread can use; 1 if the system does not report it.
 pub fn allowed_cores() -> usize {
     rustix::thread::sched_getaffinity(None).map_or(1, |cores| cores.count().max(1) as usize)
 }
 
-/// What a waiting thread does before it sleeps.
+/// How a thread waits before it sleeps.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Way {
     /// Polls continuously and never sleeps.
     Spin,
     /// As `Spin`, but yields between polls.
     Yield,
-    /// Polls for [`YIELD_TIME`] and yields in between, as long as the core stays free; then sleeps.
+    /// Polls for [`YIELD_TIME`], yielding between polls while the core stays free; then sleeps.
     Hybrid,
-    /// Sleeps at once.
+    /// Sleeps immediately.
     Sleep,
 }
 
 impl Way {
-    /// How one of `spinning` parts waits on `cores` cores. On one core it sleeps. If the parts that spin leave no core free they yield, or
-    /// sleep under `SCHED_FIFO`, where a yield lets no other part run.
+    /// Chooses how one of `spinning` parts waits on `cores` cores. On one core it sleeps. If the spinning
+    /// parts leave no core free, they yield, or sleep under `SCHED_FIFO`, where a yield lets no other part
+    /// run.
     pub fn of(wait: Wait, policy: Policy, spinning: usize, cores: usize) -> Way {
         match (wait, policy) {
             (Wait::Event, _) => Way::Sleep,
@@ -112,7 +117,7 @@ impl Way {
     }
 }
 
-/// Stops a thread from yielding for a while after a yield lost it the core.
+/// Stops a thread from yielding for a while after a yield has cost it the core.
 #[derive(Debug, Default)]
 pub struct YieldBackoff {
     /// Number of waits that still skip yielding.
@@ -123,14 +128,15 @@ impl YieldBackoff {
     /// Number of waits that skip yielding after a yield lost the core.
     const SKIPPED_WAITS: u32 = 64;
 
-    /// Whether this wait may yield; counts the wait.
+    /// Returns whether this wait may yield; counts the wait.
     pub fn core_seems_free(&self) -> bool {
         let skipped_waits = self.skipped_waits.get();
         self.skipped_waits.set(skipped_waits.saturating_sub(1));
         skipped_waits == 0
     }
 
-    /// Yields; returns false if that took longer than a peer needs to answer, because another thread had the core.
+    /// Yields; returns false if that took longer than a peer needs to answer, because another thread had the
+    /// core.
     pub fn offer_core(&self) -> bool {
         let began = Instant::now();
         std::thread::yield_now();
@@ -175,7 +181,7 @@ impl Waiter {
         }
     }
 
-    /// Polls without sleeping, as the way prescribes; returns whether it is ready.
+    /// Polls without sleeping, as its [`Way`] prescribes; returns whether it is ready.
     fn poll(&self, deadline: Instant, ready: &mut impl FnMut() -> bool) -> bool {
         let end = match self.way {
             Way::Sleep => return ready(),

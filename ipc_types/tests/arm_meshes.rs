@@ -36,8 +36,11 @@ fn broken_files_are_named_with_joint_and_reason_and_other_kinds_are_told() {
             mesh(Some("j1"), folder.path().join("none.stl"), 1.0),
             ["of joint `j1`", "none.stl, which cannot be read"],
         ),
-        (mesh(None, file("cut.stl", &[0; 100]), 1.0), ["of the arm's base", "cut.stl, which is no STL"]),
-        (mesh(Some("j2"), good.clone(), 1.0), ["`j2`", "reaches 300.0 m from its own frame"]),
+        (
+            mesh(None, file("cut.stl", &[0; 100]), 1.0),
+            ["of the arm's base", "cut.stl, which is not an STL file"],
+        ),
+        (mesh(Some("j2"), good.clone(), 1.0), ["`j2`", "extends 300.0 m from its frame's origin"]),
     ] {
         let arm = arm(vec![mesh(None, good.clone(), 1e-3), wrong]);
         let error = load(&arm).unwrap_err().to_string();
@@ -74,7 +77,7 @@ fn frames_need_closed_meshes_and_the_files_of_their_time() {
     note_content(&mut looks);
     assert_eq!((looks, solids(&arm(None)).unwrap().len()), (arm(None), 0), "no frame shows it");
 
-    // A face is gone: the 3D view draws it still.
+    // A face is missing; the 3D view still draws it.
     std::fs::write(&file, closed.trim_end().rsplit_once('\n').unwrap().0).unwrap();
     assert_eq!(load(&arm(None)).unwrap()[0].triangles.len(), 3);
     let said = |arm: &Arm, words: &[&str]| {
@@ -89,5 +92,5 @@ fn frames_need_closed_meshes_and_the_files_of_their_time() {
 
     let mut other = arm(Some(1.0));
     other.mesh = Some(vec![mesh(None, PathBuf::from("/b.dae"), 1.0)]);
-    assert!(undrawn(&other)[0].ends_with("drawn as a tube, and X-ray frames lack it"));
+    assert!(undrawn(&other)[0].ends_with("drawn as a tube and is missing from X-ray frames"));
 }

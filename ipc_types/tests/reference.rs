@@ -1,4 +1,4 @@
-//! The generated references, and the rules that every message's layout keeps.
+//! The generated references, and the layout rules that every message follows.
 
 use std::path::Path;
 
@@ -67,7 +67,7 @@ fn assert_written(name: &str, generated: &str) {
     let written = std::fs::read_to_string(&file).unwrap_or_default();
     assert!(
         written == generated,
-        "docs/{name}.md is not what the declarations say now; write it anew from the repository's root:\n  \
+        "docs/{name}.md is out of date; regenerate it from the repository's root:\n  \
          cargo run --release -- docs {name} > docs/{name}.md"
     );
 }
@@ -79,12 +79,12 @@ fn the_message_reference_is_up_to_date() {
 
 #[test]
 fn the_scene_reference_is_up_to_date() {
-    // Behind it follow the tool's dimensions, which `tests/tool.rs` compares.
+    // The tool's dimensions follow it; `tests/tool.rs` compares those.
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/scene.md");
     let written = std::fs::read_to_string(file).unwrap_or_default();
     let keys = written.split("\n## The tool's dimensions\n").next().unwrap_or_default();
     assert!(
         keys == scene_reference(),
-        "write docs/scene.md anew: cargo run --release -- docs scene > docs/scene.md"
+        "docs/scene.md is out of date; regenerate it: cargo run --release -- docs scene > docs/scene.md"
     );
 }

@@ -1,4 +1,6 @@
-"""ITK's bilinear ray caster (RayCastInterpolateImageFunction) on the volume and poses of `trabecula-lab chart drr`: see poses.py."""
+"""ITK's bilinear ray caster (RayCastInterpolateImageFunction) on the volume and poses of `trabecula-lab chart
+drr`: see poses.py.
+"""
 import itk
 import numpy as np
 
@@ -6,7 +8,7 @@ from poses import itk_volume, plan, resampled, save, threads_of_all
 
 volume = itk_volume()
 volume.SetOrigin(plan["origin_mm"])
-# It takes the volume's middle for the world's origin, whatever the image says.
+# It uses the volume's centre as the world origin, ignoring the image's origin.
 middle = np.array(plan["origin_mm"]) + 0.5 * (np.array(plan["dims"]) - 1) * np.array(plan["spacing_mm"])
 
 for pose in plan["poses"]:

@@ -7,7 +7,7 @@ import numpy as np
 from poses import itk_volume, plan, resampled, save, threads_of_all
 
 volume = itk_volume()
-# It takes the volume's corner for the world's origin, whatever the image says.
+# It uses the volume's corner as the world origin, ignoring the image's origin.
 corner = np.array(plan["origin_mm"]) - 0.5 * np.array(plan["spacing_mm"])
 
 for pose in plan["poses"]:
@@ -18,7 +18,8 @@ for pose in plan["poses"]:
     to_source = (source - centre) / distance
     if not np.allclose(np.cross(to_source, row), column, atol=1e-9):
         sys.exit(f"{pose['name']}: only a detector seen from its own side can be cast")
-    # Its camera is at the source and looks along -z, x along rows, y along columns; it turns by -90 degrees about x last.
+    # Its camera is at the source and looks along -z, x along rows, y along columns; it turns by -90 degrees
+    # about x last.
     focal = distance / 2
     camera = np.array([row, column, to_source])
     back = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])

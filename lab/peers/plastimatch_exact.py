@@ -1,6 +1,6 @@
 """plastimatch's exact projector (Siddon) on the volume and poses of `trabecula-lab chart drr`: see poses.py.
 
-The time is what the program prints for the projection alone, without reading and writing.
+The time is that printed by the program for the projection alone, without reading and writing.
 """
 import os
 import re
@@ -27,7 +27,8 @@ for pose in plan["poses"]:
     source, centre = np.array(pose["source_mm"]), np.array(pose["detector_centre_mm"])
     columns, rows, pitch = pose["columns"], pose["rows"], pose["pixel_pitch_mm"]
     distance = float(np.linalg.norm(source - centre))
-    # The isocentre is where the user says; here in the middle between source and detector. The normal points to the source.
+    # The isocentre is freely chosen, here midway between source and detector. The normal points to the
+    # source.
     normal = (source - centre) / distance
     middle = 0.5 * (source + centre)
     for threads in threads_of_all:
@@ -39,10 +40,12 @@ for pose in plan["poses"]:
                  "-r", f"{rows} {columns}", "-z", f"{rows * pitch[1]} {columns * pitch[0]}",
                  "-c", f"{(rows - 1) / 2} {(columns - 1) / 2}",
                  "-O", str(folder / "plastimatch_"), str(volume)],
-                env={**os.environ, "OMP_NUM_THREADS": str(threads)}, capture_output=True, text=True, check=True)
+                env={**os.environ, "OMP_NUM_THREADS": str(threads)},
+                capture_output=True, text=True, check=True)
             total, files = (
                 float(re.search(rf"{what} time: ([0-9.e+-]+)", run.stdout)[1]) for what in ("Total", "I/O"))
             print(pose["name"], threads, (total - files) * 1e3, flush=True)
-        # plastimatch integrates over centimetres, and its rows run the other way.
-        image = 10.0 * np.fromfile(folder / "plastimatch_0000.raw", dtype="<f4").reshape(rows, columns)[:, ::-1]
+        # plastimatch integrates over centimetres, and its rows are in the opposite order.
+        image = 10.0 * np.fromfile(
+            folder / "plastimatch_0000.raw", dtype="<f4").reshape(rows, columns)[:, ::-1]
         save("plastimatch_exact", pose, threads, image)

@@ -1,6 +1,7 @@
-"""What the scripts beside this one share: the volume and the poses of `trabecula-lab chart drr`, and how images are made of them.
+"""Shared by the scripts in this folder: the volume and the poses of `trabecula-lab chart drr`, and their
+rendering.
 
-Input: the folder with mu.raw and poses.json; output as lab/charts/drr/peers.rs says.
+Input: the folder with mu.raw and poses.json; for the output see lab/charts/drr/peers.rs.
 """
 import json
 import sys
@@ -15,7 +16,7 @@ threads_of_all = (1, 2)
 
 
 def itk_volume():
-    """The volume as an image of ITK; its origin is the caller's."""
+    """Returns the volume as an ITK image; its origin is set by the caller."""
     import itk
 
     nx, ny, nz = plan["dims"]
@@ -30,7 +31,9 @@ def save(name, pose, threads, image):
 
 
 def resampled(volume, make_caster, pose, threads, origin, axes=None):
-    """The image of a pose by a ray caster of ITK, an interpolator that `make_caster` makes; prints the time of each round."""
+    """Renders a pose with an ITK ray caster, an interpolator created by `make_caster`; prints the time of
+    each round.
+    """
     import itk
 
     image_type, pitch = type(volume), pose["pixel_pitch_mm"]

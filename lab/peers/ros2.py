@@ -1,10 +1,11 @@
-"""Loss and latency of the ROS 2 bridge beside rclpy's own, in one run, and the bridge's memory over time.
+"""Loss and latency of the ROS 2 bridge compared with plain rclpy, in one run, and the bridge's memory over
+time.
 
     python lab/peers/ros2.py TRABECULA_PROGRAM [SECONDS] [RATE_HZ]
 
-Needs the packages that tests/processes/ros2.rs installs. A session without bone runs in real time; the bridge and a plain rclpy
-publisher of the same JointState send RATE_HZ (100) messages a second each to one rclpy subscriber (reliable, depth 10; DDS's source and
-reception stamps, one clock).
+Needs the packages that tests/processes/ros2.rs installs. A session without bone runs in real time; the bridge
+and a plain rclpy publisher of the same JointState each send RATE_HZ (100) messages per second to one rclpy
+subscriber (reliable, depth 10; DDS's source and reception stamps, one clock).
 """
 
 import os
@@ -17,7 +18,8 @@ import time
 PUBLISHER = """
 import sys, time, rclpy
 from sensor_msgs.msg import JointState
-rclpy.init(); node = rclpy.create_node("publisher"); out = node.create_publisher(JointState, "/peer/measured_js", 1)
+rclpy.init(); node = rclpy.create_node("publisher")
+out = node.create_publisher(JointState, "/peer/measured_js", 1)
 due, period_s = time.monotonic(), 1.0 / float(sys.argv[1])
 while True:
     out.publish(JointState(name=["joint"] * 6, position=[0.1] * 6, velocity=[0.0] * 6))
@@ -51,7 +53,7 @@ def rss_kb(process):
 
 
 def cpu_s(process):
-    """User and system time, of proc(5)'s fields 14 and 15."""
+    """Returns user plus system time, from proc(5)'s fields 14 and 15."""
     fields = pathlib.Path(f"/proc/{process.pid}/stat").read_text().rsplit(")", 1)[1].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
@@ -98,10 +100,14 @@ def main():
         scene = pathlib.Path(folder, "scene.toml")
         scene.write_text(SCENE.format(duration_s=seconds + 60.0))
         run = subprocess.Popen(
-            [program, "run", scene, "--output", folder], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+            [program, "run", scene, "--output", folder],
+            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
         )
         session = next(line.split()[1] for line in run.stdout if line.startswith("session "))
-        bridge = subprocess.Popen([program, "bridge", "ros2", "--rate", str(rate_hz), "--session", session], stdout=subprocess.PIPE, text=True)
+        bridge = subprocess.Popen(
+            [program, "bridge", "ros2", "--rate", str(rate_hz), "--session", session],
+            stdout=subprocess.PIPE, text=True,
+        )
         publisher = subprocess.Popen([sys.executable, "-c", PUBLISHER, str(rate_hz)])
         try:
             print(bridge.stdout.readline().strip())

@@ -17,14 +17,14 @@ for pose in plan["poses"]:
     row, column = np.array(pose["row_axis"]), np.array(pose["column_axis"])
     pitch, columns, rows = pose["pixel_pitch_mm"], pose["columns"], pose["rows"]
     geometry = rtk.ThreeDCircularProjectionGeometry.New()
-    # A general pose: source, detector origin, and the directions of its columns' and rows' indices.
+    # A general pose: source, detector origin, and the directions of column and row indices.
     source, centre = np.array(pose["source_mm"]), np.array(pose["detector_centre_mm"])
     ok = geometry.AddProjection(
         itk.Point[itk.D, 3](source.tolist()), itk.Point[itk.D, 3](centre.tolist()),
         itk.Vector[itk.D, 3](row.tolist()), itk.Vector[itk.D, 3](column.tolist()))
     if not ok:
         sys.exit(f"RTK refuses the pose {pose['name']}")
-    # RTK's projection matrix (world to detector, millimetres) must see points where the chart's geometry sees them.
+    # RTK's projection matrix (world to detector, millimetres) must project points like the chart's geometry.
     matrix = itk.array_from_matrix(geometry.GetMatrix(0))
     for point in itertools.product((-100.0, 0.0, 100.0), repeat=3):
         u, v, w = matrix @ [*point, 1.0]

@@ -1,6 +1,6 @@
-//! How much of a chart or an experiment is computed.
+//! Amount of work for a chart or an experiment.
 
-/// How much to compute.
+/// Amount of work.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Effort {
     /// A few points, in seconds.
@@ -10,7 +10,7 @@ pub enum Effort {
 }
 
 impl Effort {
-    /// What the option `--quick` asks for.
+    /// Converts the option `--quick`.
     pub fn of_option(quick: bool) -> Effort {
         if quick { Effort::Quick } else { Effort::Full }
     }

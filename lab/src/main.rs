@@ -1,6 +1,6 @@
-//! `trabecula-lab`: measures what the product costs, how accurate it is, and what published results it reproduces. A separate
-//! program, so that `trabecula` stays small; it uses the same library, and starts the parts to be measured from its
-//! own executable.
+//! `trabecula-lab`: measures performance and accuracy of the product, and reproduces published results. A
+//! separate program, so that `trabecula` stays small; it uses the same library, and starts the parts to be
+//! measured from its own executable.
 
 #![cfg_attr(not(test), warn(clippy::print_stdout))]
 
@@ -73,7 +73,7 @@ enum UserCommand {
     Bridge(BridgeCommand),
 }
 
-/// The whole command line, each command's help with examples and exit codes.
+/// The complete command line, with examples and exit codes in each command's help.
 fn command_line() -> clap::Command {
     help::completed(Arguments::command(), EXAMPLES)
 }
@@ -117,7 +117,7 @@ mod tests {
         grammar::assert_outputs(&crate::command_line());
     }
 
-    /// Commands whose figures are tables in the CSV files that they write.
+    /// Commands whose figures are tables in the CSV files they write.
     const WITHOUT_FIGURES: [&str; 3] = ["chart drr", "chart physics", "reproduce"];
 
     #[test]

@@ -1,4 +1,4 @@
-//! A phantom for accuracy: ellipsoids and cylinders with closed-form line integrals, and their voxels.
+//! A phantom for accuracy tests: ellipsoids and cylinders with closed-form line integrals, and their voxels.
 
 use markups::vector::{dot, length, minus, plus};
 use rayon::prelude::*;
@@ -6,12 +6,12 @@ use xray::ray::WorldRay;
 use xray::reference::Ellipsoid;
 use xray::{FrameSeed, Grid};
 
-/// A shape of [`Phantom`]: adds Hounsfield units to whatever it overlaps.
+/// A shape of [`Phantom`]; adds Hounsfield units wherever it overlaps others.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Solid {
-    /// Along the world axes.
+    /// Ellipsoid with axes along the world axes.
     Ellipsoid(Ellipsoid),
-    /// With flat ends.
+    /// Cylinder with flat ends.
     Cylinder {
         /// Centre.
         centre_m: [f64; 3],
@@ -32,7 +32,7 @@ impl Solid {
         }
     }
 
-    /// Length of the chord that the ray's line cuts.
+    /// Returns the length of the ray's chord through the shape.
     pub fn chord_m(&self, ray: &WorldRay) -> f64 {
         let (centre_m, half, radius_m) = match *self {
             Self::Ellipsoid(e) => return e.chord_m(ray),
@@ -98,7 +98,7 @@ impl Solid {
         }
     }
 
-    /// True if a ball about a point is inside; `None` if the surface may intersect it.
+    /// Whether a ball around a point is inside; `None` if the surface may intersect it.
     fn holds_ball(&self, p: [f64; 3], radius: f64) -> Option<bool> {
         let q = minus(p, self.centre_m());
         match self {
@@ -139,8 +139,8 @@ pub struct Phantom {
 }
 
 impl Phantom {
-    /// A pelvis-like phantom in a box of 256 x 256 x 200 mm: a body, a shell, a femoral head and neck, a hollow oblique shaft, 80 small
-    /// ellipsoids (trabeculae) and a row of beads, placed by a seeded hash.
+    /// A pelvis-like phantom in a box of 256 x 256 x 200 mm: a body, a shell, a femoral head and neck, a
+    /// hollow oblique shaft, 80 small ellipsoids (trabeculae) and a row of beads, placed by a seeded hash.
     pub fn pelvis(seed: u64) -> Self {
         let ellipsoid = |centre: [f64; 3], semi: [f64; 3], added_hu: f64| {
             let mm = |v: [f64; 3]| v.map(|x| x * 1e-3);
@@ -177,12 +177,13 @@ impl Phantom {
         Self { solids }
     }
 
-    /// Line integral, with the inverse Hounsfield definition (`mu = mu_water (1 + HU/1000)`).
+    /// Returns the line integral, with the inverse Hounsfield definition (`mu = mu_water (1 + HU/1000)`).
     pub fn line_integral(&self, ray: &WorldRay, mu_water_per_m: f64) -> f64 {
         self.solids.iter().map(|s| mu_water_per_m * s.added_hu() / 1000.0 * s.chord_m(ray)).sum()
     }
 
-    /// Hounsfield units on a grid along the world axes, x fastest; a voxel that a surface intersects is the mean of `samples`^3 points.
+    /// Returns Hounsfield units on a grid along the world axes, x fastest; a voxel intersected by a surface
+    /// is the mean of `samples`^3 points.
     pub fn voxelise(&self, grid: &Grid, samples: usize) -> Vec<i16> {
         let (dims, spacing) = (grid.dims(), grid.spacing_m());
         let mut hu = vec![-1000_i16; grid.voxels()];
@@ -224,7 +225,7 @@ fn add_to_slice(solid: &Solid, grid: &Grid, k: usize, samples: usize, spacing: [
     }
 }
 
-/// Fraction of a voxel's `samples`^3 points that lie inside.
+/// Returns the fraction of a voxel's `samples`^3 points that are inside.
 fn share_inside(solid: &Solid, centre: [f64; 3], spacing: [f64; 3], samples: usize) -> f64 {
     let offset = |i: usize, axis: usize| ((i as f64 + 0.5) / samples as f64 - 0.5) * spacing[axis];
     let mut count = 0_u32;

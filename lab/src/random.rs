@@ -1,4 +1,4 @@
-//! Numbers for experiments with a stated seed.
+//! Random numbers with a given seed.
 
 /// SplitMix64 (Steele, Lea and Flood 2014); each call returns one number in [0, 1).
 pub fn uniform(state: &mut u64) -> f64 {

@@ -1,4 +1,5 @@
-//! What a measurement finds: lines for people as they come, or with `--json` all figures as one object at its end.
+//! Output of a measurement: text lines as they are available, or with `--json` all figures as one object at
+//! the end.
 
 use serde_json::{Map, Value, json};
 use trabecula::machine::Machine;
@@ -6,7 +7,7 @@ use trabecula::say::Figures;
 
 use crate::bench::samples::Samples;
 
-/// Collects the figures of a command, and prints its lines if they are for people.
+/// Collects the figures of a command, and prints its lines unless `--json` is set.
 #[derive(Debug, Default)]
 pub struct Sheet {
     figures: Figures,
@@ -14,35 +15,35 @@ pub struct Sheet {
 }
 
 impl Sheet {
-    /// An empty sheet, printed as the command's options say.
+    /// Creates an empty sheet, printed as set by the command's options.
     pub fn new(figures: Figures) -> Sheet {
         Sheet { figures, found: Map::new() }
     }
 
-    /// A line that holds no figure, or only such as are set or pushed.
+    /// Prints a line without figures, or with figures that are set or pushed separately.
     pub fn line(&self, text: &str) {
         if !self.figures.json {
             say!("{text}");
         }
     }
 
-    /// One line of a table of names and values, and its figures.
+    /// Prints a table row of name and value, and sets its figures.
     pub fn row(&mut self, name: &str, text: &str, key: &str, figures: Value) {
         self.line(&format!("{name:<46} {text}"));
         self.set(key, figures);
     }
 
-    /// The same of durations.
+    /// Same for durations.
     pub fn samples(&mut self, name: &str, key: &str, samples: &Samples) {
         self.row(name, &samples.line(), key, samples.figures());
     }
 
-    /// Figures under a key.
+    /// Sets figures under a key.
     pub fn set(&mut self, key: &str, figures: Value) {
         self.found.insert(key.to_owned(), figures);
     }
 
-    /// One more element of the list under a key.
+    /// Appends an element to the list under a key.
     pub fn push(&mut self, key: &str, figures: Value) {
         match self.found.get_mut(key) {
             Some(Value::Array(list)) => list.push(figures),
@@ -50,7 +51,7 @@ impl Sheet {
         }
     }
 
-    /// Figures of a part, under a key of its own.
+    /// Collects the figures of a part under a separate key.
     pub fn within<T>(&mut self, key: &str, part: impl FnOnce(&mut Sheet) -> T) -> T {
         let mut inner = Sheet::new(self.figures);
         let result = part(&mut inner);
@@ -58,22 +59,23 @@ impl Sheet {
         result
     }
 
-    /// What the machine did during a finished measurement.
+    /// Adds the machine's load during a finished measurement.
     pub fn machine(&mut self, machine: &Machine) {
         let (busy_percent, stolen_percent) = machine.shares_percent();
         let cores = std::thread::available_parallelism().map_or(0, usize::from);
         let figures = json!({
-            "cores": cores, "busy_percent": busy_percent, "stolen_percent": stolen_percent, "wall_s": machine.seconds(),
+            "cores": cores, "busy_percent": busy_percent, "stolen_percent": stolen_percent,
+            "wall_s": machine.seconds(),
         });
         self.row("machine during the measurement", &machine.summary(), "machine", figures);
     }
 
-    /// Whether anything has been found.
+    /// Whether any figures have been collected.
     pub fn has_figures(&self) -> bool {
         !self.found.is_empty()
     }
 
-    /// Prints the object if it is for programs. A measurement that fails after it has found something calls this, too.
+    /// Prints the object with `--json`. Also called by a measurement that fails after collecting figures.
     pub fn end(self) {
         if self.figures.json {
             say!("{}", Value::Object(self.found));

@@ -1,4 +1,4 @@
-//! The tools that a measurement takes in turn: those of given files, or the shipped ones.
+//! The tools compared by a measurement: those of given files, or the shipped ones.
 
 use std::path::{Path, PathBuf};
 
@@ -21,16 +21,16 @@ const SHIPPED: [(&str, &str); 5] = [
 /// A tool and its name in tables.
 #[derive(Debug, Clone)]
 pub struct NamedTool {
-    /// Name in tables: a shipped tool's, or the file as it was given.
+    /// Name in tables: a shipped tool's name, or the file as given.
     pub name: String,
     /// The tool.
     pub parameters: ManipulatorParameters,
 }
 
-/// The tools of scene or tool files; without files the shipped ones.
+/// Returns the tools of scene or tool files; without files, the shipped ones.
 ///
 /// # Errors
-/// Bad input: a file that is neither.
+/// Bad input: a file that is neither a scene nor a tool.
 pub fn tools(files: &[PathBuf]) -> Result<Vec<NamedTool>, Failure> {
     if files.is_empty() {
         return SHIPPED.into_iter().map(shipped).collect();
@@ -49,7 +49,8 @@ fn shipped((name, text): (&str, &str)) -> Result<NamedTool, Failure> {
     Ok(NamedTool { name: name.to_owned(), parameters: half_out(&scene)? })
 }
 
-/// A scene's tool; one that slides out of an outer tube stands half out: as if that tube ended so much nearer to the tool's base.
+/// Returns a scene's tool. A tool that slides out of an outer tube is placed half out, by moving the end of
+/// that tube toward the tool's base.
 fn half_out(scene: &Scene) -> Result<ManipulatorParameters, Failure> {
     let mut parameters = manipulator_parameters(scene).map_err(Failure::bad_input)?;
     if let (Some(outer), Some(described)) = (&mut parameters.outer_tube, scene.manipulator.outer_tube()) {

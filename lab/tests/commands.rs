@@ -25,7 +25,7 @@ fn text(path: &Path) -> &str {
     path.to_str().unwrap()
 }
 
-/// A simulator that is a millimetre off the arc and takes a thousand times real time.
+/// A simulator that is 1 mm off the arc and takes a thousand times real time.
 const PEER: &str = r#"
 import json, math, pathlib, sys
 beam = json.loads((pathlib.Path(sys.argv[1]) / "beam.json").read_text())
@@ -75,7 +75,8 @@ fn the_short_chart_of_the_physics_has_its_six_panels_and_its_peers() {
     assert!(out.join("physics-plan.csv").exists() && out.join("accuracy-physics.png").exists());
 }
 
-/// The chart without other projectors, an eighth of the resolution: every projector, pose and resolution, and the figure.
+/// The chart without other projectors at an eighth of the resolution has every projector, pose and
+/// resolution, and the figure.
 #[test]
 fn the_quick_chart_has_every_projector_with_its_error() {
     let place = tempfile::tempdir().unwrap();
@@ -108,7 +109,7 @@ fn the_quick_chart_has_every_projector_with_its_error() {
     assert!(table.contains("| slice_ordered 1 | 2 | ") && table.contains("Spectrum of 90 kV"));
 }
 
-/// They looked for their scene below `configs/`.
+/// They must not look for their scene in `configs/`.
 #[test]
 fn benches_without_a_scene_work_in_an_empty_folder() {
     let place = tempfile::tempdir().unwrap();
@@ -121,7 +122,7 @@ fn benches_without_a_scene_work_in_an_empty_folder() {
     }
 }
 
-/// `chart` and `reproduce` wrote over what they had written before.
+/// `chart` and `reproduce` must not overwrite their earlier output.
 #[test]
 fn no_command_writes_over_a_file_that_is_there() {
     let place = tempfile::tempdir().unwrap();

@@ -15,44 +15,47 @@ use ros_interface::topics::Names;
 use super::{Choice, choice};
 use crate::failure::Failure;
 
-/// Port that OpenIGTLink is registered for.
+/// Registered port of OpenIGTLink.
 const IGTL_PORT: u16 = 18944;
 
-/// Bridges.
+/// Arguments of `bridge`.
 #[derive(Debug, Subcommand)]
 pub enum BridgeCommand {
-    /// OpenIGTLink, for 3D Slicer, PLUS and trackers: poses, tool, X-rays and figures out; plans, pauses and C-arm poses in.
+    /// OpenIGTLink, for 3D Slicer, PLUS and trackers: sends poses, the tool, X-rays and measurements;
+    /// receives plans, pauses and C-arm poses.
     ///
-    /// Positions are in RAS and millimetres, as Slicer takes them. docs/slicer.md lists the messages.
+    /// Positions are RAS, in millimetres, as Slicer expects. docs/slicer.md lists the messages.
     Igtl(Box<IgtlArguments>),
-    /// ROS 2 with CRTK's topics: states, transforms, X-rays out; servo and move commands in. Needs no ROS installation.
+    /// ROS 2 with CRTK topics: publishes states, transforms and X-rays; subscribes to servo and move
+    /// commands. Needs no ROS installation.
     ///
-    /// Stamps are simulated time, which /clock carries; the frame `world` is the patient frame, LPS, in metres. docs/ros2.md lists the
-    /// topics.
+    /// Stamps are simulated time, which is published on /clock. The frame `world` is the patient frame (LPS),
+    /// in metres. docs/ros2.md lists the topics.
     Ros2(Box<Ros2Arguments>),
 }
 
-/// How far DDS reaches, by the words of ROS_AUTOMATIC_DISCOVERY_RANGE.
+/// DDS discovery ranges, named as in ROS_AUTOMATIC_DISCOVERY_RANGE.
 const RANGES: [Choice<Reach>; 3] = [
-    ("LOCALHOST", "Programs on this machine", Reach::Localhost),
-    ("SUBNET", "Programs in this machine's networks too", Reach::Subnet),
-    ("SYSTEM_DEFAULT", "As LOCALHOST: this bridge's own default", Reach::Localhost),
+    ("LOCALHOST", "This machine only", Reach::Localhost),
+    ("SUBNET", "All networks of this machine", Reach::Subnet),
+    ("SYSTEM_DEFAULT", "Same as LOCALHOST, the default of this bridge", Reach::Localhost),
 ];
 
 /// Arguments of `bridge ros2`.
 #[derive(Debug, Args)]
 pub struct Ros2Arguments {
-    /// Folder of the session; without it this user's only running one.
+    /// Folder of the session; default: this user's only running session.
     #[arg(long)]
     session: Option<String>,
-    /// Controller of the scene (`external = true`) that the bridge is, so that ROS 2 can command it and pause the run; without it the
-    /// bridge only shows the run.
+    /// External controller of the scene (`external = true`) to act as, so that ROS 2 can send commands and
+    /// pause the run; without it, the bridge only publishes.
     #[arg(long)]
     controller: Option<String>,
     /// DDS domain.
     #[arg(long, value_name = "N", env = "ROS_DOMAIN_ID", default_value_t = 0, value_parser = clap::value_parser!(u16).range(0..=232))]
     domain_id: u16,
-    /// Who can hear and, with --controller, command. DDS is not encrypted: beyond LOCALHOST everybody in the network can.
+    /// Who can subscribe and, with --controller, send commands. DDS is not encrypted: beyond LOCALHOST,
+    /// anyone on the network can.
     #[arg(
         long,
         value_name = "RANGE",
@@ -62,7 +65,7 @@ pub struct Ros2Arguments {
         value_parser = choice(&RANGES)
     )]
     discovery_range: Reach,
-    /// States a second.
+    /// States per second.
     #[arg(long, value_name = "HZ", default_value_t = 100.0)]
     rate: f64,
     /// Name of the arm in topics and frames.
@@ -71,7 +74,8 @@ pub struct Ros2Arguments {
     /// Name of the manipulator in topics and frames.
     #[arg(long, value_name = "NAME", default_value = "CM")]
     manipulator: String,
-    /// Send X-rays as they are, 16 bit, however large: subscribers of Fast DDS then need larger receive buffers (docs/ros2.md).
+    /// Send X-rays at full resolution and 16 bits; Fast DDS subscribers then need larger receive buffers
+    /// (docs/ros2.md).
     #[arg(long)]
     full_images: bool,
 }
@@ -80,38 +84,39 @@ pub struct Ros2Arguments {
 #[derive(Debug, Args)]
 #[command(group(ArgGroup::new("permission").args(["control_token_file", "control_by_anyone"])))]
 pub struct IgtlArguments {
-    /// Folder of the session; without it this user's only running one.
+    /// Folder of the session; default: this user's only running session.
     #[arg(long)]
     session: Option<String>,
-    /// Controller of the scene (`external = true`) that the bridge is, so that peers can drive the arm; without it they only watch and
-    /// steer the run.
+    /// External controller of the scene (`external = true`) to act as, so that peers can drive the arm;
+    /// without it, they can watch, pause and image the run but not drive.
     #[arg(long)]
     controller: Option<String>,
-    /// Port to listen at; 0 takes a free one.
+    /// Port to listen on; 0 picks a free one.
     #[arg(long, default_value_t = IGTL_PORT)]
     port: u16,
-    /// Address to listen at. OpenIGTLink is not encrypted: beyond loopback everybody on the way reads and forges it.
+    /// Address to listen on. OpenIGTLink is not encrypted: beyond loopback, anyone on the network path can
+    /// read and forge messages.
     #[arg(long, default_value = "127.0.0.1")]
     bind: IpAddr,
     /// Connect to a server, such as Slicer's connector, instead of listening.
     #[arg(long, value_name = "ADDRESS:PORT", conflicts_with_all = ["port", "bind"])]
     connect: Option<SocketAddr>,
-    /// Poses a second.
+    /// Poses per second.
     #[arg(long, value_name = "HZ", default_value_t = 30.0)]
     rate: f64,
-    /// Let a peer control that has sent the first line of this file as a STRING named `Token`.
+    /// Let peers control the run once they send the first line of this file as a STRING named `Token`.
     #[arg(long, value_name = "FILE")]
     control_token_file: Option<PathBuf>,
-    /// Let every peer control.
+    /// Let every peer control the run.
     #[arg(long)]
     control_by_anyone: bool,
-    /// Speed of the arm to a plan's entry, in mm/s.
+    /// Speed of the arm to a plan's entry point, in mm/s.
     #[arg(long, value_name = "MM_PER_S", default_value_t = 20.0)]
     approach: f64,
-    /// Feed from a plan's entry to its target, in mm/s.
+    /// Feed rate from a plan's entry point to its target, in mm/s.
     #[arg(long, value_name = "MM_PER_S", default_value_t = 1.0)]
     feed: f64,
-    /// Burr on the way to a plan's target, in turns a minute.
+    /// Burr speed while drilling to a plan's target, in rpm.
     #[arg(long, value_name = "RPM", default_value_t = 2250.0)]
     burr: f64,
 }
@@ -119,7 +124,7 @@ pub struct IgtlArguments {
 /// Runs a bridge until the session ends or Ctrl-C.
 ///
 /// # Errors
-/// No session, a port in use, a value out of its range (2); the session's loss (1).
+/// No session, a port in use or a value out of range (2); a lost session (1).
 pub fn run(command: &BridgeCommand) -> Result<(), Failure> {
     let end = EndRequest::install().map_err(Failure::signals)?;
     match command {
@@ -140,7 +145,7 @@ fn igtl(arguments: &IgtlArguments, end: &EndRequest) -> Result<(), Failure> {
     let done =
         igtl::serve(&options, end, ready).map_err(|error| Failure::by_kind(error.is_bad_input(), error))?;
     say!(
-        "{} peers; {} messages replaced by newer ones before a peer read them, {} of peers refused",
+        "{} peers; {} outgoing messages superseded before a peer read them, {} incoming messages rejected",
         done.peers,
         done.replaced,
         done.refused
@@ -154,20 +159,21 @@ fn ros2(arguments: &Ros2Arguments, end: &EndRequest) -> Result<(), Failure> {
         let reach = match ready.is_closed {
             Some(true) => "this machine only",
             Some(false) => {
-                "meant for this machine only, but the system lets no socket be bound to loopback: a firewall must keep others out"
+                "limited to this machine, but sockets cannot be bound to loopback here: block other hosts \
+                 with a firewall"
             }
-            None => "every network of this machine",
+            None => "all networks of this machine",
         };
         let listens = match ready.listens {
-            0 => "shows the run; --controller lets it be commanded".to_owned(),
-            count => format!("listens to {count} topics"),
+            0 => "publishes only; --controller enables commands".to_owned(),
+            count => format!("subscribed to {count} topics"),
         };
         say!("ROS 2 domain {}, {reach}; {listens}", options.domain_id);
     };
     let done = ros2::serve(&options, end, ready, |line| say!("{}", foreign_text::foreign_line(line)))
         .map_err(|error| Failure::by_kind(error.is_bad_input(), error))?;
     say!(
-        "{} messages published, {} left out for subscribers that acknowledged none; {} came in, {} of them refused",
+        "{} messages published, {} dropped for unresponsive subscribers; {} received, {} of them rejected",
         done.published,
         done.left_out,
         done.received,
@@ -183,14 +189,16 @@ impl Ros2Arguments {
                 return Ok(name.clone());
             }
             let expected = "a letter, then letters, digits and single underscores, at most 64";
-            Err(Failure::bad_input(format!("{flag}: {}, expected {expected}", foreign_text::foreign(name))))
+            Err(Failure::bad_input(format!("{flag} is {}, expected {expected}", foreign_text::foreign(name))))
         };
         let names =
             Names { arm: name("--arm", &self.arm)?, manipulator: name("--manipulator", &self.manipulator)? };
         if names.arm == names.manipulator {
-            return Err(Failure::bad_input("--arm and --manipulator: the same name, expected two"));
+            return Err(Failure::bad_input(
+                "--arm and --manipulator have the same name; expected two different names",
+            ));
         }
-        // Older than the range, and stronger where it is set.
+        // The older variable overrides the range if set.
         let only_localhost = std::env::var_os("ROS_LOCALHOST_ONLY").is_some_and(|value| value == "1");
         let reach = match self.discovery_range {
             Reach::Subnet if !only_localhost => Reach::Subnet,
@@ -233,11 +241,11 @@ impl IgtlArguments {
 }
 
 fn within(flag: &str, value: f64, least: f64, most: f64) -> Result<f64, Failure> {
-    // Written so that NaN fails.
+    // Written so that NaN is rejected.
     if (least..=most).contains(&value) {
         return Ok(value);
     }
-    Err(Failure::bad_input(format!("{flag}: {value}, expected {least} to {most}")))
+    Err(Failure::bad_input(format!("{flag} is {value}; allowed: {least} to {most}")))
 }
 
 fn token(file: &Path) -> Result<String, Failure> {
@@ -247,7 +255,7 @@ fn token(file: &Path) -> Result<String, Failure> {
     if token.len() < 8 {
         let file = foreign_path(file);
         return Err(Failure::bad_input(format!(
-            "{file}: the first line is the token, at least 8 characters"
+            "{file}: the first line must be a token of at least 8 characters"
         )));
     }
     Ok(token.to_owned())

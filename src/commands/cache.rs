@@ -1,4 +1,4 @@
-//! `trabecula cache`: shows and clears the volumes and tables of tools that are kept for the next run.
+//! `trabecula cache`: shows and clears the cache of volumes and tool tables.
 
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
@@ -11,19 +11,19 @@ use crate::cache::{Cache, CachedFile, LIMIT_BYTES, place};
 use crate::failure::Failure;
 use crate::say::Figures;
 
-/// What to do with the cache.
+/// Arguments of `cache`.
 #[derive(Debug, Subcommand)]
 pub enum CacheCommand {
-    /// Show where volumes and the measured tables of tools are kept, and how many bytes they take.
+    /// Show the cache folder and the sizes of the cached volumes and tool tables.
     Info(Figures),
-    /// Remove every kept volume and table; each is made again when it is needed.
+    /// Remove all cached volumes and tables; they are rebuilt when needed.
     Clear(Figures),
 }
 
 /// Runs the command.
 ///
 /// # Errors
-/// A folder that is there and cannot be used as a cache (2).
+/// A folder that exists but cannot be used as a cache (2).
 pub fn run(command: &CacheCommand) -> Result<(), Failure> {
     let (CacheCommand::Info(figures) | CacheCommand::Clear(figures)) = command;
     let path = place();
@@ -35,13 +35,13 @@ pub fn run(command: &CacheCommand) -> Result<(), Failure> {
     Ok(())
 }
 
-/// The cache; none if nothing was ever kept.
+/// Opens the cache, or returns `None` if it does not exist yet.
 fn opened(path: &Path) -> Result<Option<Cache>, Failure> {
     match Cache::open_existing(path) {
         Ok(cache) => Ok(Some(cache)),
         Err(Unfit::Missing | Unfit::System(_)) => Ok(None),
         Err(cause) => Err(Failure::bad_input(format!(
-            "{}: not used as a cache: {cause}; make it a folder of mode 700 that belongs to you, or remove it",
+            "{}: unusable as a cache: {cause}; make it a folder of mode 700 owned by you, or remove it",
             path.display()
         ))),
     }
@@ -54,12 +54,13 @@ fn info(path: Option<PathBuf>, cache: Option<&Cache>, figures: Figures) {
     let text = || {
         let folder = match (&path, cache) {
             (None, _) => "none: neither XDG_CACHE_HOME nor HOME is an absolute path".to_owned(),
-            (Some(path), None) => format!("{} (not there)", path.display()),
+            (Some(path), None) => format!("{} (does not exist)", path.display()),
             (Some(path), Some(_)) => path.display().to_string(),
         };
         let lines = files.iter().map(|file| format!("\n  {}", line(file)));
         format!(
-            "folder       {folder}\nvolumes      {}\ntables       {}\nbytes        {:.1} MB of at most {:.0} MB{}",
+            "folder       {folder}\nvolumes      {}\ntables       {}\nbytes        {:.1} MB of at most \
+             {:.0} MB{}",
             volumes.len(),
             tables.len(),
             bytes as f64 * 1e-6,

@@ -32,7 +32,7 @@ pub struct CalibrateArguments {
 /// Steps the physics through the sweep in this process, as fast as possible, and writes the measurements.
 ///
 /// # Errors
-/// An invalid scene, or one without a sweep (2); a folder that cannot be written (2); a step that fails (1).
+/// A scene that is invalid or has no sweep, or an unwritable folder (2); a failed step (1).
 pub fn run(arguments: &CalibrateArguments) -> Result<(), Failure> {
     let source = SceneSource::new(arguments.scene.as_deref(), BuiltIn::TensionSweep);
     let mut scene = source.load()?;
@@ -64,7 +64,7 @@ fn sweep(scene: &Scene, source: &SceneSource, files: VolumeFiles) -> Result<Cali
         _ => None,
     };
     let (plan, drives) = plan.ok_or_else(|| {
-        let expected = "expected one controller with a `tension_sweep`, as `trabecula scene init --scene tension_sweep` writes it";
+        let expected = "expected one controller with a `tension_sweep`, such as `trabecula scene init --scene tension_sweep` writes";
         Failure::bad_input(format!("{source}: nothing to calibrate; {expected}"))
     })?;
     let ct = volume_source::load(scene, files).map_err(Failure::bad_input)?;
@@ -114,8 +114,9 @@ fn summary(calibration: &Calibration) -> String {
     });
     let hysteresis = hysteresis.fold(0.0, f64::max);
     format!(
-        "levels       {}\nat most      {:.3} N, {:.3} mm: bend {:.2} deg, tip {:.2} mm sideways\n\
-         hysteresis   {hysteresis:.2} deg between up and down\nunsettled    {unsettled:.3} deg/s at most",
+        "levels       {}\nmaximum      {:.3} N, {:.3} mm: bend {:.2} deg, tip {:.2} mm sideways\n\
+         hysteresis   {hysteresis:.2} deg between loading and unloading\ndrift        {unsettled:.3} deg/s \
+         at most when sampled",
         rows.len(),
         most.tension_n,
         most.displacement_mm,

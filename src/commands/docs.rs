@@ -15,28 +15,28 @@ use crate::say;
 use crate::scenes::BuiltIn;
 use crate::tool;
 
-/// What to print.
+/// Arguments of `docs`.
 #[derive(Debug, Subcommand)]
 pub enum DocsCommand {
-    /// The message reference (docs/messages.md).
+    /// Print the message reference (docs/messages.md).
     Messages,
-    /// The scene file reference (docs/scene.md).
+    /// Print the scene file reference (docs/scene.md).
     Scene,
-    /// The `ros2msg` schema of a message, as stored in the logs.
+    /// Print the `ros2msg` schema of a message, as stored in the logs.
     Schema {
         /// Message name, such as `State`.
         message: String,
     },
-    /// Shell completions, for example `source <(trabecula docs completions bash)`.
+    /// Print shell completions, for example `source <(trabecula docs completions bash)`.
     Completions {
         /// Shell.
         shell: Shell,
     },
-    /// The man page, in roff: `trabecula docs man | man -l -`.
+    /// Print the man page in roff: `trabecula docs man | man -l -`.
     Man,
-    /// Write man pages and shell completions to where a system looks for them below a prefix, such as `~/.local` or `/usr`.
+    /// Install man pages and shell completions below a prefix, such as `~/.local` or `/usr`.
     Install {
-        /// The prefix; its folders are created if missing.
+        /// Prefix; its folders are created if missing.
         #[arg(short, long)]
         output: PathBuf,
     },
@@ -45,7 +45,7 @@ pub enum DocsCommand {
 /// Runs the command.
 ///
 /// # Errors
-/// No such message, a file that already exists (2); a full disk (1).
+/// An unknown message, or a file that already exists (2); a full disk (1).
 pub fn run(command: &DocsCommand) -> Result<(), Failure> {
     let text = match command {
         DocsCommand::Messages => message_reference(),
@@ -59,7 +59,8 @@ pub fn run(command: &DocsCommand) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Where shells and `man` look below a prefix (the paths of bash-completion, fish's vendor folder and zsh's site functions).
+/// Writes to the search paths below a prefix of `man`, bash-completion, fish (vendor folder) and zsh (site
+/// functions).
 fn install(prefix: &Path) -> Result<(), Failure> {
     let mut files: Vec<(PathBuf, Vec<u8>)> = Vec::new();
     for (place, shell) in [
@@ -84,7 +85,7 @@ fn install(prefix: &Path) -> Result<(), Failure> {
     Ok(())
 }
 
-/// A man page for a command and for each below it, by name: `trabecula-log-export`.
+/// Renders the man pages of a command and its subcommands, named such as `trabecula-log-export`.
 fn pages(command: &clap::Command, name: &str) -> Result<Vec<(String, Vec<u8>)>, Failure> {
     let mut all = vec![(name.to_owned(), rendered(clap_mangen::Man::new(command.clone()).title(name))?)];
     for below in command.get_subcommands() {
@@ -102,7 +103,7 @@ fn completions(shell: Shell) -> String {
     String::from_utf8_lossy(&text).into_owned()
 }
 
-/// The man page of the command, followed by one per subcommand.
+/// Renders the man page of the command, followed by one per subcommand.
 fn man_page() -> Result<String, Failure> {
     let mut command = command_line();
     command.build();
@@ -126,7 +127,10 @@ fn schema(message: &str) -> Result<String, Failure> {
         Some(description) => Ok(schema_of(description).1),
         None => {
             let known: Vec<&str> = all.iter().map(|description| description.short_name()).collect();
-            Err(Failure::bad_input(format!("no message `{message}`; there are {}", known.join(", "))))
+            Err(Failure::bad_input(format!(
+                "unknown message `{message}`; expected one of {}",
+                known.join(", ")
+            )))
         }
     }
 }

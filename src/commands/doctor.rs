@@ -24,7 +24,7 @@ pub struct DoctorArguments {
 /// A time out of range (2).
 pub fn run(arguments: &DoctorArguments) -> Result<(), Failure> {
     if !(0.0..=600.0).contains(&arguments.seconds) {
-        return Err(Failure::bad_input(format!("--seconds is {}, allowed is 0 to 600", arguments.seconds)));
+        return Err(Failure::bad_input(format!("--seconds is {}; allowed: 0 to 600", arguments.seconds)));
     }
     let machine = Machine::watch();
     std::thread::sleep(Duration::from_secs_f64(arguments.seconds));
@@ -43,7 +43,7 @@ pub fn run(arguments: &DoctorArguments) -> Result<(), Failure> {
         };
         say!("{mark}  {name}: {found}");
         if *grade != Grade::Good {
-            say!("         costs: {cost}\n         granted by: {grant}");
+            say!("         cost: {cost}\n         fix: {grant}");
         }
     }
     Ok(())

@@ -25,18 +25,20 @@ use inputs::suspicions;
 /// Arguments of `drr`.
 #[derive(Debug, Args)]
 pub struct DrrArguments {
-    /// NIfTI, NRRD, MetaImage, or a DICOM folder.
+    /// Volume: NIfTI, NRRD, MetaImage, or a DICOM folder.
     volume: PathBuf,
     #[command(flatten)]
     choice: VolumeChoice,
-    /// Output file: .png (16-bit), .nrrd (32-bit float) or .dcm (X-ray angiography). Several poses give numbered files.
+    /// Output file: .png (16-bit), .nrrd (32-bit float) or .dcm (X-ray angiography). Several poses give
+    /// numbered files.
     #[arg(short, long)]
     output: PathBuf,
-    /// Pose file: .toml or .json with one pose or a list named `pose`, or .csv with angles. The keys are the same as in a
-    /// scene's `[drr]` and `[drr.carm]`.
+    /// Pose file: .toml or .json with one pose or a list named `pose`, or .csv with angles. The keys are the
+    /// same as in a scene's `[drr]` and `[drr.carm]`.
     #[arg(long)]
     pose: Option<PathBuf>,
-    /// DICOM primary angle, degrees: at 0 the detector is in front of the chest, at +90 on the patient's left.
+    /// DICOM primary angle, degrees: at 0 the detector is in front of the chest, at +90 on the patient's
+    /// left.
     #[arg(long, allow_negative_numbers = true)]
     primary_deg: Option<f64>,
     /// DICOM secondary angle, degrees: positive is cranial.
@@ -63,7 +65,7 @@ pub struct DrrArguments {
     /// Rotate the C-arm through this primary angle, degrees, in `--frames` steps.
     #[arg(long, allow_negative_numbers = true)]
     sweep: Option<f64>,
-    /// Number of frames in a sweep, 2 to 3600; 60 by default.
+    /// Number of frames in a sweep, 2 to 3600; default: 60.
     #[arg(long, requires = "sweep", value_parser = clap::value_parser!(u32).range(2..=3600))]
     frames: Option<u32>,
     /// Write one animated .png instead of a numbered series.
@@ -78,10 +80,11 @@ pub struct DrrArguments {
     /// Photon energy, 30 to 120 keV.
     #[arg(long, default_value_t = 60.0, conflicts_with = "tube_kv")]
     energy_kev: f64,
-    /// Use the spectrum of this tube voltage, 50 to 120 kV, filtered by 3 mm of aluminium, instead of one energy.
+    /// Use the spectrum of this tube voltage, 50 to 120 kV, filtered by 3 mm of aluminium, instead of a
+    /// single energy.
     #[arg(long)]
     tube_kv: Option<f64>,
-    /// Photons per unattenuated pixel; without it, no noise.
+    /// Photons per unattenuated pixel; default: no noise.
     #[arg(long)]
     photons: Option<f64>,
     /// Detector blur (standard deviation), pixels.
@@ -97,29 +100,29 @@ pub struct DrrArguments {
     figures: Figures,
 }
 
-/// Projectors.
+/// Values of `--projector`.
 const PROJECTORS: [Choice<Projector>; 4] = [
     ("siddon", "Exact for constant voxels; slow", Projector::Siddon),
     ("joseph", "Bilinear interpolation, ray by ray", Projector::Joseph),
     (
         "slice-ordered",
-        "Bilinear interpolation, slice by slice; the fastest at full resolution",
+        "Bilinear interpolation, slice by slice; fastest at full resolution",
         Projector::SLICE_ORDERED,
     ),
-    ("preview", "The same on voxels binned 2 x 2 x 2", Projector::PREVIEW),
+    ("preview", "Like slice-ordered, on voxels binned 2 x 2 x 2", Projector::PREVIEW),
 ];
 
-/// Displays.
+/// Values of `--display`.
 const DISPLAYS: [Choice<Display>; 3] = [
     ("bone-dark", "Bone dark, as on the detector", Display::BoneDark),
     ("bone-bright", "Bone bright", Display::BoneBright),
     ("linear", "The raw detector readout", Display::Linear),
 ];
 
-/// Frames of a sweep that names no number.
+/// Default number of frames in a sweep.
 const SWEEP_FRAMES: u32 = 60;
 
-/// File types, by extension.
+/// Output formats, by file extension.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Kind {
     Png,
@@ -130,7 +133,8 @@ enum Kind {
 /// Runs the command.
 ///
 /// # Errors
-/// An invalid volume, pose or option, or a folder that cannot be written (2, and nothing is written); a full disk (1).
+/// An invalid volume, pose or option, or a folder that cannot be written (2, and nothing is written); a full
+/// disk (1).
 pub fn run(arguments: &DrrArguments) -> Result<(), Failure> {
     let kind = kind_of(&arguments.output)?;
     let poses = all_poses(arguments)?;
@@ -140,9 +144,7 @@ pub fn run(arguments: &DrrArguments) -> Result<(), Failure> {
         ));
     }
     if arguments.animate && poses.len() == 1 {
-        return Err(Failure::bad_input(
-            "--animate: there is one pose; expected several, by --sweep or by --pose with a list",
-        ));
+        return Err(Failure::bad_input("--animate needs several poses; use --sweep, or --pose with a list"));
     }
     let paths = match poses.len() {
         1 => vec![arguments.output.clone()],
@@ -189,7 +191,7 @@ pub fn run(arguments: &DrrArguments) -> Result<(), Failure> {
     let (count, output) = (placed.len(), arguments.output.display());
     let (all_ms, frames_per_s) = (seconds * 1e3, count as f64 / seconds);
     arguments.figures.say(
-        || format!("{output}: {count} frame(s), rendered in {all_ms:.1} ms ({frames_per_s:.1} a second)"),
+        || format!("{output}: {count} frame(s), rendered in {all_ms:.1} ms ({frames_per_s:.1} per second)"),
         || {
             serde_json::json!({
                 "output": arguments.output, "frames": count, "render_ms": all_ms, "frames_per_s": frames_per_s,
@@ -206,12 +208,12 @@ fn kind_of(path: &Path) -> Result<Kind, Failure> {
         Some("dcm") => Ok(Kind::Dicom),
         _ => {
             let given = path.display();
-            Err(Failure::bad_input(format!("--output is {given}; expected a .png, .nrrd or .dcm file")))
+            Err(Failure::bad_input(format!("--output is {given}, expected a .png, .nrrd or .dcm file")))
         }
     }
 }
 
-/// The requested poses: those of the file or the command line, each multiplied by the sweep.
+/// Returns the poses of the file or the command line, expanded by the sweep.
 fn all_poses(arguments: &DrrArguments) -> Result<Vec<Pose>, Failure> {
     let isocentre = arguments.isocentre_mm.as_deref();
     let line = Pose {
@@ -231,7 +233,9 @@ fn all_poses(arguments: &DrrArguments) -> Result<Vec<Pose>, Failure> {
     };
     let Some(sweep) = arguments.sweep else { return Ok(poses) };
     if !(sweep.abs() > 0.0 && sweep.abs() <= 360.0) {
-        return Err(Failure::bad_input(format!("--sweep is {sweep}, allowed is -360 to 360 degrees, not 0")));
+        return Err(Failure::bad_input(format!(
+            "--sweep is {sweep}; allowed: -360 to 360 degrees, except 0"
+        )));
     }
     let [pose] = poses.as_slice() else {
         return Err(Failure::bad_input(
@@ -278,7 +282,7 @@ fn parameters(arguments: &DrrArguments) -> DrrParameters {
     }
 }
 
-/// What the projector refuses, by the name of the flag that gave it.
+/// Converts a projector error to one that names the flag.
 fn of_flag(error: DrrError) -> Failure {
     let DrrError::OutOfRange { field, given, expected } = error else { return Failure::bad_input(error) };
     let flag = match field {
@@ -286,7 +290,7 @@ fn of_flag(error: DrrError) -> Failure {
         "blur_sigma_px" => "blur-pixels",
         other => &other.replace('_', "-"),
     };
-    Failure::bad_input(format!("--{flag} is {given:?}, expected {expected}"))
+    Failure::bad_input(format!("--{flag} is {given:?}; allowed: {expected}"))
 }
 
 /// `name.png` becomes `name_0007.png`.

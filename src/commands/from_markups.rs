@@ -20,12 +20,13 @@ use crate::say::Figures;
 /// Arguments of `scene from-markups`.
 #[derive(Debug, Args)]
 pub struct FromMarkupsArguments {
-    /// Markups of 3D Slicer (`.mrk.json`, `.fcsv`): points named entry, target and, for a curve, bend; or a line.
+    /// 3D Slicer markups (`.mrk.json`, `.fcsv`): a line, or points named entry, target and, for a curved
+    /// path, bend.
     plan: PathBuf,
-    /// The CT in which they were set, or a segmentation (`.seg.nrrd`) with `--segment`.
+    /// CT on which the markups were placed, or a segmentation (`.seg.nrrd`) with `--segment`.
     #[arg(long)]
     ct: PathBuf,
-    /// The segment of a segmentation that is bone, by name or value.
+    /// Name or value of the bone segment of a segmentation.
     #[arg(long, value_name = "NAME")]
     segment: Option<String>,
     /// New scene file; default: named after the plan, in the current folder.
@@ -40,7 +41,8 @@ pub struct FromMarkupsArguments {
 /// Runs the command.
 ///
 /// # Errors
-/// No plan, no volume, points outside of it, a scene that makes no sense, an output that exists (2); a full disk (1).
+/// An invalid plan or volume, points outside it, an infeasible scene, or an output that exists (2); a full
+/// disk (1).
 pub fn run(arguments: &FromMarkupsArguments) -> Result<(), Failure> {
     let name = name_of(&arguments.plan);
     let output = arguments.output.clone().unwrap_or_else(|| Path::new(&name).with_extension("toml"));
@@ -78,7 +80,7 @@ fn options(arguments: &FromMarkupsArguments) -> ReadOptions {
     ReadOptions { data_files: arguments.volume_files.allowed(), label, ..ReadOptions::default() }
 }
 
-/// As `scene check` does; what it warns of.
+/// Checks the scene as `scene check` does and returns its warnings.
 fn check(text: &str, file: &Path, volume_files: VolumeFiles) -> Result<Vec<String>, Failure> {
     let scene = Scene::parse_with(text, file, &text_file::read).map_err(Failure::bad_input)?;
     let loaded = volume_source::load_with_notes(&scene, volume_files)?;
@@ -88,7 +90,8 @@ fn check(text: &str, file: &Path, volume_files: VolumeFiles) -> Result<Vec<Strin
     Ok(notes)
 }
 
-/// Refuses a plan whose points lie beside its volume: it was made in another one, or its file says the wrong frame.
+/// Rejects a plan with points outside its volume: it was made on another volume, or its file names the wrong
+/// frame.
 fn refuse_outside(arguments: &FromMarkupsArguments, plan: &Plan, volume: &Volume) -> Result<(), Failure> {
     let points =
         [("entry", Some(plan.entry_mm())), ("bend", plan.bend_mm()), ("target", Some(plan.target_mm()))];
@@ -100,9 +103,9 @@ fn refuse_outside(arguments: &FromMarkupsArguments, plan: &Plan, volume: &Volume
         let mirrored = volume.holds([-point_mm[0], -point_mm[1], point_mm[2]].map(|x| x * 1e-3));
         let advice = match mirrored {
             true => {
-                "; with x and y negated it lies inside: does the plan's file say the right coordinate system?"
+                "; with x and y negated it is inside: is the coordinate system in the plan's file correct?"
             }
-            false => "; is it a plan of another CT?",
+            false => "; was it planned on a different CT?",
         };
         return Err(Failure::bad_input(format!(
             "{}: `{name}` is at [{x:.1}, {y:.1}, {z:.1}] (LPS, mm), expected a point within {}{advice}",
@@ -120,7 +123,8 @@ fn say(arguments: &FromMarkupsArguments, planned: &Planned, output: &Path, notes
     arguments.figures.say(
         || {
             format!(
-                "{}entry        {} (LPS, mm)\n{bend}target       {}\npath         {:.1} mm, turns by {:.1} deg\nwritten      {}",
+                "{}entry        {} (LPS, mm)\n{bend}target       {}\npath         {:.1} mm, turning {:.1} \
+                 deg\nwritten      {}",
                 notes.iter().map(|note| format!("{note}\n")).collect::<String>(),
                 place(plan.entry_mm()),
                 place(plan.target_mm()),
@@ -144,7 +148,7 @@ fn say(arguments: &FromMarkupsArguments, planned: &Planned, output: &Path, notes
     );
 }
 
-/// A scene's name from the plan's file: `hip plan.mrk.json` gives `hip_plan`.
+/// Derives the scene's name from the plan's file: `hip plan.mrk.json` gives `hip_plan`.
 fn name_of(plan: &Path) -> String {
     let file = plan.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
     let stem = file.split('.').find(|part| !part.is_empty()).unwrap_or("plan");
@@ -158,7 +162,7 @@ fn absolute(path: &Path) -> PathBuf {
     std::path::absolute(path).unwrap_or_else(|_| path.to_owned())
 }
 
-/// A file as a scene in this folder names it: a folder that is moved as a whole keeps its scene.
+/// Returns a file's path relative to the scene's folder if it is inside, so that the folder can be moved.
 fn from(folder: &Path, file: &Path) -> PathBuf {
     let file = absolute(file);
     file.strip_prefix(folder).map(Path::to_owned).unwrap_or(file)

@@ -30,7 +30,7 @@ use ipc_types::messages::TickRange;
 
 use crate::failure::Failure;
 
-/// A value that an option may have: its name, its help, and what it stands for.
+/// A possible value of an option: its name, its help text and its meaning.
 pub type Choice<T> = (&'static str, &'static str, T);
 
 /// Parses the name of a choice.
@@ -44,7 +44,7 @@ pub fn choice<T: Clone + Send + Sync + 'static>(
     })
 }
 
-/// The ticks of `--from` and `--to`.
+/// Checks that `--from` is not after `--to`.
 fn in_order(ticks: TickRange) -> Result<TickRange, Failure> {
     let TickRange { first, last } = ticks;
     match last.filter(|last| *last < first) {

@@ -1,5 +1,5 @@
-//! `trabecula plan SCENE`: shows which settings meet a scene's tolerance; `trabecula plan --check LOG`: measures the
-//! error that a run actually made.
+//! `trabecula plan SCENE`: shows which settings meet a scene's tolerance; `trabecula plan --check LOG`:
+//! measures the error that a run actually made.
 
 use std::path::{Path, PathBuf};
 
@@ -20,17 +20,18 @@ use crate::scenes::SceneSource;
 pub struct PlanArguments {
     /// Scene file with a `tolerance`.
     scene: Option<PathBuf>,
-    /// Step a log's commands through the reference model and report the tip error; takes a run's folder or its `run.mcap`.
+    /// Step a log's commands through the reference model and report the tip error; LOG is a run's folder or
+    /// its `run.mcap`.
     #[arg(long, value_name = "LOG", conflicts_with_all = ["scene", "list"])]
     check: Option<PathBuf>,
-    /// Print the table of errors and costs behind the choice; with a scene, that of its tool, which is measured if it is not the
-    /// standard one.
+    /// Print the table of errors and costs behind the choice; with a scene, the table of its tool (measured
+    /// first if it is not the standard tool).
     #[arg(long)]
     list: bool,
     /// With `--check`: number of ticks to compare.
     #[arg(long, requires = "check", conflicts_with_all = ["scene", "list"], default_value_t = 500, value_parser = clap::value_parser!(u64).range(1..=1_000_000))]
     samples: u64,
-    /// With `--check`: the last tick to re-run.
+    /// With `--check`: last tick to replay.
     #[arg(long, requires = "check", conflicts_with_all = ["scene", "list"], default_value_t = u64::MAX, hide_default_value = true)]
     to: u64,
     /// With `--check`: current path of the log's CT file.
@@ -72,7 +73,7 @@ fn show(file: &Path, figures: Figures) -> Result<(), Failure> {
     let (scene, choice) = plan::load_scene(&SceneSource::File(file.to_owned()))?;
     let warnings = feasibility::check(&scene, &file.display(), None)?;
     warnings.iter().for_each(|warning| tell!("{warning}"));
-    let none = "states no `tolerance` of tip or path: the standard settings, or what it names";
+    let none = "sets no `tolerance` for tip or path: it uses the standard settings, or those it names";
     figures.say(
         || match &choice {
             Some(choice) => format!("{}: scene `{}`\n{choice}", file.display(), scene.name),
@@ -96,10 +97,11 @@ fn check_log(log: &Path, arguments: &PlanArguments) -> Result<(), Failure> {
     arguments.figures.say(
         || {
             let kept = allowed.filter(|allowed| found.rms_mm <= *allowed);
-            let kept = kept.map_or(String::new(), |allowed| format!("\ntolerance     {allowed} mm: kept"));
+            let kept = kept.map_or(String::new(), |allowed| format!("\ntolerance     {allowed} mm: met"));
             format!(
-                "{}: {} ticks again by the reference (full, own flexures, hybrid, dt {} ms) in {:.1} s, tip compared at {}\n\
-                 path error    {:.4} mm r.m.s., largest {:.4} mm at {largest_s:.3} s, at the end {:.4} mm{kept}",
+                "{}: {} ticks replayed with the reference (full, own flexures, hybrid, dt {} ms) in {:.1} \
+                 s, tip compared at {}\n\
+                 path error    {:.4} mm RMS, maximum {:.4} mm at {largest_s:.3} s, {:.4} mm at the end{kept}",
                 log.display(),
                 found.last_tick,
                 0.5 * scene.run.dt_ms,
@@ -125,7 +127,7 @@ fn check_log(log: &Path, arguments: &PlanArguments) -> Result<(), Failure> {
     );
     match allowed {
         Some(allowed) if found.rms_mm > allowed || found.rms_mm.is_nan() => Err(Failure::failed(format!(
-            "the path was {:.4} mm off (r.m.s.), `tolerance.path_mm` allows {allowed}",
+            "path error is {:.4} mm RMS, `tolerance.path_mm` allows {allowed}",
             found.rms_mm
         ))),
         _ => Ok(()),

@@ -45,7 +45,8 @@ pub fn run(arguments: &PlotArguments) -> Result<(), Failure> {
     let log = log_path(&arguments.log);
     let description = description_of_topic(&LogFile::at(&log), &arguments.topic)?;
     if arguments.fields.len() > MAX_PANELS {
-        let text = format!("{} fields given; a figure shows at most {MAX_PANELS}", arguments.fields.len());
+        let text =
+            format!("{} fields given, expected at most {MAX_PANELS} per figure", arguments.fields.len());
         return Err(Failure::bad_input(text));
     }
     let place = figure_place(&arguments.output)?;
@@ -92,7 +93,7 @@ fn draw(
     Ok(figure)
 }
 
-/// The minimum and maximum of each bin, alternating.
+/// Returns the minimum and maximum of each bin, alternating.
 fn points(line: &Timeline<Extremes>) -> Vec<Point> {
     let both =
         |(time_s, bin): (f64, &Extremes)| {

@@ -36,7 +36,7 @@ pub enum ProcCommand {
         #[command(flatten)]
         joined: Joined,
     },
-    /// A user's program and all its descendants; the launcher holds the other end of its standard input.
+    /// A third-party program and all its descendants; standard input is a socket to the launcher.
     #[command(hide = true)]
     Keep {
         /// Program and arguments.
@@ -56,7 +56,7 @@ pub struct Joined {
 /// Runs the part until it ends.
 pub fn run(command: &ProcCommand) -> Result<ExitCode, Failure> {
     end_with_parent();
-    // A part must come to its end even if its launcher was killed while it made a segment.
+    // A part must end even if its launcher was killed while creating a segment.
     let _sweeper = command.session().map(HalfMadeSweeper::after_host);
     match command {
         ProcCommand::Physics(joined) => {
@@ -89,8 +89,8 @@ impl ProcCommand {
 }
 
 impl Joined {
-    /// The session's folder, if its host is alive. The check covers a host that died before [`end_with_parent`] was
-    /// set up, because then no signal comes.
+    /// Returns the session's folder if its host is alive. A host that died before [`end_with_parent`] was set
+    /// up sends no signal, so this checks for it.
     fn to_living(&self) -> Result<&Path, Failure> {
         match host_is_alive(&self.session) {
             true => Ok(&self.session),

@@ -28,25 +28,27 @@ use crate::say::Figures;
 pub struct ReplayArguments {
     /// `run.mcap`, or the folder of a run.
     log: PathBuf,
-    /// Compare hash, state and removed voxels at every tick, and every keyframe; report the first difference, exit code 1.
+    /// Compare hash, state and removed voxels at every tick, and all keyframes; report the first difference
+    /// and exit with code 1.
     #[arg(long)]
     verify: bool,
-    /// Start here: a tick, or seconds such as `1.5s`. The replay starts at the last keyframe before it.
+    /// First tick, or seconds such as `1.5s`. Stepping starts at the last keyframe before it.
     #[arg(long, value_parser = Moment::parse)]
     from: Option<Moment>,
-    /// Stop here: a tick, or seconds.
+    /// Last tick, or seconds.
     #[arg(long, value_parser = Moment::parse)]
     to: Option<Moment>,
-    /// Threads that step, compare and render; default: one per core.
+    /// Number of threads; default: one per core.
     #[arg(long, value_parser = clap::value_parser!(u16).range(1..=256))]
     threads: Option<u16>,
-    /// Render the X-ray frames again and compare them.
+    /// Re-render the X-ray frames and compare them.
     #[arg(long)]
     frames: bool,
     /// Record the replay to `run.mcap` in this folder and compare it with the original file.
     #[arg(short, long, value_name = "FOLDER", conflicts_with_all = ["from", "to"])]
     output: Option<PathBuf>,
-    /// Run this program as one of the scene's controllers, feed it the logged states and compare its commands. May be repeated.
+    /// Run this program as one of the scene's controllers, feed it the logged states and compare its
+    /// commands. May be repeated.
     #[arg(long, value_name = "[NAME=]COMMAND", conflicts_with_all = ["verify", "from", "frames", "output"])]
     controller: Vec<String>,
     /// With `--controller`: step the physics with the program's commands, in lockstep.
@@ -58,7 +60,7 @@ pub struct ReplayArguments {
     /// Replay the commands in this scene; if it differs from the log's, `--allow-mismatch` is needed.
     #[arg(long, value_name = "FILE")]
     scene: Option<PathBuf>,
-    /// Replay even if the log's build, layout, scene or volume differs; the result says so.
+    /// Replay even if the log's build, layout, scene or volume differs; the result is marked accordingly.
     #[arg(long)]
     allow_mismatch: bool,
     #[command(flatten)]
@@ -97,8 +99,8 @@ impl Moment {
 /// Replays a log.
 ///
 /// # Errors
-/// Bad input (2): not a log, another build, layout, scene or volume. A difference, or a damaged log (1). Everything in
-/// the log is identical, but it has a gap, is cut or was not ended (3).
+/// Bad input (2): not a log, or a different build, layout, scene or volume. A difference, or a damaged log
+/// (1). Everything in the log is identical, but it has a gap, is truncated or was not ended (3).
 pub fn run(arguments: &ReplayArguments) -> Result<(), Failure> {
     let overrides = Overrides {
         volume: arguments.volume.clone(),
@@ -142,7 +144,7 @@ impl ReplayArguments {
     }
 }
 
-/// Renders the frames of a range again; says what was compared, or returns it for `--json`.
+/// Re-renders the frames of a range, compares them, and prints the result or returns it for `--json`.
 fn replay_frames(
     arguments: &ReplayArguments,
     log: &OpenedLog,
@@ -154,15 +156,14 @@ fn replay_frames(
     let wall_s = began.elapsed().as_secs_f64();
     if !arguments.figures.json {
         let label = log.label();
-        say!(
-            "rendered {identical} frames again on {threads} threads, all identical{label}, in {wall_s:.3} s"
-        );
+        say!("re-rendered {identical} frames on {threads} threads, all identical{label}, in {wall_s:.3} s");
         if in_gaps > 0 {
-            say!("{in_gaps} frames fall into a gap of the log and were not rendered");
+            say!("{in_gaps} frames are in a gap of the log and were skipped");
         }
         if without_request > 0 {
             say!(
-                "{without_request} requested frames: no request in timing.mcap, so their C-arm was not compared with it"
+                "{without_request} on-demand frames have no request in timing.mcap, so their C-arm pose was \
+                 not compared"
             );
         }
     }
@@ -171,8 +172,8 @@ fn replay_frames(
     }))
 }
 
-/// Steps the physics from the keyframe before the range's first tick, or the start, to its last, or the end. Returns the exit code, and the
-/// figures for `--json`.
+/// Steps the physics from the last keyframe before the range (or the start) to its last tick (or the end).
+/// Returns the exit code, and the figures for `--json`.
 fn replay(
     arguments: &ReplayArguments,
     log: &OpenedLog,
@@ -204,7 +205,7 @@ fn replay(
         }
         if report.identical_ticks == 0 {
             return Err(Failure::bad_input(format!(
-                "--from is tick {from}: the log has no complete tick after it"
+                "--from is tick {from}, but the log has no complete tick after it"
             )));
         }
     }
@@ -231,7 +232,7 @@ fn replay(
     Ok((code, figures))
 }
 
-/// Fails if the replay differs from the log, or if either could not go on.
+/// Fails if the replay differs from the log, or if either could not continue.
 fn refuse_differences(report: &ReplayReport, label: &str) -> Result<(), Failure> {
     if let Some(error) = &report.log_error {
         let last = report.last_tick;
@@ -249,7 +250,7 @@ fn refuse_differences(report: &ReplayReport, label: &str) -> Result<(), Failure>
 /// Maximum number of gaps listed individually.
 const MAX_GAPS_LISTED: usize = 64;
 
-/// Says what came of a replay without differences; `verdict` is the log's, if it was read to its end.
+/// Prints the result of a replay without differences; `verdict` is the log's, if it was read to its end.
 fn tell(
     arguments: &ReplayArguments,
     found: &SegmentReport,
@@ -264,7 +265,8 @@ fn tell(
         false => String::new(),
     };
     say!(
-        "replayed {} ticks{from}{}{label}; last tick {}, hash {}; {simulated_s:.3} s simulated in {wall_s:.3} s, {:.1} times real time",
+        "replayed {} ticks{from}{}{label}; last tick {}, hash {}; {simulated_s:.3} s simulated in \
+         {wall_s:.3} s, {:.1} times real time",
         report.identical_ticks,
         if arguments.verify { ", all identical" } else { "" },
         report.last_tick,
@@ -275,7 +277,7 @@ fn tell(
         say!("{} keyframes, all identical", found.identical_keyframes);
     }
     if let Some(failure) = &report.failure {
-        say!("then the simulation fails as it did in the run: {failure}");
+        say!("then the simulation fails as in the run: {failure}");
     }
     found.gaps.iter().take(MAX_GAPS_LISTED).for_each(|gap| say!("{gap}"));
     if let Some(more) = found.gaps.len().checked_sub(MAX_GAPS_LISTED).filter(|more| *more > 0) {
@@ -295,7 +297,7 @@ fn tell_recorded(recorded: &Recorded, log: &OpenedLog, figures: Figures) -> Resu
     if figures.json {
         say!("{}", json!({"output": path, "ticks": ticks, "frames": frames, "sha256": sha256}));
     } else {
-        say!("recorded {ticks} ticks and {frames} frames again{}", log.label());
+        say!("re-recorded {ticks} ticks and {frames} frames{}", log.label());
         say!("sha256 {theirs}  {}\nsha256 {ours}  {}", log.path.display(), path.display());
         remark.iter().for_each(|remark| say!("{remark}"));
         if theirs == ours {
@@ -305,7 +307,7 @@ fn tell_recorded(recorded: &Recorded, log: &OpenedLog, figures: Figures) -> Resu
     match theirs == ours {
         true => Ok(()),
         false => Err(Failure::failed(
-            "every message is identical, but the files differ: see above how the log ends",
+            "all messages are identical, but the files differ: see above how the log ends",
         )),
     }
 }
@@ -346,7 +348,8 @@ fn controller(text: &str, log: &OpenedLog) -> Result<(String, Vec<String>), Fail
         (None, _) => {
             let names = names.join("`, `");
             return Err(Failure::bad_input(format!(
-                "--controller {text}: expected NAME=COMMAND, where NAME is a controller of the log's scene: `{names}`"
+                "--controller {text}: expected NAME=COMMAND, where NAME is a controller of the log's scene: \
+                 `{names}`"
             )));
         }
     };
@@ -358,7 +361,7 @@ fn controller(text: &str, log: &OpenedLog) -> Result<(String, Vec<String>), Fail
     })?;
     if !is_program(&words[0]) {
         return Err(Failure::bad_input(format!(
-            "--controller {text}: no program `{}`; expected a path, or a name in one of the folders of PATH",
+            "--controller {text}: program `{}` not found; expected a path, or a name in PATH",
             words[0]
         )));
     }

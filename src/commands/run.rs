@@ -27,7 +27,7 @@ use crate::redirect_file;
 use crate::report;
 use crate::scenes::{BuiltIn, SceneSource};
 
-/// Time between two looks for the end of the viewer.
+/// Interval at which the end of the viewer is polled.
 const VIEWER_LOOK: Duration = Duration::from_millis(100);
 
 /// Arguments of `run`.
@@ -35,7 +35,8 @@ const VIEWER_LOOK: Duration = Duration::from_millis(100);
 pub struct RunArguments {
     /// Scene file; default: the built-in femur.
     scene: Option<PathBuf>,
-    /// Set a key of the scene, such as `run.duration_s=2` or `controller.0.optional=true` (may be repeated).
+    /// Override a key of the scene, such as `run.duration_s=2` or `controller.0.optional=true` (may be
+    /// repeated).
     #[arg(long = "set", value_name = "KEY=VALUE")]
     settings: Vec<String>,
     /// Lockstep or real time; overrides the scene.
@@ -70,7 +71,7 @@ pub struct RunArguments {
     watch_by_anyone: bool,
     #[command(flatten)]
     volume_files: VolumeFiles,
-    /// No progress line.
+    /// Hide the progress line.
     #[arg(long)]
     quiet: bool,
     /// Print JSON lines on standard output, for scripts, instead of the progress line and the summary table.
@@ -88,27 +89,27 @@ impl RunArguments {
     }
 }
 
-/// How simulated time advances.
+/// Values of `--mode`.
 const MODES: [Choice<Mode>; 2] = [
     ("lockstep", "As fast as the parts allow", Mode::Lockstep),
     ("realtime", "In step with the wall clock", Mode::Realtime),
 ];
 
-/// What to record of X-ray frames.
+/// Values of `--images`.
 const IMAGES: [Choice<Images>; 3] = [
     ("full", "The whole image", Images::Full),
     ("hash-only", "Only geometry and hash", Images::HashOnly),
     ("none", "Nothing", Images::None),
 ];
 
-/// How physics and controllers wait.
+/// Values of `--wait`.
 pub const WAITS: [Choice<Wait>; 3] = [
     ("spin", "Busy-wait, as long as there are more cores than spinning parts", Wait::Spin),
     ("event", "Sleep at once", Wait::Event),
     ("hybrid", "Poll briefly while no other process needs the core, then sleep", Wait::Hybrid),
 ];
 
-/// Scheduling policy of physics and controllers.
+/// Values of `--policy`.
 pub const POLICIES: [Choice<Policy>; 2] = [
     ("other", "`SCHED_OTHER` with a higher weight (a negative nice value)", Policy::Other),
     ("fifo", "`SCHED_FIFO`: ahead of all ordinary programs", Policy::Fifo),
@@ -117,8 +118,8 @@ pub const POLICIES: [Choice<Policy>; 2] = [
 /// Runs a scene.
 ///
 /// # Errors
-/// Bad input (exit code 2); a part that died, a log that disappeared, an incomplete report, an output that could not
-/// be written (1); a log with a gap (3); Ctrl-C (130).
+/// Bad input (exit code 2); a part that died, a log that disappeared, an incomplete report, an unwritable
+/// output (1); a log with a gap (3); Ctrl-C (130).
 pub fn run(arguments: &RunArguments) -> Result<(), Failure> {
     printer::start().map_err(|cause| Failure::failed(format!("cannot write to standard output: {cause}")))?;
     let interrupts = Interrupts::install().map_err(Failure::signals)?;
@@ -136,7 +137,7 @@ pub fn run(arguments: &RunArguments) -> Result<(), Failure> {
             Some(made.map_err(|cause| {
                 let output = &arguments.output;
                 let why = match output.is_file() {
-                    true => "it is a file; expected a folder, or a name that is free".to_owned(),
+                    true => "is a file; expected a folder".to_owned(),
                     false => format!("cannot be created ({cause})"),
                 };
                 Failure::bad_input(format!("--output {}: {why}", output.display()))
@@ -156,7 +157,8 @@ pub fn run(arguments: &RunArguments) -> Result<(), Failure> {
     let mut shown = false;
     let result = volume.and_then(|volume| {
         let ran = run_with(&plan, volume, began, &interrupts.end, |snapshot| {
-            // The parts have started. Everything from here on only serves the display and must not compete with them.
+            // The parts have started. Everything from here on only serves the display and must not compete
+            // with them.
             if !std::mem::replace(&mut shown, true) && plan.scene.run.mode == Mode::Realtime {
                 prioritise(Role::Viewer, plan.scene.run.policy);
             }
@@ -189,28 +191,28 @@ pub fn run(arguments: &RunArguments) -> Result<(), Failure> {
     judged
 }
 
-/// The viewer opens the port itself, but a run whose page cannot be opened would go on unseen.
+/// Checks early that the viewer can listen on its port; otherwise the run would continue without its page.
 fn refuse_taken_port(arguments: &RunArguments) -> Result<(), Failure> {
     let Some(port) = arguments.view else { return Ok(()) };
     match std::net::TcpListener::bind((Ipv4Addr::LOCALHOST, port)) {
         Ok(_) => Ok(()),
         Err(cause) => Err(Failure::bad_input(format!(
-            "--view={port}: the port cannot be opened ({cause}); expected a free one"
+            "--view={port}: cannot listen on the port ({cause}); choose a free one"
         ))),
     }
 }
 
-/// The page shows the log of the run; the command ends when the page is closed.
+/// Keeps the viewer open on the run's log until the page is closed.
 fn show_on(mut viewer: Part, arguments: &RunArguments) {
     if arguments.style() == ProgressStyle::Text {
-        say!("the page shows the log now: this command ends when the page is closed, or with Ctrl-C");
+        say!("the page now shows the log; this command ends when the page is closed, or on Ctrl-C");
     }
     while viewer.ended().is_none() {
         std::thread::sleep(VIEWER_LOOK);
     }
 }
 
-/// The scene's volume, after a check of the scene as a whole; says what is noteworthy about both.
+/// Loads the scene's volume, checks that the scene is feasible, and prints the notes and warnings.
 fn volume_of(plan: &RunPlan, source: &SceneSource) -> Result<Option<Ct>, Failure> {
     let loaded =
         volume_source::load_with_notes(&plan.scene, plan.volume_files).map_err(Failure::bad_input)?;
@@ -233,7 +235,7 @@ fn scene_of(arguments: &RunArguments, source: &SceneSource) -> Result<Scene, Fai
     if let Some(every) = arguments.image_every {
         if !(1..=1_000_000).contains(&every) || scene.recording.images != Images::Full {
             return Err(Failure::bad_input(format!(
-                "--image-every is {every}, allowed is 1 to 1000000, and only with --images full"
+                "--image-every is {every}; allowed: 1 to 1000000, with --images full"
             )));
         }
         scene.recording.image_every = every;
@@ -241,7 +243,7 @@ fn scene_of(arguments: &RunArguments, source: &SceneSource) -> Result<Scene, Fai
     if let Some(duration_s) = arguments.duration_s {
         if !(0.001..=LONGEST_RUN_S).contains(&duration_s) {
             return Err(Failure::bad_input(format!(
-                "--duration-s is {duration_s}, allowed is 0.001 to {LONGEST_RUN_S}"
+                "--duration-s is {duration_s}; allowed: 0.001 to {LONGEST_RUN_S}"
             )));
         }
         scene.run.duration_s = duration_s;
@@ -265,14 +267,14 @@ fn write_report(result: &RunResult, output: &Path, json: bool) -> Result<(), Fai
         say!("{}", report.summary);
         say!("\nfolder       {}", output.display());
     } else {
-        // Without a tick there is nothing to sum up or to replay.
+        // Without a tick there is nothing to summarise or replay.
         tell_outcome(result, false);
         say!("folder       {}", output.display());
     }
     complete(&report.missing)
 }
 
-/// Says how a run without a report ended.
+/// Prints the outcome of a run without a report.
 fn tell_outcome(result: &RunResult, json: bool) {
     let outcome = result.outcome.text();
     if json {
@@ -313,7 +315,7 @@ fn found(path: &Path) -> String {
     }
 }
 
-/// The name by which the user called this program.
+/// Returns the name under which this program was started.
 fn program_name() -> String {
     std::env::args().next().unwrap_or_else(|| "trabecula".to_owned())
 }
@@ -323,14 +325,15 @@ fn judge(result: &RunResult) -> Result<(), Failure> {
     match &result.outcome {
         Outcome::Completed | Outcome::Stopped if result.has_gap => Err(Failure {
             message: format!(
-                "the run is complete, but its log has a gap: the recorder stalled for longer than its queues of \
-                 {RECORDER_QUEUE_TICKS} ticks can bridge; with `recording.on_full = \"wait\"` the physics waits for it"
+                "the run is complete, but its log has a gap: the recorder stalled and its queues \
+                 ({RECORDER_QUEUE_TICKS} ticks) overflowed; to make the physics wait instead, set \
+                 `recording.on_full = \"wait\"`"
             ),
             code: EXIT_GAP,
         }),
         Outcome::Completed | Outcome::Stopped => Ok(()),
         Outcome::Interrupted => Err(Failure { message: "interrupted".to_owned(), code: EXIT_INTERRUPTED }),
-        // The launcher has already said how.
+        // The launcher has already reported the details.
         Outcome::ControllerFailed(blame) => {
             early(&format!("of controller `{}`", blame.controller.as_deref().unwrap_or_default()))
         }

@@ -1,5 +1,5 @@
-//! `trabecula scene check FILE` validates a scene; `scene init` writes one to start from; `scene show` draws one; `scene schema` prints the
-//! JSON schema of scenes, for editors.
+//! `trabecula scene check FILE` validates a scene; `scene init` writes a built-in one; `scene show` draws
+//! one; `scene schema` prints the JSON schema of scenes, for editors.
 
 use std::path::{Path, PathBuf};
 
@@ -15,10 +15,10 @@ use crate::output::refuse_existing;
 use crate::say::{self, Figures};
 use crate::scenes::{BuiltIn, SceneSource};
 
-/// What to do with a scene.
+/// Arguments of `scene`.
 #[derive(Debug, Subcommand)]
 pub enum SceneCommand {
-    /// Check all keys and ranges, that the volume and the calibrations are readable, and that the scene makes sense.
+    /// Validate a scene: keys and ranges, that volume and calibrations are readable, and that it is feasible.
     Check {
         /// Scene file.
         file: PathBuf,
@@ -29,19 +29,19 @@ pub enum SceneCommand {
     },
     /// Write a built-in scene to a folder as a starting point.
     Init {
-        /// Folder; created if missing.
+        /// Output folder; created if missing.
         #[arg(short, long, default_value = ".")]
         output: PathBuf,
-        /// The scene to write.
+        /// Built-in scene to write.
         #[arg(long, value_enum, default_value_t = BuiltIn::Femur)]
         scene: BuiltIn,
     },
-    /// Write a scene from a plan made in 3D Slicer: entry, bend and target, and the CT that they lie in.
+    /// Write a scene from a 3D Slicer plan (entry, bend and target) and its CT.
     FromMarkups(FromMarkupsArguments),
-    /// Draw a scene before its run: CT slices through burr start, entry and target, the planned path, pilot hole and tool, Hounsfield units
-    /// along the path, and what is measured there.
+    /// Draw a scene before it is run: CT slices through burr start, entry and target with the planned path,
+    /// pilot hole and tool, Hounsfield units along the path, and measurements of the bone.
     Show(ShowArguments),
-    /// Print the JSON schema of scenes (draft 7), by which an editor completes and checks them.
+    /// Print the JSON schema of scenes (draft 7), for completion and validation in an editor.
     Schema,
 }
 

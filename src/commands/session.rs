@@ -12,29 +12,29 @@ use trabecula_client::{Client, ClientError, Connection};
 
 use crate::failure::Failure;
 
-/// How long the command waits for a session, and then for the answer of its physics, which may still be starting.
+/// Timeout for finding a session, and then for the reply of its physics, which may still be starting.
 const LIMIT: Duration = Duration::from_secs(30);
 
-/// What to do with sessions.
+/// Arguments of `session`.
 #[derive(Debug, Subcommand)]
 pub enum SessionCommand {
     /// List this user's running sessions.
     List {
-        /// One JSON object a line.
+        /// Print one JSON object per line.
         #[arg(long)]
         json: bool,
     },
-    /// End a run after its tick.
+    /// Stop a run after the current tick.
     Stop(Named),
-    /// Pause a run before its next tick.
+    /// Pause a run before the next tick.
     Pause(Named),
     /// Resume a paused run.
     Resume(Named),
-    /// Print the environment variables with which a program joins: `eval "$(trabecula session env)"`.
+    /// Print the environment variables that a program needs to join: `eval "$(trabecula session env)"`.
     Env(Named),
 }
 
-/// The session that is meant.
+/// Selects a session.
 #[derive(Debug, Args)]
 pub struct Named {
     /// Name or folder of the session; default: `TRABECULA_SESSION`, or else this user's only running session.
@@ -44,7 +44,7 @@ pub struct Named {
 /// Runs the command.
 ///
 /// # Errors
-/// No session, or several and none named (2); the run is over or does not answer (1).
+/// No session, or several without a name given (2); a run that has ended or does not reply (1).
 pub fn run(command: &SessionCommand) -> Result<(), Failure> {
     match command {
         SessionCommand::List { json } => list(*json),
@@ -60,7 +60,7 @@ fn list(json: bool) -> Result<(), Failure> {
     let of = |folder: PathBuf| session_scene(&folder).ok().map(|scene| (folder, scene));
     let sessions: Vec<(PathBuf, Scene)> = announced_sessions().into_iter().filter_map(of).collect();
     if sessions.is_empty() && !json {
-        say!("no session of this user is running");
+        say!("no running sessions");
     }
     for (folder, scene) in sessions {
         let (name, controllers) = (name_of(&folder), scene.controller_names());

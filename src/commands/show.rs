@@ -1,4 +1,4 @@
-//! `trabecula scene show SCENE -o plan.png`: a scene before its run, as a picture and as figures.
+//! `trabecula scene show SCENE -o plan.png`: draws a scene before it is run and prints its measurements.
 
 use std::path::PathBuf;
 
@@ -35,7 +35,7 @@ pub struct ShowArguments {
 /// Draws the picture.
 ///
 /// # Errors
-/// An invalid scene, one without a volume, an output that is there already or is no PNG (2); a full disk (1).
+/// A scene that is invalid or has no volume, an output that exists or is not a PNG (2); a full disk (1).
 pub fn run(arguments: &ShowArguments) -> Result<(), Failure> {
     let output = &arguments.output;
     if !output.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("png")) {
@@ -69,7 +69,8 @@ pub fn run(arguments: &ShowArguments) -> Result<(), Failure> {
 fn text_of(arguments: &ShowArguments, facts: &Facts) -> String {
     let findings: String = facts.findings.iter().map(|finding| format!("{finding}\n")).collect();
     format!(
-        "{findings}target       {:.1} mm to the nearest outside of the bone, {:.1} mm of bone ahead\nwritten      {}",
+        "{findings}target       {:.1} mm to the nearest bone surface, {:.1} mm of bone ahead\nwritten      \
+         {}",
         facts.depth_mm,
         facts.ahead_mm,
         arguments.output.display()

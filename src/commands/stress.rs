@@ -24,13 +24,13 @@ use crate::stress::{self, StressPlan, load};
 pub struct StressArguments {
     /// Scene file, run in real time; default: the built-in femur.
     scene: Option<PathBuf>,
-    /// Numbers of cores to test; the hub and the competing load share them.
+    /// Core counts to test; hub and competing load share the cores.
     #[arg(long, value_delimiter = ',', default_value = "1,2")]
     cores: Vec<usize>,
     /// Competing load: none, spin, memory, disk or fork; spin:2 starts two.
     #[arg(long, value_delimiter = ',', default_value = "none,spin:2")]
     load: Vec<Load>,
-    /// Scheduling policies of physics and controllers.
+    /// Scheduling policies of physics and controllers to test.
     #[arg(long, value_parser = choice(&POLICIES), value_delimiter = ',', default_value = "other")]
     policy: Vec<Policy>,
     /// How physics and controllers wait.
@@ -39,16 +39,17 @@ pub struct StressArguments {
     /// Seconds per combination, 0.1 to 3600.
     #[arg(long, default_value_t = 20.0)]
     seconds: f64,
-    /// Seed for the load and for `--subset`.
+    /// Seed of the load and of `--subset`.
     #[arg(long, default_value_t = 7)]
     seed: u64,
     /// Run only N combinations, chosen to cover as many pairs of settings as possible.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     subset: Option<u64>,
-    /// CPU quota of hub and load together, in percent of one core; needs permission to create a control group.
+    /// CPU quota of hub and load together, in percent of one core; needs permission to create a control
+    /// group.
     #[arg(long, value_name = "PERCENT", value_parser = clap::value_parser!(u64).range(1..=100_000))]
     quota: Option<u64>,
-    /// Compare with an earlier test's stress.json.
+    /// Compare with the stress.json of an earlier test.
     #[arg(long, value_name = "JSON")]
     compare: Option<PathBuf>,
     /// Parent of the test's folder.
@@ -66,8 +67,8 @@ pub struct StressArguments {
 /// Runs a stress test.
 ///
 /// # Errors
-/// Bad input (2), nothing written; a run that failed, or a log that does not replay (1); Ctrl-C (130): the report
-/// holds the finished runs.
+/// Bad input (2, and nothing is written); a failed run, or a log that does not replay (1); Ctrl-C (130, and
+/// the report covers the finished runs).
 pub fn run(arguments: &StressArguments) -> Result<(), Failure> {
     let plan = plan_of(arguments)?;
     let end = EndRequest::install().map_err(Failure::signals)?;
@@ -92,7 +93,7 @@ pub fn run(arguments: &StressArguments) -> Result<(), Failure> {
     }
 }
 
-/// The table, what has changed since an earlier test, and where the report is.
+/// Formats the table, the changes since an earlier test, and the path of the report.
 fn told(report: &StressReport, compare: Option<&StressReport>, page: &Path) -> String {
     let mut lines = vec![table(report)];
     if let Some(old) = compare {
@@ -104,15 +105,15 @@ fn told(report: &StressReport, compare: Option<&StressReport>, page: &Path) -> S
     lines.join("\n")
 }
 
-/// Refuses numbers of cores of which the machine gives `most`.
+/// Rejects core counts outside 1 to `most`.
 ///
 /// # Errors
-/// A number out of range (2).
+/// A count out of range (2).
 pub fn refuse_cores(given: &[usize], most: usize) -> Result<(), Failure> {
     match given.iter().find(|cores| !(1..=most).contains(*cores)) {
         None => Ok(()),
         Some(cores) => {
-            Err(Failure::bad_input(format!("--cores is {cores}, allowed on this machine is 1 to {most}")))
+            Err(Failure::bad_input(format!("--cores is {cores}; allowed on this machine: 1 to {most}")))
         }
     }
 }
@@ -122,16 +123,14 @@ fn plan_of(arguments: &StressArguments) -> Result<StressPlan, Failure> {
     let scene = source.load()?;
     refuse_cores(&arguments.cores, allowed().map_or(1, |cores| cores.len()))?;
     if !(0.1..=3600.0).contains(&arguments.seconds) {
-        return Err(Failure::bad_input(format!(
-            "--seconds is {}, allowed is 0.1 to 3600",
-            arguments.seconds
-        )));
+        return Err(Failure::bad_input(format!("--seconds is {}; allowed: 0.1 to 3600", arguments.seconds)));
     }
     if let Some(controller) =
         scene.controller.iter().find(|controller| controller.external && !controller.optional)
     {
         return Err(Failure::bad_input(format!(
-            "controller `{}` is external, and a stress test has nobody to start it; give it a `command` in the scene",
+            "controller `{}` is external, and a stress test cannot start it; give it a `command` in the \
+             scene",
             controller.name
         )));
     }
@@ -169,11 +168,11 @@ pub struct LoadArguments {
     /// Folder for a disk load.
     #[arg(long)]
     folder: PathBuf,
-    /// Seconds after which it ends by itself.
+    /// Seconds after which the load ends on its own.
     #[arg(long)]
     limit_s: u64,
 }
-/// Disturbs until killed.
+/// Runs the load until killed.
 pub fn disturb(arguments: &LoadArguments) -> Result<(), Failure> {
     let limit = Duration::from_secs(arguments.limit_s);
     load::disturb(arguments.kind, arguments.seed, &arguments.folder, limit)

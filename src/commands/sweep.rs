@@ -1,4 +1,4 @@
-//! `trabecula sweep`: runs a scene many times with other values, and says what its results depend on.
+//! `trabecula sweep`: runs a scene many times with varied parameters and reports which ones matter.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -18,42 +18,43 @@ use crate::sweep::report;
 use crate::sweep::row::{Ending, Row};
 use crate::sweep::runner::{self, Progress, Shard, Work};
 
-/// Most runs at a time.
+/// Maximum number of concurrent runs.
 const MAX_JOBS: u64 = 1024;
 
-/// A command about sweeps.
+/// Arguments of `sweep`.
 #[derive(Debug, Subcommand)]
 pub enum SweepCommand {
-    /// Run a study's points that have no row yet; a row each, and a Parquet table of them.
+    /// Run the points of a study that have no row yet; write one row per point and a Parquet table.
     Run(RunArguments),
-    /// Print a command for each point, to be run by anything, in any order, anywhere that shares the folder.
+    /// Print one command per point, to run in any order on any machines that share the folder.
     List(ListArguments),
-    /// Join the rows of one study from one or more folders into a Parquet table.
+    /// Merge the rows of a study from one or more folders into a Parquet table.
     Gather(GatherArguments),
-    /// Print how a figure depends on each parameter: rank correlations, and Sobol indices of a Saltelli design.
+    /// Print how a result depends on each parameter: rank correlations, and Sobol indices for a Saltelli
+    /// design.
     Report(ReportArguments),
-    /// Draw a figure against each parameter.
+    /// Plot a result against each parameter.
     Plot(PlotArguments),
 }
 
 /// Arguments of `sweep run`.
 #[derive(Debug, Args)]
 pub struct RunArguments {
-    /// The study: scene, parameters, design (TOML).
+    /// Study file (TOML): scene, parameters, design.
     study: PathBuf,
-    /// Folder of the sweep, new or of the same study; default: `out/` and the study's name.
+    /// Folder of the sweep, new or from the same study; default: `out/` and the study's name.
     #[arg(short, long)]
     output: Option<PathBuf>,
-    /// Runs at a time; default: one for each core.
+    /// Number of concurrent runs; default: one per core.
     #[arg(long, value_parser = clap::value_parser!(u64).range(1..=MAX_JOBS))]
     jobs: Option<u64>,
-    /// Run only the points whose number leaves I when divided by N.
+    /// Run only the points whose number modulo N is I.
     #[arg(long, value_name = "I/N", conflicts_with = "point")]
     shard: Option<Shard>,
-    /// Run only this point (may be repeated); writes its row and no table.
+    /// Run only this point (may be repeated); writes its row but no table.
     #[arg(long, value_name = "NUMBER")]
     point: Vec<u64>,
-    /// No line for each run.
+    /// Print no line per run.
     #[arg(long)]
     quiet: bool,
     #[command(flatten)]
@@ -63,9 +64,9 @@ pub struct RunArguments {
 /// Arguments of `sweep list`.
 #[derive(Debug, Args)]
 pub struct ListArguments {
-    /// The study (TOML).
+    /// Study file (TOML).
     study: PathBuf,
-    /// Folder of the sweep, for the commands; default: `out/` and the study's name. Nothing is written.
+    /// Folder of the sweep in the commands; default: `out/` and the study's name. Nothing is written.
     #[arg(short, long)]
     output: Option<PathBuf>,
 }
@@ -73,7 +74,7 @@ pub struct ListArguments {
 /// Arguments of `sweep gather`.
 #[derive(Debug, Args)]
 pub struct GatherArguments {
-    /// Folders of sweeps of the same study.
+    /// Sweep folders of the same study.
     #[arg(required = true)]
     folders: Vec<PathBuf>,
     /// New `.parquet` file.
@@ -86,9 +87,9 @@ pub struct GatherArguments {
 /// Arguments of `sweep report`.
 #[derive(Debug, Args)]
 pub struct ReportArguments {
-    /// Folder of a sweep.
+    /// Folder of the sweep.
     folder: PathBuf,
-    /// Figure of the rows (may be repeated).
+    /// Result to analyse, a column of the rows (may be repeated).
     #[arg(long, value_name = "FIGURE", default_value = "target_error_mm")]
     of: Vec<String>,
     #[command(flatten)]
@@ -98,12 +99,12 @@ pub struct ReportArguments {
 /// Arguments of `sweep plot`.
 #[derive(Debug, Args)]
 pub struct PlotArguments {
-    /// Folder of a sweep.
+    /// Folder of the sweep.
     folder: PathBuf,
-    /// Figure of the rows.
+    /// Result to plot, a column of the rows.
     #[arg(long, value_name = "FIGURE", default_value = "target_error_mm")]
     of: String,
-    /// Path of the picture, with or without its extension; `.png` and `.svg` are written.
+    /// Path of the plot, with or without its extension; `.png` and `.svg` are written.
     #[arg(short, long, default_value = "sweep")]
     output: PathBuf,
 }
@@ -123,7 +124,7 @@ impl FromStr for Shard {
 /// Runs the command.
 ///
 /// # Errors
-/// Bad input (2); a row, a log or a picture that cannot be written (1); Ctrl-C (130): what was done is kept.
+/// Bad input (2); a row, log or plot that cannot be written (1); Ctrl-C (130, and finished rows are kept).
 pub fn run(command: &SweepCommand) -> Result<(), Failure> {
     match command {
         SweepCommand::Run(arguments) => run_points(arguments),
@@ -134,7 +135,7 @@ pub fn run(command: &SweepCommand) -> Result<(), Failure> {
     }
 }
 
-/// The folder given, or `out/` with the study's name.
+/// Returns the given folder, or `out/` with the study's name.
 fn folder_of(output: Option<&Path>, study: &Path) -> PathBuf {
     let named = || Path::new("out").join(study.file_stem().unwrap_or_default());
     output.map_or_else(named, Path::to_owned)
@@ -164,7 +165,7 @@ fn run_points(arguments: &RunArguments) -> Result<(), Failure> {
         }
     };
     let ran = runner::run(&study, &folder, &Work { points: points.clone(), jobs }, &|| end.is_set(), &told);
-    // What is done has its table, whatever ended the sweep.
+    // Write the table of the finished points however the sweep ended.
     let rows = points.iter().filter_map(|&point| folder.row(point).transpose());
     let rows = rows.collect::<Result<Vec<Row>, Failure>>()?;
     let table = match arguments.point.is_empty() {
@@ -191,7 +192,7 @@ fn run_points(arguments: &RunArguments) -> Result<(), Failure> {
         true => Ok(()),
         false => Err(Failure {
             message: format!(
-                "interrupted with {} of {} points done; the same command goes on from there",
+                "interrupted with {} of {} points done; run the same command to continue",
                 rows.len(),
                 points.len()
             ),
@@ -200,17 +201,17 @@ fn run_points(arguments: &RunArguments) -> Result<(), Failure> {
     }
 }
 
-/// What is said of a run that has ended.
+/// Formats the line of a finished run.
 fn line(row: &Row, progress: Progress, jobs: usize) -> String {
     let error = row.figure("target_error_mm").map_or(String::new(), |mm| format!("  {mm:8.3} mm off target"));
     let reason = row.reason.as_ref().map_or(String::new(), |reason| format!("  {reason}"));
     let each_s = progress.elapsed_s / progress.made.max(1) as f64;
-    // No more run at once than there are.
+    // No more runs at once than there are points.
     let at_once = jobs.min(usize::try_from(progress.made + progress.of - progress.done).unwrap_or(jobs));
     let left_s = each_s * (progress.of - progress.done) as f64;
     let left = if progress.done < progress.of { format!(", {left_s:.0} s left") } else { String::new() };
     format!(
-        "{} of {}  point {}  {}{error}{reason}  ({:.2} s a run{left})",
+        "{} of {}  point {}  {}{error}{reason}  ({:.2} s per run{left})",
         progress.done,
         progress.of,
         row.point,
@@ -254,7 +255,7 @@ fn gather(arguments: &GatherArguments) -> Result<(), Failure> {
     };
     if let Some(other) = folders.iter().find(|folder| !folder.is_of_the_same(first)) {
         return Err(Failure::bad_input(format!(
-            "{} and {} are of different studies, scenes or builds, and cannot stand in one table",
+            "{} and {} are from different studies, scenes or builds and cannot be merged into one table",
             foreign_path(first.path()),
             foreign_path(other.path())
         )));
@@ -267,7 +268,8 @@ fn gather(arguments: &GatherArguments) -> Result<(), Failure> {
         if let Some(other) = found.find(|other| other.final_hash != row.final_hash) {
             let hash = |row: &Row| row.final_hash.clone().unwrap_or_else(|| row.outcome.name().to_owned());
             return Err(Failure::failed(format!(
-                "point {point} has ended differently in two folders: {} and {}; run its command again on both machines",
+                "point {point} has different results in two folders, {} and {}; rerun its command on both \
+                 machines",
                 hash(&row),
                 hash(&other)
             )));
@@ -289,7 +291,7 @@ fn print_report(arguments: &ReportArguments) -> Result<(), Failure> {
     let found = arguments.of.iter().map(|name| {
         report::sensitivity(&study, &rows, name).ok_or_else(|| {
             Failure::failed(format!(
-                "{}: none of its {} rows has {name}",
+                "{}: none of the {} rows has a value of {name}",
                 foreign_path(folder.path()),
                 rows.len()
             ))

@@ -1,4 +1,4 @@
-//! `trabecula tool show [FILE]`: the dimensions of a tool, and what it does.
+//! `trabecula tool show [FILE]`: prints a tool's dimensions, equilibria and step times.
 
 use std::fmt::Write;
 use std::path::PathBuf;
@@ -11,10 +11,10 @@ use crate::tool::response::{Cost, Response, Shape, Workspace, response};
 use crate::tool::source::ToolSource;
 use crate::tool::{Dimension, dimensions, rounded};
 
-/// What to do with the tool.
+/// Arguments of `tool`.
 #[derive(Debug, Subcommand)]
 pub enum ToolCommand {
-    /// Print its dimensions, its shape under each tendon, its first mode, and what each model of it costs.
+    /// Print its dimensions, its shape under each tendon, its bending modes and the step time of each model.
     Show {
         /// Scene or tool file; default: the built-in femur, whose tool is the standard one.
         file: Option<PathBuf>,
@@ -44,7 +44,7 @@ pub fn run(command: &ToolCommand) -> Result<(), Failure> {
 
 fn text(dimensions: &[Dimension], response: &Response) -> String {
     let mut text = String::new();
-    // Writing to a text cannot fail.
+    // Writing to a string cannot fail.
     for it in dimensions {
         let _ = write!(text, "\n{:<18} {:>7}  {}", it.name, rounded(it.value), it.text);
     }
@@ -52,12 +52,12 @@ fn text(dimensions: &[Dimension], response: &Response) -> String {
         response.bending_frequencies_hz.iter().map(|hz| rounded(*hz).to_string()).collect();
     let _ = write!(text, "\nbending modes of the straight tool: {} Hz", modes.join(", "));
     let buckles_n = rounded(response.buckling_load_n);
-    let _ = write!(text, "\nit buckles, straight and clamped at the flange, under {buckles_n} N at the burr");
+    let _ = write!(text, "\nbuckling load, straight and clamped at the flange: {buckles_n} N at the burr");
     let slides = response.shapes.iter().any(|shape| shape.deployed_mm.is_some());
     let loads = if slides { "deployed_mm" } else { "tendon   tension_n" };
     let _ = write!(
         text,
-        "\n\nat rest in free space; mm from the flange\n{loads}  bend_deg  toward_mm  across_mm  along_mm"
+        "\n\nequilibrium in free space; mm from the flange\n{loads}  bend_deg  toward_mm  across_mm  along_mm"
     );
     for shape in &response.shapes {
         let Shape {
@@ -80,7 +80,7 @@ fn text(dimensions: &[Dimension], response: &Response) -> String {
             [bend_deg, toward_mm, across_mm, along_mm].map(|value| rounded(*value));
         let _ = write!(text, "\n{load}  {bend:>8}  {toward:>9}  {across:>9}  {along:>8}");
         if *stopped > 0 {
-            let _ = write!(text, "  {stopped} on their stops");
+            let _ = write!(text, "  {stopped} flexures at their stops");
         }
         if !settled {
             text.push_str("  does not settle");
@@ -90,17 +90,18 @@ fn text(dimensions: &[Dimension], response: &Response) -> String {
     let ends = |[low, high]: &[f64; 2]| format!("{} to {}", rounded(*low), rounded(*high));
     let _ = write!(
         text,
-        "\n\nthe burr's centre comes to, mm: toward {}, across {}, along {}; bend {} deg\n(up to 60 N on one tendon, 20 N on two, or all of an outer tube's travel and any roll)",
+        "\n\nreach of the burr's centre, mm: toward {}, across {}, along {}; bend {} deg\n(up to 60 N on \
+         one tendon, 20 N on two, or all of an outer tube's travel and any roll)",
         ends(toward_mm),
         ends(across_mm),
         ends(along_mm),
         ends(bend_deg)
     );
-    let _ = write!(text, "\n\na step in free space on this machine\nmodel               step_us");
+    let _ = write!(text, "\n\nstep time in free space on this machine\nmodel               step_us");
     for Cost { rung, step_us, refused } in &response.costs {
         let _ = match (step_us, refused) {
             (Some(us), _) => write!(text, "\n{rung:<18}  {:>7}", rounded(*us)),
-            (None, why) => write!(text, "\n{rung:<18}  refused: {}", why.as_deref().unwrap_or_default()),
+            (None, why) => write!(text, "\n{rung:<18}  unsupported: {}", why.as_deref().unwrap_or_default()),
         };
     }
     text

@@ -27,7 +27,8 @@ const LEAVE_LIMIT: Duration = Duration::from_secs(2);
 /// Arguments of `view`.
 #[derive(Debug, Args)]
 pub struct ViewArguments {
-    /// Log to show: a run's folder or its `run.mcap`; or a scene (`.toml`) before its run; default: a running session.
+    /// Log to show (a run's folder or its `run.mcap`), or a scene (`.toml`) to plan and run; default: a
+    /// running session.
     #[arg(conflicts_with = "session")]
     log: Option<PathBuf>,
     /// Second log, to compare with the first.
@@ -50,16 +51,18 @@ pub struct ServerArguments {
     /// Address to listen on. Beyond loopback, the token is sent unencrypted.
     #[arg(long, default_value = "127.0.0.1")]
     bind: IpAddr,
-    /// Allow pages from this origin to connect, for example http://localhost:8080 for a self-hosted Lichtblick.
+    /// Allow pages from this origin to connect, for example http://localhost:8080 for a self-hosted
+    /// Lichtblick.
     #[arg(long)]
     allow_origin: Vec<String>,
-    /// Let anyone who can reach the port, such as other users of this machine, watch without the token. Commands still need it.
+    /// Let anyone who can reach the port, such as other users of this machine, watch without the token.
+    /// Commands still need it.
     #[arg(long)]
     watch_by_anyone: bool,
     /// Do not open a browser.
     #[arg(long)]
     no_open: bool,
-    /// Serve the page's files from this folder, read anew at each request (for page development).
+    /// Serve the page's files from this folder, rereading them on each request (for page development).
     #[arg(long, hide = true)]
     page_folder: Option<PathBuf>,
 }
@@ -86,12 +89,12 @@ impl ServerArguments {
     }
 }
 
-/// Runs the viewer until Ctrl-C, or until the session has ended and nobody watches its log any more.
+/// Runs the viewer until Ctrl-C, or until the session has ended and no client is watching its log.
 ///
 /// # Errors
 /// No session, a port in use (2); any error of the viewer (1).
 pub fn run(arguments: &ViewArguments) -> Result<(), Failure> {
-    // There is nothing to lose: a viewer that is still reading a log or building its volume simply exits.
+    // Nothing can be lost, so a viewer that is still reading a log or building its volume just exits.
     let end = EndRequest::answered(|_| {
         std::thread::spawn(|| {
             std::thread::sleep(LEAVE_LIMIT);
@@ -124,10 +127,10 @@ fn is_scene(path: &Path) -> bool {
     path.extension().is_some_and(|ending| ending == "toml")
 }
 
-/// A scene before its run, then the run that is started from the page, then its log.
+/// Shows a scene before it is run, then the run started from the page, then its log.
 fn view_plan(scene: &Path, arguments: &ViewArguments, end: &EndRequest) -> Result<(), Failure> {
     if arguments.second.is_some() {
-        return Err(Failure::bad_input("a scene before its run is shown alone: give one file"));
+        return Err(Failure::bad_input("a scene cannot be compared with another file; give only the scene"));
     }
     let opened = OpenedScene::open(scene, arguments.volume_files)?;
     let door = arguments.server.door()?;
@@ -139,14 +142,14 @@ fn view_plan(scene: &Path, arguments: &ViewArguments, end: &EndRequest) -> Resul
     let Some(session) = run.session() else { return Ok(()) };
     let recorded = match live::view(session, &door, shapes, || (), end) {
         Ok(recorded) => recorded,
-        // A short run has ended before it could be joined.
+        // A short run can end before it is joined.
         Err(ViewerError::Session(_) | ViewerError::Message(_)) => run.log(end),
         Err(error) => return Err(failure(&error)),
     };
     recorded.map_or(Ok(()), |log| view_followed(log, arguments, &door, end))
 }
 
-/// The log of a run that was watched: as long as somebody does.
+/// Shows the log of a run that was being watched, until the last client leaves.
 fn view_followed(
     log: PathBuf,
     arguments: &ViewArguments,
@@ -179,13 +182,13 @@ fn show_logs(
     log::view(options, door, &help, ready, end).map_err(|error| failure(&error))
 }
 
-/// How the command fails.
+/// Converts a viewer error to the command's failure.
 pub(super) fn failure(error: &ViewerError) -> Failure {
     Failure::by_kind(error.is_bad_input(), error)
 }
 
-/// Tool and arm of a scene as the page draws them. A mesh that is no longer there is told, and its arm drawn as tubes: a log may be shown
-/// where its arm's files are not.
+/// Returns a scene's tool and arm as the page draws them. If an arm mesh is missing, adds a note and draws
+/// the arm as tubes, because a log may be viewed on a machine without the arm's files.
 fn shapes(scene: &Scene) -> (ToolShape, ArmLooks) {
     let tubes = |cause: ArmMeshError| ArmLooks {
         meshes: Vec::new(),
@@ -194,7 +197,7 @@ fn shapes(scene: &Scene) -> (ToolShape, ArmLooks) {
     (tool_shape(scene), arm_looks(scene).unwrap_or_else(tubes))
 }
 
-/// The scene's tool as the page draws it; a bare burr if the scene's tool is invalid.
+/// Returns the scene's tool as the page draws it, or a bare burr if the tool is invalid.
 pub fn tool_shape(scene: &Scene) -> ToolShape {
     let radii = scene.manipulator.radii();
     let mut shape = ToolShape {

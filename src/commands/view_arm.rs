@@ -9,19 +9,19 @@ use simulation::pose;
 use viewer_proc::ArmLooks;
 use viewer_proc::surface::link_mesh;
 
-/// The arm of a scene without its tool: the last frame is the flange.
+/// Returns the geometry of a scene's arm without its tool; the last frame is the flange.
 fn geometry(scene: &Scene) -> ArmGeometry {
     ArmParameters::of(&scene.arm, scene.dt_s()).geometry.with_tool(None)
 }
 
-/// The parts of the arm between its joints, as `ToolShape::arm_parts` has them.
+/// Returns the parts of the arm between its joints, for `ToolShape::arm_parts`.
 pub fn arm_parts(scene: &Scene) -> Option<Vec<Pose>> {
     let geometry = geometry(scene);
     let parts = geometry.fixed_parts();
     geometry.turns().then(|| parts[1..].iter().map(pose).collect())
 }
 
-/// The links of a scene's arm that have meshes.
+/// Returns the links of a scene's arm that have meshes.
 pub fn arm_looks(scene: &Scene) -> Result<ArmLooks, ArmMeshError> {
     let loaded = arm_meshes::load(&scene.arm)?;
     let geometry = geometry(scene);
@@ -32,7 +32,7 @@ pub fn arm_looks(scene: &Scene) -> Result<ArmLooks, ArmMeshError> {
             let at: [f64; 3] = std::array::from_fn(|axis| f64::from(corner[axis]) * mesh.scale[axis]);
             (t_frame_mesh * Point3::from(at)).into()
         };
-        // A mirrored triangle is seen from its other side.
+        // Mirroring reverses the winding of a triangle.
         let is_mirrored = mesh.scale.iter().product::<f64>() < 0.0;
         links[frame].extend(triangles.iter().map(|[a, b, c]| match is_mirrored {
             true => [a, c, b].map(place),
@@ -46,8 +46,8 @@ pub fn arm_looks(scene: &Scene) -> Result<ArmLooks, ArmMeshError> {
     })
 }
 
-/// The frame that a mesh moves with, from 0, and the mesh's frame in it. A link behind k joints that turn moves with frame k, whatever
-/// joints that stand still are between.
+/// Returns the index of the frame that a mesh moves with, and the mesh's pose in it. A link behind k revolute
+/// joints moves with frame k; fixed joints do not count.
 fn placed(arm: &Arm, mesh: &ArmMesh, geometry: &ArmGeometry) -> (usize, Isometry3<f64>) {
     let before = arm.joints_before(mesh);
     let t_base_link = before.iter().fold(Isometry3::identity(), |t_base_link, joint| {
@@ -61,7 +61,7 @@ fn placed(arm: &Arm, mesh: &ArmMesh, geometry: &ArmGeometry) -> (usize, Isometry
     (frame, t_base_frame.inverse() * t_base_link * t_link_mesh)
 }
 
-/// Turns about the fixed axes x, y and z, in this order, as URDF has them.
+/// Rotations about the fixed axes x, y and z, in this order, as in URDF.
 fn isometry(position_mm: [f64; 3], roll_pitch_yaw_deg: [f64; 3]) -> Isometry3<f64> {
     let [roll, pitch, yaw] = roll_pitch_yaw_deg.map(f64::to_radians);
     let translation = Translation3::from(Vector3::from(position_mm) * 1e-3);

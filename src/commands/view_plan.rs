@@ -1,4 +1,4 @@
-//! `trabecula view SCENE.toml`: a scene before its run, its places moved, saved and run.
+//! `trabecula view SCENE.toml`: shows a scene whose points can be moved, saved and run from the page.
 
 use std::path::{Path, PathBuf};
 
@@ -23,7 +23,7 @@ use crate::scene_picture::shape::{Shapes, Tube};
 use crate::scene_picture::surroundings::Surroundings;
 use crate::scenes::SceneSource;
 
-/// A scene that was opened, with what its measurements share.
+/// An opened scene with its volume, which all measurements share.
 pub struct OpenedScene {
     file: PathBuf,
     text: String,
@@ -36,7 +36,7 @@ impl OpenedScene {
     /// Reads a scene and its volume.
     ///
     /// # Errors
-    /// An invalid scene, a volume that is not there or cannot be read (2).
+    /// An invalid scene, a missing or unreadable volume (2).
     pub fn open(file: &Path, volume_files: VolumeFiles) -> Result<OpenedScene, Failure> {
         let source = SceneSource::File(file.to_owned());
         let (scene, _) = crate::plan::load_scene(&source)?;
@@ -45,10 +45,10 @@ impl OpenedScene {
         Ok(OpenedScene { file: file.to_owned(), text: source.text()?, scene, ct, volume_files })
     }
 
-    /// Shows it until the process is asked to end, or a run of it begins: that run.
+    /// Shows the scene until the process is asked to end or a run starts; returns that run.
     ///
     /// # Errors
-    /// The simulation refuses the scene (2); the server cannot be started (1).
+    /// The simulation rejects the scene (2); the server cannot be started (1).
     pub fn view(
         &self,
         door: &Door,
@@ -76,15 +76,15 @@ impl OpenedScene {
     }
 }
 
-/// Changes a scene that was opened; its file stays as it is.
+/// Edits an opened scene without changing its file.
 struct Editor<'a> {
     opened: &'a OpenedScene,
     surroundings: Option<&'a Surroundings<'a>>,
-    /// What was moved.
+    /// Moved points.
     places: Places,
-    /// The scene's text with that.
+    /// Text of the edited scene.
     text: String,
-    /// Where it was saved last, and what was.
+    /// File and text last saved.
     saved: (PathBuf, String),
     run: &'a mut Option<StartedRun>,
 }
@@ -127,7 +127,7 @@ impl Planner for Editor<'_> {
         };
         if is_there && is_original(&file) {
             return Err(format!(
-                "{} is the scene that was opened and stays as it is: choose another name",
+                "{} is the opened scene, which is never overwritten: choose another name",
                 file.display()
             ));
         }
@@ -146,10 +146,10 @@ impl Planner for Editor<'_> {
     fn run(&mut self) -> Result<(), String> {
         let (file, text) = &self.saved;
         if self.text != *text {
-            return Err("the plan was changed and not saved since: save it, then run it".to_owned());
+            return Err("the plan has unsaved changes: save it before running it".to_owned());
         }
         if self.run.is_some() {
-            return Err("a run of it has been started already".to_owned());
+            return Err("a run of this plan has already been started".to_owned());
         }
         *self.run = Some(StartedRun::start(file, self.opened.volume_files)?);
         Ok(())
@@ -164,7 +164,7 @@ impl Planner for Editor<'_> {
     }
 }
 
-/// Writes over a file whose replacement the user has confirmed: whole, or not at all. A link is replaced, not what it leads to.
+/// Atomically replaces a file after the user has confirmed it. A symbolic link is replaced, not its target.
 fn replaced(file: &Path, text: &str) -> Result<(), String> {
     let folder = output_file::folder_of(file);
     let write = || {
@@ -177,7 +177,7 @@ fn replaced(file: &Path, text: &str) -> Result<(), String> {
     write().map_err(|cause: std::io::Error| format!("{}: cannot be written ({cause})", file.display()))
 }
 
-/// What is shown of a scene.
+/// Measures a scene for display.
 fn measure(
     scene: &Scene,
     volume: Option<&Volume>,
@@ -200,7 +200,8 @@ fn measure(
     })
 }
 
-/// The figures of `scene show`, the tool at the end of the path, the C-arm's source and detector, and the places as a scene's file has them.
+/// Returns the measurements of `scene show`, the tool at the end of the path, the C-arm's source and
+/// detector, and the points with their scene file keys.
 fn plan(scene: &Scene, shapes: &Shapes, facts: Option<&Facts>) -> Result<Value, Failure> {
     let end = &shapes.at_end;
     let line_m: Vec<[f64; 3]> = end.tube.line_mm.iter().map(|point| (point * 1e-3).into()).collect();

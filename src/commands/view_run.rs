@@ -1,4 +1,4 @@
-//! A run that was started from the page.
+//! A run started from the page.
 
 use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
@@ -11,27 +11,28 @@ use serde_json::Value;
 
 use crate::launcher::volume_source::VolumeFiles;
 
-/// Time between two looks for the end of a run.
+/// Interval at which the end of a run is polled.
 const LOOK: Duration = Duration::from_millis(50);
-/// How long a run that has ended may take to say its last words.
+/// Timeout for the remaining output of a run that has ended.
 const WORDS_LIMIT: Duration = Duration::from_secs(2);
-/// Longest refusal kept, bytes.
+/// Maximum length of the kept error output, in bytes.
 const LONGEST_WORDS: usize = 4096;
 
-/// `trabecula run FILE` as a child; it records where the same command of this terminal would, and goes on if the viewer ends.
+/// `trabecula run FILE` as a child process. It records to the same folder as that command in this terminal
+/// would, and continues if the viewer ends.
 #[derive(Debug)]
 pub struct StartedRun {
     child: Child,
-    /// The lines that it prints for programs.
+    /// JSON lines from its standard output.
     lines: Receiver<Value>,
-    /// What it says to the user.
+    /// Lines from its standard error.
     words: Receiver<String>,
     session: Option<PathBuf>,
     folder: Option<PathBuf>,
 }
 
 impl StartedRun {
-    /// Starts it.
+    /// Starts the run.
     pub fn start(scene: &Path, files: VolumeFiles) -> Result<StartedRun, String> {
         let refused = |cause: std::io::Error| format!("`trabecula run` cannot be started: {cause}");
         let mut command = Command::new(std::env::current_exe().map_err(refused)?);
@@ -46,7 +47,7 @@ impl StartedRun {
         let (out, err) = (child.stdout.take(), child.stderr.take());
         std::thread::spawn(move || {
             let is_wanted = |value: &Value| value["phase"] == "announced" || value["phase"] == "ended";
-            // Read to its end, so that the run's output never stands still.
+            // Read to the end, so that the run never blocks on a full pipe.
             each_line(out, |text| {
                 let value = serde_json::from_str(text).ok().filter(is_wanted);
                 value.into_iter().for_each(|value| drop(line.send(value)));
@@ -55,7 +56,7 @@ impl StartedRun {
         std::thread::spawn(move || {
             each_line(err, |text| {
                 tell!("{text}");
-                // Nobody listens any more once the run has begun.
+                // The receiver is not read once the run has started.
                 let _ = word.send(text.to_owned());
             });
         });
@@ -63,7 +64,7 @@ impl StartedRun {
         Ok(StartedRun { child, lines, words, session: None, folder: None })
     }
 
-    /// The session, told once: when it can be joined; or why the run did not come so far.
+    /// Returns, once, the session when it can be joined, or why the run failed before that.
     pub fn begun(&mut self) -> Option<Result<PathBuf, String>> {
         if self.session.is_some() {
             return None;
@@ -73,7 +74,7 @@ impl StartedRun {
             return Some(Ok(session.clone()));
         }
         self.child.try_wait().ok().flatten()?;
-        // What it said is on its way.
+        // Its error output may still be in transit.
         let began = Instant::now();
         let mut said = String::new();
         while let Ok(line) = self.words.recv_timeout(WORDS_LIMIT.saturating_sub(began.elapsed())) {
@@ -85,7 +86,7 @@ impl StartedRun {
         self.read();
         match &self.session {
             Some(session) => Some(Ok(session.clone())),
-            None => Some(Err(format!("the run did not begin: {}", said.trim()))),
+            None => Some(Err(format!("the run did not start: {}", said.trim()))),
         }
     }
 
@@ -97,12 +98,12 @@ impl StartedRun {
         }
     }
 
-    /// The session that it runs.
+    /// Returns the session of the run.
     pub fn session(&self) -> Option<&Path> {
         self.session.as_deref()
     }
 
-    /// The log of a run that has ended already, if it recorded one; waits for its end, or until the user wants to end.
+    /// Waits until the run ends or the user ends the viewer, and returns the run's log if it recorded one.
     pub fn log(mut self, end: &EndRequest) -> Option<PathBuf> {
         while !end.is_set() && self.child.try_wait().is_ok_and(|ended| ended.is_none()) {
             std::thread::sleep(LOOK);

@@ -13,19 +13,19 @@ use crate::output::refuse_existing;
 use crate::replay::{Gone, OpenedLog, Overrides};
 use crate::say::Figures;
 
-/// What to do with a volume.
+/// Arguments of `volume`.
 #[derive(Debug, Subcommand)]
 pub enum VolumeCommand {
-    /// Print geometry, Hounsfield range and notes of a volume file or DICOM folder.
+    /// Print geometry, Hounsfield range and warnings of a volume file or DICOM folder.
     Info {
-        /// NIfTI, NRRD, MetaImage, or a DICOM folder.
+        /// Volume: NIfTI, NRRD, MetaImage, or a DICOM folder.
         file: PathBuf,
         #[command(flatten)]
         choice: VolumeChoice,
         #[command(flatten)]
         figures: Figures,
     },
-    /// Print the Hounsfield units at places of a volume.
+    /// Print the Hounsfield units at points of a volume.
     Probe(ProbeArguments),
     /// Write a run's CT with the drilled voxels set to air, as NRRD or NIfTI; also works during the run.
     Drilled(DrilledArguments),
@@ -34,12 +34,12 @@ pub enum VolumeCommand {
 /// Arguments of `volume probe`.
 #[derive(Debug, Args)]
 pub struct ProbeArguments {
-    /// NIfTI, NRRD, MetaImage, or a DICOM folder.
+    /// Volume: NIfTI, NRRD, MetaImage, or a DICOM folder.
     file: PathBuf,
-    /// A place in the patient frame (LPS: +x left, +y posterior, +z head), mm; may be given several times.
+    /// Point in the patient frame (LPS: +x left, +y posterior, +z head), mm (may be repeated).
     #[arg(long, value_name = "X,Y,Z", required = true, allow_hyphen_values = true, value_parser = place)]
     at: Vec<[f64; 3]>,
-    /// The places are in RAS, as 3D Slicer shows them.
+    /// The points are in RAS, as 3D Slicer shows them.
     #[arg(long)]
     ras: bool,
     #[command(flatten)]
@@ -48,7 +48,7 @@ pub struct ProbeArguments {
     figures: Figures,
 }
 
-/// Three numbers between commas.
+/// Parses three comma-separated numbers.
 fn place(text: &str) -> Result<[f64; 3], String> {
     let numbers: Vec<f64> = text.split(',').filter_map(|number| number.trim().parse().ok()).collect();
     let three = <[f64; 3]>::try_from(numbers).ok();
@@ -68,7 +68,8 @@ fn probe(arguments: &ProbeArguments) -> Result<(), Failure> {
             let corners = [[-0.5; 3], far].map(|corner| volume.grid.world_m(corner));
             let [[a, b, c], [d, e, f]] = corners.map(|corner| corner.map(|x| x * 1e3));
             Failure::bad_input(format!(
-                "--at is [{x}, {y}, {z}], expected a place within the volume, from [{a:.1}, {b:.1}, {c:.1}] to [{d:.1}, {e:.1}, {f:.1}] mm (LPS)"
+                "--at is [{x}, {y}, {z}], expected a point within the volume, from [{a:.1}, {b:.1}, {c:.1}] \
+                 to [{d:.1}, {e:.1}, {f:.1}] mm (LPS)"
             ))
         })?;
         let (voxel, dims) = (volume.grid.voxel_at(place_m), volume.grid.dims());
@@ -97,7 +98,7 @@ pub struct DrilledArguments {
     /// New file: NIfTI if it ends in `.nii` or `.nii.gz`, otherwise NRRD (gzip).
     #[arg(short, long)]
     output: PathBuf,
-    /// Show the bone after this tick; default: the last tick of the log.
+    /// Bone after this tick; default: the last tick of the log.
     #[arg(long)]
     tick: Option<u64>,
     /// Current path of the log's CT file.
@@ -153,7 +154,8 @@ fn write_drilled(arguments: &DrilledArguments) -> Result<(), Failure> {
 /// Runs the command.
 ///
 /// # Errors
-/// Not a volume, or not a log with one (2); a log that cannot be read to its end, a full disk (1); a log that is cut or was not ended (3).
+/// Not a volume, or not a log with one (2); a log that cannot be read to its end, a full disk (1); a log that
+/// is truncated or was not ended (3).
 pub fn run(command: &VolumeCommand) -> Result<(), Failure> {
     let (file, choice, figures) = match command {
         VolumeCommand::Info { file, choice, figures } => (file, choice, figures),
@@ -190,7 +192,8 @@ pub struct PhantomArguments {
     /// New file: NIfTI if it ends in `.nii` or `.nii.gz`, otherwise NRRD (gzip).
     #[arg(short, long)]
     output: PathBuf,
-    /// Voxel size in millimetres, 0.25 to 2 (a pelvis from 0.34, or it has too many voxels); 0.5 by default, 1 for the pelvis.
+    /// Voxel size in millimetres, 0.25 to 2 (pelvis: at least 0.34, to limit the voxel count); default: 0.5,
+    /// or 1 for the pelvis.
     #[arg(long)]
     spacing_mm: Option<f64>,
     #[command(flatten)]
@@ -206,7 +209,7 @@ pub enum PhantomKind {
     Block,
     /// A ball.
     Sphere,
-    /// A pelvis with both proximal femurs, in place of a patient's CT: `configs/pelvis_ct.toml` drills into it.
+    /// A pelvis with both proximal femurs, as a substitute for a patient's CT in `configs/pelvis_ct.toml`.
     Pelvis,
 }
 
@@ -218,7 +221,7 @@ pub fn write_phantom(arguments: &PhantomArguments) -> Result<(), Failure> {
     let usual = if matches!(arguments.kind, PhantomKind::Pelvis) { 1.0 } else { 0.5 };
     let spacing_mm = arguments.spacing_mm.unwrap_or(usual);
     if !(0.25..=2.0).contains(&spacing_mm) {
-        return Err(Failure::bad_input(format!("--spacing-mm is {spacing_mm}, allowed is 0.25 to 2")));
+        return Err(Failure::bad_input(format!("--spacing-mm is {spacing_mm}; allowed: 0.25 to 2")));
     }
     refuse_existing(&[&arguments.output])?;
     let spacing_m = spacing_mm * 1e-3;

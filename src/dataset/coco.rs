@@ -1,5 +1,5 @@
-//! COCO's JSON: <https://cocodataset.org/#format-data>. Masks are uncompressed run lengths, so they are exact; keypoints have pixel centres at
-//! whole numbers, boxes the edges of pixels.
+//! COCO JSON, <https://cocodataset.org/#format-data>. Masks are uncompressed run lengths, so they are exact;
+//! pixel centres are at integers for keypoints, pixel edges for boxes.
 
 use std::path::PathBuf;
 
@@ -32,13 +32,13 @@ impl Dataset {
         Ok(vec![(PathBuf::from("images").join(file_name), png)])
     }
 
-    /// A file for each part.
+    /// Returns a file for each part.
     pub(super) fn end_coco(self) -> Vec<DatasetFile> {
         let info = json!({"description": "X-ray frames of Trabecula", "bone_from_hu": self.bone_from_hu});
         let categories = json!(Class::ALL.map(|class| category(class, &self.keypoints)));
         let file = |part: Part| {
             let (images, annotations) = (part.images.join(",\n"), part.annotations.join(",\n"));
-            // The parts are JSON already.
+            // The parts are already JSON.
             let text = format!(
                 "{{\"info\":{info},\n\"categories\":{categories},\n\"images\":[\n{images}\n],\n\"annotations\":[\n{annotations}\n]}}\n"
             );
@@ -50,7 +50,7 @@ impl Dataset {
     }
 }
 
-/// Numbers of categories begin at 1.
+/// Category IDs start at 1.
 fn category_id(class: Class) -> u8 {
     class as u8 + 1
 }
@@ -58,7 +58,7 @@ fn category_id(class: Class) -> u8 {
 fn category(class: Class, keypoints: &[String]) -> Value {
     let mut category = json!({"id": category_id(class), "name": class.name(), "supercategory": "x-ray"});
     if class == Class::Tool {
-        // Of keypoints, which COCO counts from 1.
+        // COCO counts keypoints from 1.
         let skeleton: Vec<[usize; 2]> = (1..keypoints.len()).map(|number| [number, number + 1]).collect();
         category["keypoints"] = json!(keypoints);
         category["skeleton"] = json!(skeleton);
@@ -66,7 +66,7 @@ fn category(class: Class, keypoints: &[String]) -> Value {
     category
 }
 
-/// A class in a frame; `None` if it is not there.
+/// Returns the annotation of a class in a frame, or `None` if absent.
 fn annotation(sample: &Sample, class: Class) -> Option<Value> {
     let labels = &sample.labels;
     let (columns, rows) = (labels.columns as usize, labels.rows as usize);
@@ -90,7 +90,7 @@ fn annotation(sample: &Sample, class: Class) -> Option<Value> {
     Some(annotation)
 }
 
-/// Lengths of the runs of pixels without and with a class in turn, column by column.
+/// Returns the alternating run lengths of pixels without and with a class, column by column.
 fn run_lengths(mask: &[u8], class: Class, columns: usize, rows: usize) -> Vec<usize> {
     let (mut counts, mut inside, mut run) = (Vec::new(), false, 0);
     for column in 0..columns {

@@ -1,4 +1,4 @@
-//! Data sets of labelled frames: the bytes of their files. Writing them is the caller's.
+//! Encodes data sets of labelled frames; the caller writes the files.
 
 mod coco;
 mod npz;
@@ -19,13 +19,14 @@ pub use split::Split;
 /// Format of a data set.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Format {
-    /// `images/*.png` (16 bits) and `annotations.json` with masks, boxes and keypoints, as pycocotools reads it.
+    /// `images/*.png` (16 bits) and `annotations.json` with masks, boxes and keypoints, for pycocotools.
     Coco,
-    /// `images/*.png` (8 bits), `labels/*.txt` with boxes and keypoints, and `data.yaml`, as Ultralytics reads it for pose estimation.
+    /// `images/*.png` (8 bits), `labels/*.txt` with boxes and keypoints, and `data.yaml`, for pose estimation
+    /// with Ultralytics.
     Yolo,
-    /// The same with polygons of the masks in `labels/*.txt`, as Ultralytics reads it for segmentation.
+    /// The same with mask polygons in `labels/*.txt`, for segmentation with Ultralytics.
     YoloSegment,
-    /// A NumPy `.npz` for each frame with the image and every label, and `dataset.json`.
+    /// A NumPy `.npz` per frame with the image and all labels, and `dataset.json`.
     Npz,
 }
 
@@ -38,21 +39,21 @@ pub struct Sample {
     pub labels: Labels,
 }
 
-/// The run that frames are of.
+/// The run that frames belong to.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Run {
-    /// Its number among several, from 1; none of one alone.
+    /// Number of the run, from 1; `None` for a single run.
     pub number: Option<usize>,
-    /// What tells runs apart: the hashes of their scenes and volumes.
+    /// Identity of the run: the hashes of its scene and volume.
     pub id: String,
-    /// The part of the data set that has it; 0 without a split.
+    /// Part of the data set that contains it; 0 without a split.
     pub part: usize,
-    /// Images of its labels in `.npz` files.
+    /// Label images in `.npz` files.
     pub images: Vec<LabelImage>,
 }
 
 impl Run {
-    /// Name of the files of a frame without an ending.
+    /// Returns the base name of a frame's files.
     fn name_of(&self, sample: &Sample) -> String {
         let run = self.number.map(|number| format!("run_{number:04}_")).unwrap_or_default();
         format!("{run}frame_{:06}_tick_{:08}", sample.frame.sequence, sample.frame.tick)
@@ -60,8 +61,8 @@ impl Run {
 }
 
 impl Sample {
-    /// Camera and pose of the frame: world points go into the camera by `rotation` and `translation_m`, and into the image by
-    /// `intrinsics`, with pixel centres at whole numbers.
+    /// Returns camera and pose of the frame: `rotation` and `translation_m` map world points to the camera
+    /// frame, and `intrinsics` maps those to the image, with pixel centres at integers.
     fn pose(&self, run: &Run) -> Value {
         let CArmProjection { intrinsics, rotation, translation_m, .. } = self.frame.projection;
         let rows = |m: [f64; 9]| [[m[0], m[1], m[2]], [m[3], m[4], m[5]], [m[6], m[7], m[8]]];
@@ -83,17 +84,17 @@ impl Sample {
 /// A file of a data set: its path in the folder, and its bytes.
 pub type DatasetFile = (PathBuf, Vec<u8>);
 
-/// A data set being made. What belongs to all frames is kept until its end.
+/// A data set being built. Data about all frames is kept until the end.
 #[derive(Debug)]
 pub struct Dataset {
     format: Format,
     bone_from_hu: i16,
-    /// Without a split there is one part, of no name.
+    /// Without a split there is a single unnamed part.
     parts: Vec<Part>,
     keypoints: Vec<String>,
 }
 
-/// What is kept of a part.
+/// Accumulated data of a part.
 #[derive(Debug, Default)]
 struct Part {
     name: Option<&'static str>,
@@ -102,14 +103,14 @@ struct Part {
 }
 
 impl Part {
-    /// A folder of the part: `of` itself without a split.
+    /// Returns the folder of the part, `of` itself without a split.
     fn folder(&self, of: &str) -> PathBuf {
         Path::new(of).join(self.name.unwrap_or_default())
     }
 }
 
 impl Dataset {
-    /// An empty one.
+    /// Creates an empty data set.
     pub fn new(format: Format, bone_from_hu: i16, split: Option<&Split>) -> Dataset {
         let parts = match split {
             None => vec![Part::default()],
@@ -120,30 +121,30 @@ impl Dataset {
         Dataset { format, bone_from_hu, parts, keypoints: Vec::new() }
     }
 
-    /// Voxels at or above this are bone in all frames.
+    /// Returns the bone threshold of all frames.
     pub fn bone_from_hu(&self) -> i16 {
         self.bone_from_hu
     }
 
-    /// Number of frames.
+    /// Returns the number of frames.
     pub fn len(&self) -> usize {
         self.parts.iter().map(|part| part.images.len()).sum()
     }
 
-    /// True without frames.
+    /// Returns whether there are no frames.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
-    /// Number of frames by part; empty without a split.
+    /// Returns the number of frames by part; empty without a split.
     pub fn lengths(&self) -> Vec<(&'static str, usize)> {
         self.parts.iter().filter_map(|part| Some((part.name?, part.images.len()))).collect()
     }
 
-    /// Takes a frame; the files of it alone.
+    /// Adds a frame and returns its files.
     ///
     /// # Errors
-    /// The tool has other joints than in the frames before; a file cannot be encoded; in words.
+    /// The joints differ from previous frames, or a file cannot be encoded; as text.
     pub fn add(&mut self, sample: &Sample, run: &Run) -> Result<Vec<DatasetFile>, String> {
         let count = sample.labels.keypoints.len();
         let keypoints: Vec<String> = (0..count).map(|index| keypoint_name(index, count)).collect();
@@ -151,7 +152,7 @@ impl Dataset {
             self.keypoints = keypoints;
         } else if self.keypoints != keypoints {
             let before = self.keypoints.len();
-            return Err(format!("the tool has {count} keypoints, expected the {before} of the runs before"));
+            return Err(format!("the tool has {count} keypoints, expected {before} as in the previous runs"));
         }
         match self.format {
             Format::Coco => self.add_coco(sample, run),
@@ -160,7 +161,8 @@ impl Dataset {
         }
     }
 
-    /// The files about all frames. They are written last: a folder without the last of them is not whole.
+    /// Returns the files about all frames, which are written last: without the last one a folder is
+    /// incomplete.
     pub fn end(self) -> Vec<DatasetFile> {
         match self.format {
             Format::Coco => self.end_coco(),
@@ -170,7 +172,7 @@ impl Dataset {
     }
 }
 
-/// Smallest rectangle around the pixels that are true: left, top, width, height in pixels; `None` if none is.
+/// Returns the bounding box of the true pixels (left, top, width, height), or `None` if all are false.
 fn bounds(mask: impl Iterator<Item = bool>, columns: usize) -> Option<[usize; 4]> {
     let set = mask.enumerate().filter(|(_, set)| *set).map(|(i, _)| (i % columns, i / columns));
     let [left, top, right, bottom] = set.fold([usize::MAX, usize::MAX, 0, 0], |b, (column, row)| {

@@ -1,4 +1,4 @@
-//! NumPy's `.npz`: a zip archive of arrays in NumPy's format 1.0
+//! NumPy `.npz`: a zip archive of arrays in NumPy's format 1.0
 //! (<https://numpy.org/doc/stable/reference/generated/numpy.lib.format.html>).
 
 use std::io::Write as _;
@@ -72,7 +72,7 @@ fn archive(sample: &Sample, images: &[LabelImage]) -> Result<Vec<u8>, String> {
     zip.finish()
 }
 
-/// A zip archive in memory, of deflated files (PKWARE's APPNOTE 6.3.10, sections 4.3.7, 4.3.12, 4.3.16).
+/// An in-memory zip archive of deflated files (PKWARE's APPNOTE 6.3.10, sections 4.3.7, 4.3.12, 4.3.16).
 #[derive(Default)]
 struct Zip {
     bytes: Vec<u8>,
@@ -81,7 +81,7 @@ struct Zip {
 }
 
 impl Zip {
-    /// Appends an array in C order; `dtype` as NumPy writes it, shape `[]` for a number.
+    /// Appends an array in C order; `dtype` in NumPy notation, shape `[]` for a scalar.
     fn array<T: IntoBytes + Immutable>(
         &mut self,
         name: &str,
@@ -91,7 +91,8 @@ impl Zip {
     ) -> Result<(), String> {
         let sides: String = shape.iter().map(|side| format!("{side},")).collect();
         let mut header = format!("{{'descr': '{dtype}', 'fortran_order': False, 'shape': ({sides}), }}");
-        // With magic, version and length, 10 bytes, and the newline a multiple of 64.
+        // Pad the total length, with 10 bytes of magic, version and length, and the newline, to a multiple of
+        // 64.
         let padding = (64 - (10 + header.len() + 1) % 64) % 64;
         header.extend(std::iter::repeat_n(' ', padding));
         header.push('\n');
@@ -108,9 +109,9 @@ impl Zip {
         let mut encoder = DeflateEncoder::new(Vec::new(), Compression::fast());
         let packed =
             encoder.write_all(content).and_then(|()| encoder.finish()).map_err(|cause| cause.to_string())?;
-        let too_large = |_| format!("`{name}` is larger than the 4 GiB of a zip archive");
+        let too_large = |_| format!("`{name}` exceeds the 4 GiB limit of a zip archive");
         let size = |bytes: usize| u32::try_from(bytes).map_err(too_large);
-        // What the entry and the directory have in common: version 2.0, no flags, deflated, midnight of 1 January 1980.
+        // Fields shared by entry and directory: version 2.0, no flags, deflated, 1980-01-01 00:00.
         let mut facts = Vec::new();
         [20_u16, 0, 8, 0, 0x21].iter().for_each(|x| facts.extend(x.to_le_bytes()));
         let sizes = [crc.sum(), size(packed.len())?, size(content.len())?];
@@ -134,7 +135,7 @@ impl Zip {
     fn finish(mut self) -> Result<Vec<u8>, String> {
         let size = |bytes: usize| {
             u32::try_from(bytes)
-                .map_err(|_| "the archive is larger than the 4 GiB of a zip archive".to_owned())
+                .map_err(|_| "the archive exceeds the 4 GiB limit of a zip archive".to_owned())
         };
         let (offset, directory) = (size(self.bytes.len())?, size(self.directory.len())?);
         self.bytes.append(&mut self.directory);

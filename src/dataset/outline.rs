@@ -1,8 +1,10 @@
-//! Polygons of a mask: borders followed as by S. Suzuki and K. Abe, "Topological structural analysis of digitized binary images by border
-//! following", Comput. Vis. Graph. Image Process. 30 (1985) 32, algorithm 1.
+//! Extracts the polygons of a mask by border following: S. Suzuki and K. Abe, "Topological structural
+//! analysis of digitized binary images by border following", Comput. Vis. Graph. Image Process. 30 (1985) 32,
+//! algorithm 1.
 //!
-//! Corners are pixel centres of the mask, pixels that touch at a corner belong together. A hole is cut into the polygon around it by a
-//! stretch of the mask that the polygon runs to and fro. Filled with the even-odd rule, edges included, the polygons are the mask again.
+//! Vertices are pixel centres of the mask; pixels are 8-connected. A hole is connected to the polygon around
+//! it by a bridge that is traversed in both directions. Filling the polygons with the even-odd rule, edges
+//! included, reproduces the mask.
 
 use std::collections::HashMap;
 
@@ -12,8 +14,8 @@ pub(super) type Corner = (i32, i32);
 /// Neighbours of a pixel, clockwise from the right.
 const AROUND: [Corner; 8] = [(1, 0), (1, 1), (0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1)];
 
-/// Polygons of the pixels that are true, one for each connected part, by their first pixels from the top; closed, the last corner is not the
-/// first again.
+/// Returns one closed polygon per connected component of true pixels, ordered by first pixel from the top.
+/// The first vertex is not repeated.
 pub(super) fn polygons(mask: impl Iterator<Item = bool>, columns: usize) -> Vec<Vec<Corner>> {
     let mut borders = Borders::new(mask, columns);
     borders.find();
@@ -33,19 +35,20 @@ pub(super) fn polygons(mask: impl Iterator<Item = bool>, columns: usize) -> Vec<
     outer.map(|number| simplified(joined(borders, &holes, number))).collect()
 }
 
-/// A border, and for that of a hole the pixel of an earlier border to the left of its first.
+/// A border; for that of a hole, also the pixel of an earlier border to the left of its first.
 struct Border {
     corners: Vec<Corner>,
     bridge: Option<Corner>,
 }
 
 struct Borders {
-    /// With a frame of zeros about the mask: 0 outside, 1 not yet on a border, 2 on one, -2 on one whose right neighbour is outside.
+    /// The mask padded with zeros: 0 outside, 1 not yet on a border, 2 on a border, -2 on a border with the
+    /// right neighbour outside.
     labels: Vec<i8>,
     width: i32,
     height: i32,
     borders: Vec<Border>,
-    /// The first border through a pixel, and where in it.
+    /// The first border through a pixel, and the index within it.
     at: HashMap<Corner, (usize, usize)>,
 }
 
@@ -97,11 +100,11 @@ impl Borders {
     /// Follows the border from a pixel whose neighbour in direction `outside` is not in the mask.
     fn follow(&mut self, start: Corner, outside: usize, bridge: Option<Corner>) {
         let mut corners = Vec::new();
-        // Clockwise for the pixel that comes last, then counterclockwise from there.
+        // Search clockwise for the last pixel, then follow counterclockwise from there.
         let last = (1..=8).map(|turn| (outside + turn) % 8).find(|&to| *self.label(step(start, to)) != 0);
         let (mut here, mut from) = (start, last.unwrap_or(outside));
         let end = last.map(|last| step(start, last));
-        // Each pixel is passed in at most four directions.
+        // Each pixel is visited from at most four directions.
         for _ in 0..4 * self.labels.len() {
             corners.push((here.0 - 1, here.1 - 1));
             let (mut to, mut right_is_outside) = (from, false);
@@ -137,10 +140,10 @@ fn step((x, y): Corner, direction: usize) -> Corner {
     (x + dx, y + dy)
 }
 
-/// A border with the holes that hang on it, and those that hang on them.
+/// Joins a border with the holes bridged to it, recursively.
 fn joined(borders: &[Border], holes: &[Vec<(usize, usize)>], outer: usize) -> Vec<Corner> {
     let mut all = Vec::new();
-    // Borders under way: number, next corner, next hole.
+    // Stack of borders: index, next vertex, next hole.
     let mut open = vec![(outer, 0, 0)];
     while let Some((number, place, hole)) = open.pop() {
         let corners = &borders[number].corners;
@@ -154,7 +157,7 @@ fn joined(borders: &[Border], holes: &[Vec<(usize, usize)>], outer: usize) -> Ve
                 open.push((number, place + 1, hole));
             }
             _ => {
-                // Back to the first corner of the hole, and over the bridge.
+                // Back to the first vertex of the hole, then over the bridge.
                 all.extend(borders[number].bridge.map(|_| corners[0]));
                 all.extend(borders[number].bridge);
             }
@@ -163,7 +166,7 @@ fn joined(borders: &[Border], holes: &[Vec<(usize, usize)>], outer: usize) -> Ve
     all
 }
 
-/// Without the corners in the middle of straight stretches.
+/// Removes vertices in the middle of straight edges.
 fn simplified(corners: Vec<Corner>) -> Vec<Corner> {
     let count = corners.len();
     if count < 3 {
@@ -182,7 +185,7 @@ fn simplified(corners: Vec<Corner>) -> Vec<Corner> {
 mod tests {
     use super::*;
 
-    /// The even-odd rule by crossings to the left of each pixel, and the pixels of the edges.
+    /// Fills polygons by the even-odd rule, counting crossings to the left of each pixel, edges included.
     fn filled(polygons: &[Vec<Corner>], columns: usize, rows: usize) -> Vec<bool> {
         let mut mask = vec![false; columns * rows];
         for polygon in polygons {
@@ -229,7 +232,7 @@ mod tests {
         assert_eq!(filled(&found, columns, 7), mask);
     }
 
-    /// Random masks, thin and dense, are their polygons filled.
+    /// Filling the polygons of random masks, sparse and dense, reproduces them.
     #[test]
     fn polygons_of_any_mask_fill_it() {
         let mut state = 1_u64;

@@ -1,21 +1,21 @@
-//! The parts of a data set for training, validation and test.
+//! Splits a data set into training, validation and test parts.
 
 use sha2::{Digest, Sha256};
 
-/// Names that a part may have.
+/// Names of parts.
 const NAMES: [&str; 3] = ["train", "val", "test"];
 
-/// Which share of the runs each part gets.
+/// Share of the runs for each part.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Split {
     parts: Vec<(&'static str, f64)>,
 }
 
 impl Split {
-    /// From `train=0.8,val=0.1,test=0.1`.
+    /// Parses `train=0.8,val=0.1,test=0.1`.
     ///
     /// # Errors
-    /// Another form, another name, a name twice, a share outside 0 to 1, or a sum other than 1; in words.
+    /// Malformed text, an unknown or duplicate name, a share outside 0 to 1, or a sum other than 1; as text.
     pub fn parse(text: &str) -> Result<Split, String> {
         let mut parts: Vec<(&'static str, f64)> = Vec::new();
         for part in text.split(',') {
@@ -24,29 +24,30 @@ impl Split {
             })?;
             let name = NAMES.into_iter().find(|name| *name == given);
             let name =
-                name.ok_or_else(|| format!("`{given}` is no part, expected one of {}", NAMES.join(", ")))?;
+                name.ok_or_else(|| format!("unknown part `{given}`, expected one of {}", NAMES.join(", ")))?;
             if parts.iter().any(|(other, _)| *other == name) {
-                return Err(format!("`{name}` is there twice"));
+                return Err(format!("duplicate part `{name}`"));
             }
             match share.parse::<f64>() {
                 Ok(share) if share > 0.0 && share <= 1.0 => parts.push((name, share)),
-                _ => return Err(format!("`{name}` is {share}, allowed is a share above 0, and at most 1")),
+                _ => return Err(format!("`{name}` is {share}; allowed: a share above 0, at most 1")),
             }
         }
         let sum: f64 = parts.iter().map(|(_, share)| share).sum();
         if (sum - 1.0).abs() > 1e-9 {
-            return Err(format!("the shares make {sum}, expected 1"));
+            return Err(format!("the shares add up to {sum}, expected 1"));
         }
         Ok(Split { parts })
     }
 
-    /// Names of its parts, in the order given.
+    /// Returns the names of its parts in the given order.
     pub fn names(&self) -> Vec<&'static str> {
         self.parts.iter().map(|(name, _)| *name).collect()
     }
 
-    /// The part of a run: a function of the seed and the run alone, so that more runs change the part of none. The first 53 bits of SHA-256
-    /// of `SEED RUN` are a number from 0 to 1, and the parts lie there one after the other.
+    /// Returns the part of a run, which depends only on the seed and the run, so that adding runs does not
+    /// move others. The first 53 bits of the SHA-256 of `SEED RUN` are a number from 0 to 1, a range that the
+    /// parts divide in order.
     pub fn part_of(&self, seed: u64, run: &str) -> usize {
         let digest = Sha256::digest(format!("{seed} {run}").as_bytes());
         let bits = digest.iter().take(8).fold(0_u64, |bits, byte| bits << 8 | u64::from(*byte)) >> 11;
@@ -68,11 +69,11 @@ mod tests {
     fn what_is_no_split_is_refused_by_name() {
         for (given, expected) in [
             ("train", "NAME=SHARE"),
-            ("dev=1", "`dev` is no part, expected one of train, val, test"),
-            ("train=0.5,train=0.5", "twice"),
-            ("train=1.5", "allowed is a share above 0"),
-            ("train=nan,val=1", "allowed is a share above 0"),
-            ("train=0.8,val=0.1", "the shares make 0.9"),
+            ("dev=1", "unknown part `dev`, expected one of train, val, test"),
+            ("train=0.5,train=0.5", "duplicate"),
+            ("train=1.5", "allowed: a share above 0"),
+            ("train=nan,val=1", "allowed: a share above 0"),
+            ("train=0.8,val=0.1", "the shares add up to 0.9"),
             ("", "NAME=SHARE"),
         ] {
             let refused = Split::parse(given).unwrap_err();

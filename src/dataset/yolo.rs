@@ -1,7 +1,8 @@
-//! The formats of Ultralytics, which reads one kind of label from a file: for pose (<https://docs.ultralytics.com/datasets/pose/>) a line for
-//! each class in a frame with class, box and keypoints; for segmentation (<https://docs.ultralytics.com/datasets/segment/>) a line for each
-//! connected part of a class with the corners of its polygon. All are fractions of the image's width and height from its upper left edge.
-//! Only the tool has keypoints; those of the others are 0.
+//! Ultralytics formats, with one kind of label per file: for pose
+//! (<https://docs.ultralytics.com/datasets/pose/>) one line per class in a frame with class, box and
+//! keypoints; for segmentation (<https://docs.ultralytics.com/datasets/segment/>) one line per connected
+//! component of a class with the vertices of its polygon. Coordinates are fractions of the image's width and
+//! height from its upper left corner. Only the tool has keypoints; those of other classes are 0.
 
 use std::fmt::Write as _;
 use std::path::PathBuf;
@@ -43,7 +44,8 @@ impl Dataset {
             let names = self.keypoints.join(", ");
             let _ = write!(
                 text,
-                "# Keypoints: {names}\nkpt_shape: [{count}, 3]\n# A mirrored tool keeps the order of its joints.\nflip_idx: {same:?}\n"
+                "# Keypoints: {names}\nkpt_shape: [{count}, 3]\n# A mirrored tool keeps the order of its \
+                 joints.\nflip_idx: {same:?}\n"
             );
         }
         text.push_str("names:\n");
@@ -54,12 +56,12 @@ impl Dataset {
     }
 }
 
-/// The lines of a class: a polygon each.
+/// Formats the lines of a class, one polygon each.
 fn outlines(sample: &Sample, class: Class) -> String {
     let (columns, rows) = (f64::from(sample.labels.columns), f64::from(sample.labels.rows));
     let mut lines = String::new();
     for mut polygon in polygons(sample.labels.of(class), sample.labels.columns as usize) {
-        // A line with fewer than three corners is taken for a box.
+        // A line with fewer than three vertices would be read as a box.
         while polygon.len() < 3 {
             polygon.extend(polygon.last().copied());
         }
@@ -73,7 +75,7 @@ fn outlines(sample: &Sample, class: Class) -> String {
     lines
 }
 
-/// The line of a class; `None` if it is not in the frame.
+/// Formats the line of a class, or returns `None` if it is not in the frame.
 fn line(sample: &Sample, class: Class) -> Option<String> {
     let labels = &sample.labels;
     let [left, top, width, height] = bounds(labels.of(class), labels.columns as usize)?.map(|x| x as f64);
@@ -89,7 +91,7 @@ fn line(sample: &Sample, class: Class) -> Option<String> {
     for point in &labels.keypoints {
         let [x, y, seen] = match point.visibility {
             seen if class == Class::Tool && seen != Visibility::Outside => {
-                // From pixel centres at whole numbers to the image's edge.
+                // From pixel centres at integers to the image's edge.
                 [(point.column + 0.5) / columns, (point.row + 0.5) / rows, f64::from(seen.code())]
             }
             _ => [0.0; 3],

@@ -1,24 +1,25 @@
-//! A surface of triangles.
+//! A triangle mesh.
 
 use markups::vector::{cross, dot, minus};
 
-/// Triangles that share their corners; LPS, mm.
+/// A triangle mesh with shared vertices; LPS, mm.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Mesh {
-    /// Corners.
+    /// Vertices.
     pub points_mm: Vec<[f64; 3]>,
-    /// Three corners each, counterclockwise seen from outside.
+    /// Vertex indices, counterclockwise seen from outside.
     pub triangles: Vec<[u32; 3]>,
 }
 
 impl Mesh {
-    /// The corners of a triangle.
+    /// Returns the vertices of a triangle.
     pub fn corners_mm(&self, triangle: [u32; 3]) -> [[f64; 3]; 3] {
         triangle.map(|corner| self.points_mm[corner as usize])
     }
 
-    /// Volume within a closed surface: the sum of the tetrahedra between its triangles and its first point (the divergence theorem for the
-    /// field x/3). The first point and not the origin, because a patient's tunnel lies far from the origin and the parts would cancel.
+    /// Returns the volume of a closed mesh: the sum of the tetrahedra between its triangles and its first
+    /// vertex (the divergence theorem for the field x/3). Using the origin instead would suffer from
+    /// cancellation, because a patient's tunnel is far from it.
     pub fn volume_mm3(&self) -> f64 {
         let Some(origin) = self.points_mm.first() else { return 0.0 };
         let six_times = |triangle: &[u32; 3]| {
@@ -28,7 +29,7 @@ impl Mesh {
         self.triangles.iter().map(six_times).sum::<f64>() / 6.0
     }
 
-    /// Adds another surface.
+    /// Appends another mesh.
     pub fn add(&mut self, other: &Mesh) {
         let first = self.points_mm.len() as u32;
         self.points_mm.extend(&other.points_mm);
@@ -42,7 +43,7 @@ pub(crate) mod tests {
 
     use super::*;
 
-    /// Every edge is passed as often in one direction as in the other.
+    /// Every edge occurs equally often in both directions.
     pub(crate) fn assert_closed(mesh: &Mesh) {
         let mut passed: HashMap<[u32; 2], i64> = HashMap::new();
         for [a, b, c] in &mesh.triangles {

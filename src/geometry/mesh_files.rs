@@ -1,8 +1,9 @@
-//! Files of surfaces and curves: STL, OBJ, and VTK's PolyData as XML (`.vtp`).
+//! Writers for meshes and curves: STL, OBJ, and VTK PolyData as XML (`.vtp`).
 //!
-//! Sources: "The StL Format" (fabbers.com/tech/STL_Format, 1989) for binary STL; Wavefront's "Object files (.obj)"; VTK's "File formats for
-//! VTK version 4.2", XML formats. Written here because each is twenty lines, and the crates that write `.vtp` were last released in 2021.
-//! `SPACE=LPS` is how 3D Slicer tells a file in LPS from one in RAS.
+//! Sources: "The StL Format" (fabbers.com/tech/STL_Format, 1989) for binary STL; Wavefront's "Object files
+//! (.obj)"; VTK's "File formats for VTK version 4.2", XML formats. Implemented here because each is twenty
+//! lines, and the crates that write `.vtp` were last released in 2021. 3D Slicer distinguishes LPS from RAS
+//! files by `SPACE=LPS`.
 
 use std::fmt::Write;
 
@@ -10,7 +11,7 @@ use markups::vector::{cross, length, minus};
 
 use super::mesh::Mesh;
 
-/// Binary STL: single precision, no shared corners.
+/// Encodes binary STL: single precision, no shared vertices.
 pub fn stl(mesh: &Mesh) -> Vec<u8> {
     let mut header = [b' '; 80];
     let text = b"Trabecula, mm, SPACE=LPS";
@@ -31,7 +32,7 @@ pub fn stl(mesh: &Mesh) -> Vec<u8> {
     bytes
 }
 
-/// Wavefront OBJ.
+/// Encodes Wavefront OBJ.
 pub fn obj(mesh: &Mesh) -> String {
     let mut text = "# Trabecula, mm, SPACE=LPS\n".to_owned();
     for [x, y, z] in &mesh.points_mm {
@@ -44,13 +45,13 @@ pub fn obj(mesh: &Mesh) -> String {
     text
 }
 
-/// A surface as VTK PolyData.
+/// Encodes a mesh as VTK PolyData.
 pub fn vtp(mesh: &Mesh) -> String {
     let cells: Vec<&[u32]> = mesh.triangles.iter().map(<[u32; 3]>::as_slice).collect();
     poly_data(&mesh.points_mm, &[], &cells, &[])
 }
 
-/// A curve through points as VTK PolyData; `values` are arrays of a number a point, by name.
+/// Encodes a polyline as VTK PolyData; `values` are named arrays with one number per point.
 pub fn curve_vtp(points_mm: &[[f64; 3]], values: &[(&str, Vec<f64>)]) -> String {
     let all: Vec<u32> = (0..points_mm.len() as u32).collect();
     poly_data(points_mm, &[&all], &[], values)
@@ -65,7 +66,8 @@ fn poly_data(
     let mut text = format!(
         "<?xml version=\"1.0\"?>\n<!-- Trabecula, mm, SPACE=LPS -->\n\
          <VTKFile type=\"PolyData\" version=\"0.1\" byte_order=\"LittleEndian\">\n<PolyData>\n\
-         <Piece NumberOfPoints=\"{}\" NumberOfVerts=\"0\" NumberOfLines=\"{}\" NumberOfStrips=\"0\" NumberOfPolys=\"{}\">\n",
+         <Piece NumberOfPoints=\"{}\" NumberOfVerts=\"0\" NumberOfLines=\"{}\" NumberOfStrips=\"0\" \
+         NumberOfPolys=\"{}\">\n",
         points_mm.len(),
         lines.len(),
         polygons.len()
@@ -94,7 +96,7 @@ fn poly_data(
     text
 }
 
-/// Numbers as text: each with just enough digits to be the same number again.
+/// Writes numbers as text that parses back to the same numbers.
 fn array(text: &mut String, attributes: &str, numbers: impl Iterator<Item = impl std::fmt::Debug>) {
     let _ = writeln!(text, "<DataArray {attributes} format=\"ascii\">");
     for number in numbers {

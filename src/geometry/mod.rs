@@ -1,5 +1,5 @@
-//! What a run made, as geometry for other programs: the tunnel, the tool, the burr's path and how far it left the plan. Patient frame (LPS),
-//! mm.
+//! Geometry of a run for export: the tunnel, the tool, the burr's path and its deviation from the plan.
+//! Patient frame (LPS), mm.
 //!
 //! **Boundary:** numbers in, numbers and bytes out; commands open and write the files.
 

@@ -1,31 +1,31 @@
-//! The burr's path as it was, and how far it is from the planned one.
+//! The actual path of the burr, and its deviation from the planned path.
 
 use ipc_types::messages::State;
 use markups::vector::{dot, length, minus, plus};
 
-/// A place of the burr's centre.
+/// A position of the burr's centre.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Place {
-    /// When.
+    /// Tick.
     pub tick: u64,
     /// Simulated time.
     pub time_s: f64,
-    /// Where, LPS.
+    /// Position, LPS.
     pub burr_mm: [f64; 3],
 }
 
-/// A place beside the plan.
+/// A position relative to the planned path.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Deviation {
-    /// The place.
+    /// Position of the burr.
     pub place: Place,
-    /// Length of the planned path up to its nearest point.
+    /// Length of the planned path up to the nearest point.
     pub along_mm: f64,
-    /// Distance from there.
+    /// Distance from the nearest point.
     pub deviation_mm: f64,
 }
 
-/// Where the burr was, a place whenever it has come this far from the last one; the first and the last always.
+/// The burr's path, sampled at a minimum distance; the first and last positions are always included.
 #[derive(Debug)]
 pub struct Travelled {
     step_mm: f64,
@@ -34,12 +34,12 @@ pub struct Travelled {
 }
 
 impl Travelled {
-    /// A path without places.
+    /// Creates an empty path.
     pub fn new(step_mm: f64) -> Travelled {
         Travelled { step_mm, places: Vec::new(), last: None }
     }
 
-    /// The next state.
+    /// Adds the next state.
     pub fn see(&mut self, state: &State) {
         let burr_mm = state.t_world_burr.position_m.map(|x| 1e3 * x);
         let place = Place { tick: state.tick, time_s: state.sim_time_s, burr_mm };
@@ -50,12 +50,12 @@ impl Travelled {
         self.last = Some(place);
     }
 
-    /// What has been kept of it until now.
+    /// Returns the samples so far.
     pub fn so_far(&self) -> &[Place] {
         &self.places
     }
 
-    /// All of it.
+    /// Returns all samples.
     pub fn places(mut self) -> Vec<Place> {
         if let Some(last) = self.last.filter(|last| self.places.last() != Some(last)) {
             self.places.push(last);
@@ -64,7 +64,8 @@ impl Travelled {
     }
 }
 
-/// How far the burr was from the planned path on its way in, up to the place that is farthest along it: what follows is the way out.
+/// Returns the deviations of the burr from the planned path during insertion, that is, up to the position
+/// farthest along the path; what follows is the retraction.
 pub fn deviations(planned_mm: &[[f64; 3]], places: &[Place]) -> Vec<Deviation> {
     let mut all: Vec<Deviation> = places.iter().filter_map(|place| deviation(planned_mm, *place)).collect();
     let farthest = (0..all.len()).max_by(|a, b| all[*a].along_mm.total_cmp(&all[*b].along_mm));
@@ -72,7 +73,7 @@ pub fn deviations(planned_mm: &[[f64; 3]], places: &[Place]) -> Vec<Deviation> {
     all
 }
 
-/// The nearest point of the path's pieces.
+/// Returns the deviation from the nearest point of the path's segments.
 fn deviation(planned_mm: &[[f64; 3]], place: Place) -> Option<Deviation> {
     let mut passed_mm = 0.0;
     let mut nearest: Option<Deviation> = None;
@@ -93,7 +94,7 @@ fn deviation(planned_mm: &[[f64; 3]], place: Place) -> Option<Deviation> {
 mod tests {
     use super::*;
 
-    /// 52 mm along +z and a quarter of a circle of 25 mm radius.
+    /// 52 mm along +z, then a quarter circle of 25 mm radius.
     fn path() -> Vec<[f64; 3]> {
         let line = (0..=208).map(|step| [0.0, 0.0, -10.0 + 0.25 * f64::from(step)]);
         let arc = (1..=100).map(|step| (core::f64::consts::FRAC_PI_2 * f64::from(step) / 100.0).sin_cos());

@@ -1,4 +1,4 @@
-//! The tool as a surface.
+//! The tool as a mesh.
 
 use ipc_types::messages::{Pose, State};
 use ipc_types::scene::{Cutter, CutterZone, ToolRadii};
@@ -6,12 +6,13 @@ use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
 use super::mesh::Mesh;
 
-/// Corners of a cross-section.
+/// Vertices per cross-section.
 const SIDES: u32 = 24;
-/// Circles of a ball of the burr between its poles.
+/// Circles per ball of the burr between its poles.
 const CIRCLES: u32 = 11;
 
-/// The tool of a state: a tube through base and links up to the burr, closed at both ends, the burr, and the outer tube if there is one.
+/// Builds the mesh of the tool in a state: a closed tube through base and links up to the burr, the burr, and
+/// the outer tube if present.
 pub fn surface(state: &State, radii: &ToolRadii) -> Mesh {
     let count = (state.joint_count as usize).min(state.t_world_link.len());
     let poses =
@@ -30,7 +31,8 @@ pub fn surface(state: &State, radii: &ToolRadii) -> Mesh {
     tool
 }
 
-/// Circles of the burr from its back to its front: of each ball those in its own zone, and where two balls meet.
+/// Returns the circles of the burr from back to front: those in each ball's own zone, and those where two
+/// balls meet.
 fn burr_rings<'p>(pose: &'p Pose, cutter: &Cutter) -> Vec<Ring<'p>> {
     let zones: Vec<CutterZone> = cutter.zones().collect();
     let mut rings = Vec::new();
@@ -50,7 +52,7 @@ fn burr_rings<'p>(pose: &'p Pose, cutter: &Cutter) -> Vec<Ring<'p>> {
     rings
 }
 
-/// A circle across the z axis of a pose.
+/// A circle perpendicular to the z axis of a pose.
 struct Ring<'a> {
     pose: &'a Pose,
     ahead_m: f64,
@@ -66,7 +68,7 @@ impl Ring<'_> {
     }
 }
 
-/// The surface through circles one ahead of the other, closed by a flat lid at each end.
+/// Builds the surface through consecutive circles, closed by a flat cap at each end.
 fn swept(rings: &[Ring]) -> Mesh {
     let mut mesh = Mesh::default();
     for ring in rings {
@@ -99,8 +101,8 @@ mod tests {
     use crate::geometry::mesh::tests::assert_closed;
     use ipc_types::scene::STANDARD_RADII;
 
-    /// A straight tool of 40 mm: cylinder and ball in closed form. 24 corners hold sin(15°)/15° = 98.9 % of a circle's area, and
-    /// 12 zones of the ball a little less.
+    /// A straight tool of 40 mm against the exact cylinder and ball. 24 vertices enclose sin(15°)/15° = 98.9
+    /// % of a circle's area, and 12 zones of the ball slightly less.
     #[test]
     fn a_straight_tool_has_the_volume_of_its_cylinder_and_its_burr() {
         let mut state = State::zeroed();

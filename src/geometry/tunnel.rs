@@ -1,4 +1,4 @@
-//! The tunnel: the surface around the voxels that are gone.
+//! The tunnel: the surface around the removed voxels.
 
 use std::collections::HashMap;
 
@@ -8,11 +8,11 @@ use voxel_grid::VoxelGrid;
 
 use super::mesh::Mesh;
 
-/// A voxel that is gone, to the mesher, whose inside is what is above its threshold of 0.
+/// Mesher value of a removed voxel; the mesher's inside is above its threshold of 0.
 const GONE: i16 = 1000;
 
-/// The closed surface around these voxels, half-way between them and their neighbours: the viewer's surface nets
-/// (`viewer_proc::surface`), with the tunnel as what is inside.
+/// Builds the closed surface around these voxels, half-way to their neighbours, with the viewer's surface
+/// nets (`viewer_proc::surface`).
 pub fn surface(grid: &VoxelGrid, gone: &[u32]) -> Mesh {
     let mut inside = vec![-GONE; grid.voxel_count()];
     for index in gone {
@@ -23,7 +23,7 @@ pub fn surface(grid: &VoxelGrid, gone: &[u32]) -> Mesh {
     let field = Field::new(*grid, 0);
     let mut blocks = Blocks::new(grid);
     let mut mesh = Mesh::default();
-    // Blocks repeat the corners that they share, in the same steps.
+    // Blocks repeat their shared vertices with the same quantization.
     let mut numbers: HashMap<[i64; 3], u32> = HashMap::new();
     for block in blocks.mesh_changed(&field, &inside, usize::MAX) {
         let mut number = |corner: u32| {
@@ -42,12 +42,12 @@ pub fn surface(grid: &VoxelGrid, gone: &[u32]) -> Mesh {
     if is_left_handed(grid) {
         mesh.triangles.iter_mut().for_each(|triangle| triangle.swap(1, 2));
     }
-    // Corners that fell onto one step leave triangles without area.
+    // Vertices quantized to the same point leave triangles without area.
     mesh.triangles.retain(|[a, b, c]| a != b && b != c && c != a);
     mesh
 }
 
-/// Whether the voxels' axes are a mirror image of the patient's.
+/// Returns whether the voxel axes are left-handed in the patient frame.
 fn is_left_handed(grid: &VoxelGrid) -> bool {
     let [i, j, k] = grid.axes();
     dot(cross(i, j), k) < 0.0
@@ -63,7 +63,7 @@ mod tests {
         VoxelGrid::new([60; 3], [0.5e-3, 0.5e-3, 0.75e-3], [-0.1, 0.05, 0.2], axes).unwrap()
     }
 
-    /// A bore of 7 mm diameter and 25 mm length through the middle of the grid, also over its border.
+    /// A bore of 7 mm diameter and 25 mm length through the middle of the grid, optionally across its border.
     fn bore(grid: &VoxelGrid, last: usize) -> Vec<u32> {
         let centre_m = grid.world_m([29.5; 3]);
         let is_in = |index: &u32| {
@@ -76,7 +76,8 @@ mod tests {
         (0..grid.voxel_count() as u32).filter(is_in).collect()
     }
 
-    /// Surface nets round the edges of voxels off: of a bore of 7 mm in voxels of 0.5 mm they take 2 % or less, wherever the bore ends.
+    /// Surface nets round off voxel edges: for a bore of 7 mm in voxels of 0.5 mm they lose at most 2 % of
+    /// the volume, wherever the bore ends.
     #[test]
     fn the_surface_of_a_bore_is_closed_and_holds_its_voxels() {
         for (k_axis, last) in [([0.0, 0.0, 1.0], 40), ([0.0, 0.0, -1.0], 40), ([0.0, 0.0, 1.0], 59)] {

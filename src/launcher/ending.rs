@@ -1,8 +1,8 @@
 //! Ends a run.
 //!
-//! Order: the physics exits once its consumers have received everything; the DRR process and the controllers exit when
-//! the physics says so; the recorder is stopped last, when nobody publishes any more. A signal shortens every wait
-//! except the recorder's, which must finish the log; a second signal ends that one too.
+//! Order: the physics exits once its consumers have received everything; the DRR process and the controllers
+//! exit when the physics announces the end; the recorder is stopped last, after all publishers. A signal
+//! shortens every wait except the recorder's, which must finish the log; a second signal ends that one too.
 
 use std::time::{Duration, Instant};
 
@@ -18,16 +18,16 @@ use super::part::Part;
 use super::run::{Outcome, RunPlan, RunState, has_gap, judge};
 
 const POLL_PERIOD: Duration = Duration::from_millis(5);
-/// How long a part may take to end.
+/// Timeout for a part to end.
 const END_LIMIT: Duration = Duration::from_secs(130);
 /// The same limit after a failure.
 const FAILED_LIMIT: Duration = Duration::from_secs(10);
-/// The same limit after a signal: once for the physics, then once for all others together, which get half of it before
-/// they receive SIGTERM.
+/// The same limit after a signal: once for the physics, then once for all others together, which get half of
+/// it before they receive SIGTERM.
 const HURRIED_LIMIT: Duration = Duration::from_secs(1);
-/// How long a controller that ignores the end of the run may continue before it is asked to end.
+/// How long a controller that ignores the end of the run can continue before it receives SIGTERM.
 const CONTROLLER_END_TIME: Duration = Duration::from_secs(3);
-/// How long the viewer may take to tell its clients that the run has ended; when nobody watches it ends at once.
+/// Timeout for the viewer to notify its clients that the run has ended; without clients it ends at once.
 const VIEWER_LIMIT: Duration = Duration::from_secs(3);
 
 /// A run that is ending.
@@ -36,7 +36,7 @@ pub(super) struct Ending<'a> {
     pub(super) end: &'a EndRequest,
     /// The session's host.
     pub(super) host: &'a SessionHost,
-    /// Whether the physics has reported anything. Before that, no part has anything to finish.
+    /// Whether the physics has reported a status. Before that, no part has anything to finish.
     pub(super) has_begun: bool,
 }
 
@@ -48,8 +48,8 @@ struct Wait<'a> {
 }
 
 impl Wait<'_> {
-    /// Whether a limit has expired. The hurried limit counts from the signal, or from the start of the wait if the
-    /// signal came earlier.
+    /// Returns whether a limit has expired. The hurried limit counts from the signal, or from the start of
+    /// the wait if the signal arrived earlier.
     fn is_over(&mut self, limit: Duration, hurried_limit: Duration) -> bool {
         if self.hurried.is_none() && self.end.is_set() {
             self.hurried = Some(Instant::now());
@@ -58,11 +58,11 @@ impl Wait<'_> {
     }
 }
 
-/// When a part is asked to end.
+/// When a part receives SIGTERM.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Ask {
     AtOnce,
-    /// Once it has had its own time to end, or nobody waits for it.
+    /// After it has had its own time to end, or at once if nothing depends on it.
     WhenDue,
 }
 
@@ -71,13 +71,14 @@ impl Ending<'_> {
         Wait { end: self.end, began: Instant::now(), hurried: None }
     }
 
-    /// Ends all parts in order; returns when the physics ended, and the outcome updated by how the others ended.
+    /// Ends all parts in order; returns when the physics ended, and the outcome, which the other parts can
+    /// worsen.
     pub(super) fn end_parts(&self, outcome: Outcome, parts: &mut [Part]) -> (Instant, Outcome) {
         let mut outcome = outcome;
         let mut reason = None;
         self.write_reason(&mut reason, &outcome, parts);
         let stops = !outcome.is_regular();
-        // In a run that never began, parts have nothing to finish and do not listen yet.
+        // In a run that never started, parts have nothing to finish and do not listen yet.
         let is_deaf = stops && !self.has_begun;
         let limit = match (is_deaf, &outcome) {
             (true, _) => Duration::ZERO,
@@ -103,14 +104,14 @@ impl Ending<'_> {
             }
         }
         if let Some(reason) = reason {
-            // A recorder that died has not consumed the file.
+            // A recorder that died has not read the file.
             let _ = reason.remove();
         }
         (over, if is_deaf { outcome } else { self.with_end_of(RECORDER, outcome, parts) })
     }
 
-    /// Ends the physics. It stays until the DRR process and the recorder have everything; if one of them dies, or the
-    /// user is in a hurry, it is told to stop waiting.
+    /// Ends the physics. It waits until the DRR process and the recorder have received everything; if one of
+    /// them dies, or after a signal, it is asked to stop waiting.
     fn end_physics(&self, limit: Duration, ask: Ask, parts: &mut [Part]) {
         let (mut wait, mut asked) = (self.wait(), false);
         loop {
@@ -137,7 +138,8 @@ impl Ending<'_> {
         }
     }
 
-    /// Ends the DRR process and the controllers in parallel. With [`Ask::AtOnce`], they have not been told that the run is over.
+    /// Ends the DRR process and the controllers in parallel. With [`Ask::AtOnce`], they have not been
+    /// notified that the run is over.
     fn end_others(&self, limit: Duration, ask: Ask, parts: &mut [Part]) {
         let mut others: Vec<(&mut Part, bool)> = parts
             .iter_mut()
@@ -152,8 +154,8 @@ impl Ending<'_> {
             }
             let is_over = wait.is_over(limit, HURRIED_LIMIT);
             for (part, asked) in &mut others {
-                // When the physics ends it tells the DRR process and the controllers, but some controllers do not
-                // listen.
+                // The physics notifies the DRR process and the controllers when it ends, but some controllers
+                // ignore it.
                 let own_time = if part.name == DRR { END_LIMIT } else { CONTROLLER_END_TIME };
                 if !*asked && (ask == Ask::AtOnce || wait.is_over(own_time, HURRIED_LIMIT / 2)) {
                     part.ask_to_end();
@@ -169,8 +171,8 @@ impl Ending<'_> {
         }
     }
 
-    /// Lets the viewer come to its end, or kills it. After a regular run that was recorded it shows the log as long as a page is open, and is
-    /// returned.
+    /// Waits for the viewer to end, or kills it. After a regular recorded run it shows the log while a page
+    /// is open, and is returned.
     pub(super) fn end_viewer(&self, mut viewer: Part, outcome: &Outcome) -> Option<Part> {
         let may_stay = self.plan.output.is_some() && outcome.is_regular();
         let mut wait = self.wait();
@@ -192,8 +194,8 @@ impl Ending<'_> {
         }
     }
 
-    /// A run whose log could not be finished, or whose last frames are missing, has failed even if all its ticks were
-    /// run. An interrupted run may lack frames.
+    /// Returns the outcome given how a part ended. A run with an unfinished log or missing last frames has
+    /// failed even if all ticks were run; an interrupted run may lack frames.
     fn with_end_of(&self, name: &str, outcome: Outcome, parts: &mut [Part]) -> Outcome {
         let expected = self.end.is_urgent() || (name == DRR && outcome == Outcome::Interrupted);
         let found = parts.iter_mut().find(|part| part.name == name);
@@ -206,8 +208,8 @@ impl Ending<'_> {
         died
     }
 
-    /// Tells the recorder the end reason for the log: through a file in the session's folder, or, if that has been
-    /// removed, in the run's folder.
+    /// Passes the end reason for the log to the recorder through a file in the session's folder, or in the
+    /// run's folder if the former was removed.
     fn write_reason(&self, in_output: &mut Option<SavedFile>, outcome: &Outcome, parts: &[Part]) {
         let reason = match outcome {
             Outcome::Completed => EndReason::Completed,
@@ -222,7 +224,7 @@ impl Ending<'_> {
             Outcome::SimulationFailed(text) => EndReason::SimulationFailed(text.clone()),
             Outcome::Interrupted => EndReason::Interrupted,
             Outcome::PartDied { name, .. } => EndReason::PartDied(name.clone()),
-            // Nobody reads the end of a log that was removed.
+            // The end of a removed log is never read.
             Outcome::LogGone(_) => EndReason::LogMoved,
         };
         let reason = reason.text();
@@ -231,7 +233,7 @@ impl Ending<'_> {
             return;
         }
         let Some(recorder) = parts.iter().find(|part| part.name == RECORDER) else { return };
-        // If neither folder works, the log's end blames the launcher; the exit code and the message still tell.
+        // If neither folder works, the log's end names the launcher; exit code and message are still correct.
         if in_output.is_none() {
             *in_output = SavedFile::create(&reason_file::in_output(output, recorder.pid())).ok();
         }

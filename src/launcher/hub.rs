@@ -52,7 +52,7 @@ pub struct Hub {
     is_hidden: Cell<bool>,
 }
 
-/// Why the hub cannot be set up.
+/// Errors of setting up the hub.
 #[derive(Debug, thiserror::Error)]
 pub enum HubError {
     /// The session failed.
@@ -69,12 +69,12 @@ pub enum HubError {
         /// The system's reason.
         cause: String,
     },
-    /// Too few files may be open.
+    /// The limit of open files is too low.
     #[error(
-        "{most} files may be open, a session needs {LEAST_FILES}: raise the limit (`ulimit -n {LEAST_FILES}`)"
+        "open file limit is {most}, a session needs {LEAST_FILES}: raise it with `ulimit -n {LEAST_FILES}`"
     )]
     Files {
-        /// How many, for each process.
+        /// Limit for each process.
         most: u64,
     },
     /// A part cannot be started.
@@ -89,8 +89,8 @@ pub enum HubError {
     },
 }
 
-/// How the parts wait for each other. In real time the next state is a period away: a hybrid wait would yield in vain,
-/// and yielding may lose the core for as long as a renderer's thread wants it.
+/// Returns how the parts wait for each other. In real time the next state is a period away, so a hybrid wait
+/// would yield in vain, and yielding can lose the core for as long as a rendering thread needs it.
 fn wait_for_each_other(scene: &Scene) -> Wait {
     match (scene.run.mode, scene.run.wait) {
         (Mode::Realtime, Wait::Hybrid) => Wait::Event,
@@ -98,20 +98,20 @@ fn wait_for_each_other(scene: &Scene) -> Wait {
     }
 }
 
-/// Whether a recorder takes part; if so, the physics waits for it.
+/// Whether the run has a recorder, for which the physics waits.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Recording {
-    /// One does.
+    /// With a recorder.
     On,
-    /// None does.
+    /// Without a recorder.
     Off,
 }
 
-/// Files that each process of a session may have open, at least: physics and launcher have some 130 open. Below that, shared memory that
-/// a process waits for never comes.
+/// Minimum limit of open files per process: physics and launcher have about 130 open. Below that, a process
+/// waits forever for shared memory that cannot be opened.
 const LEAST_FILES: u64 = 256;
 
-/// Raises the limit of open files, which the parts inherit, to what a session needs.
+/// Raises the limit of open files, inherited by the parts, to what a session needs.
 fn allow_files() -> Result<(), HubError> {
     let limit = getrlimit(Resource::Nofile);
     if limit.current.is_none_or(|most| most >= LEAST_FILES) {
@@ -121,7 +121,7 @@ fn allow_files() -> Result<(), HubError> {
     setrlimit(Resource::Nofile, raised).map_err(|_| HubError::Files { most: limit.current.unwrap_or(0) })
 }
 
-/// A command of this program, for a part.
+/// Returns the command that runs a part with this program.
 fn own_program(part: &str) -> Result<Command, HubError> {
     let cannot = |cause| HubError::Start { part: part.to_owned(), program: "trabecula".to_owned(), cause };
     std::env::current_exe().map(Command::new).map_err(cannot)
@@ -175,12 +175,14 @@ impl Hub {
         self.host.session.folder()
     }
 
-    /// Sends the volume to everyone who has joined since the last call. Reports once when nobody can join any more.
+    /// Sends the volume to all programs that have joined since the last call. Reports once if the session's
+    /// folder was removed, so that no other program can join.
     pub fn serve_late_joiners(&self) -> Result<(), PortError> {
         if !self.is_hidden.get() && !self.host.session.is_announced() {
             self.is_hidden.set(true);
             tell!(
-                "trabecula: {}: the session's folder was removed; the run continues, but no other program can join",
+                "trabecula: {}: the session's folder was removed; the run continues, but no other program \
+                 can join",
                 self.folder().display()
             );
         }

@@ -1,4 +1,4 @@
-//! What a signal to the launcher does at each stage of a run. A dedicated thread handles it, so that the launcher
+//! Handles signals to the launcher at each stage of a run, in a dedicated thread, so that the launcher
 //! responds even while it reads a volume or draws a figure.
 
 use std::path::{Path, PathBuf};
@@ -11,19 +11,19 @@ use super::part;
 use crate::failure::EXIT_INTERRUPTED;
 use crate::printer;
 
-/// How long the launcher may take to exit once all its parts have been killed.
+/// Timeout for the launcher to exit once all its parts have been killed.
 const EXIT_LIMIT: Duration = Duration::from_secs(2);
 
 #[derive(Debug)]
 enum Stage {
-    /// Nothing runs yet and nothing can be lost: a signal ends the process and removes these folders if they are
+    /// No part runs yet and nothing can be lost: a signal ends the process and removes these folders if
     /// empty.
     Before(Vec<PathBuf>),
     /// Parts are running or ending.
     Running,
     /// The logs are complete; the report is being written.
     Reporting,
-    /// All is written; the viewer still shows the log. The exit code that the run has earned.
+    /// Everything is written; the viewer still shows the log. Holds the run's exit code.
     Shown(u8),
 }
 
@@ -39,17 +39,18 @@ impl Interrupts {
     /// Starts handling signals.
     ///
     /// # Errors
-    /// The system refuses to install a handler or to start the thread.
+    /// The handler cannot be installed, or the thread cannot be started.
     pub fn install() -> std::io::Result<Interrupts> {
         let stage = Arc::new(Mutex::new(Stage::Before(Vec::new())));
         let seen = Arc::clone(&stage);
-        // The thread holds the lock until the process ends, so that no new stage begins once it has decided to exit.
+        // The thread holds the lock until the process ends, so that no new stage begins once it has decided
+        // to exit.
         let end = EndRequest::answered(move |signal| answer(&lock(&seen), signal))?;
         Ok(Interrupts { end, stage })
     }
 
-    /// Creates the run's folder. A signal before the run begins removes it, along with any parent folders created for
-    /// it.
+    /// Creates the run's folder. A signal before the run starts removes it, with any parent folders created
+    /// for it.
     pub fn make_folder(
         &self,
         parent: &Path,
@@ -64,7 +65,8 @@ impl Interrupts {
         Ok(folder)
     }
 
-    /// Marks the run as begun: from now on there is something to lose. Returns the folders that are still empty.
+    /// Marks the run as started, so that data can be lost from now on. Returns the folders that are still
+    /// empty.
     pub fn run_begins(&self) -> Vec<PathBuf> {
         match std::mem::replace(&mut *lock(&self.stage), Stage::Running) {
             Stage::Before(folders) => folders,
@@ -77,7 +79,7 @@ impl Interrupts {
         *lock(&self.stage) = Stage::Reporting;
     }
 
-    /// Marks everything as written, with the exit code that a signal now leaves.
+    /// Marks everything as written, with the exit code to use on a signal.
     pub fn showing_begins(&self, code: u8) {
         *lock(&self.stage) = Stage::Shown(code);
     }
@@ -95,28 +97,29 @@ pub fn remove_empty(folders: &[PathBuf]) {
 }
 
 fn answer(stage: &Stage, signal: EndSignal) {
-    // Whoever sent the signal should not wait for a stopped terminal.
+    // Do not wait for a stopped terminal.
     printer::hurry();
     let (EndSignal::First(name) | EndSignal::Repeated(name)) = signal;
     match (stage, signal) {
         (Stage::Before(folders), _) => {
             remove_empty(folders);
-            tell!("trabecula: {name}: stopped before the run had started");
+            tell!("trabecula: {name}: stopped before the run started");
             printer::leave(EXIT_INTERRUPTED);
         }
         (Stage::Reporting, _) => {
-            tell!("trabecula: {name}: the logs are whole, pictures and summary.json may be missing");
+            tell!("trabecula: {name}: the logs are complete, but figures and summary.json may be missing");
             printer::leave(EXIT_INTERRUPTED);
         }
         (Stage::Shown(code), _) => printer::leave(*code),
         (Stage::Running, EndSignal::First(_)) => {
             tell!(
-                "trabecula: {name}: stopping the run and finishing its log; a second signal kills everything at once"
+                "trabecula: {name}: stopping the run and finishing its log; a second signal kills \
+                 everything at once"
             );
         }
         (Stage::Running, EndSignal::Repeated(_)) => {
             part::end_all_at_once();
-            // The launcher cleans up after its parts; if it hangs, the next run does.
+            // The launcher cleans up after its parts; if it hangs, the next run cleans up.
             std::thread::spawn(|| {
                 std::thread::sleep(EXIT_LIMIT);
                 std::process::exit(EXIT_INTERRUPTED.into());

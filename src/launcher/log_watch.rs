@@ -1,4 +1,4 @@
-//! Checks that the log of a run still exists where it is being written.
+//! Checks that the log being written still exists at its path.
 
 use std::fs::{File, Metadata};
 use std::os::fd::AsRawFd;
@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 /// Interval between checks.
 const CHECK_PERIOD: Duration = Duration::from_millis(250);
 
-/// Watches `run.mcap`. Otherwise the recorder would keep writing to an unlinked file, and nobody would notice.
+/// Watches `run.mcap`; otherwise the recorder would silently keep writing to an unlinked file.
 #[derive(Debug)]
 pub(super) struct LogWatch {
     log: PathBuf,
@@ -23,7 +23,7 @@ impl LogWatch {
         LogWatch { log: folder.join("run.mcap"), file: None, looked: Instant::now() }
     }
 
-    /// What happened to the log, if it is no longer in place.
+    /// Returns what happened to the log if it is no longer in place.
     pub(super) fn check(&mut self) -> Option<String> {
         if self.looked.elapsed() < CHECK_PERIOD {
             return None;
@@ -59,7 +59,7 @@ mod tests {
             watch.looked -= CHECK_PERIOD;
             watch.check()
         };
-        assert_eq!(look(), None, "not made yet");
+        assert_eq!(look(), None, "not created yet");
         let (log, other) = (folder.path().join("run.mcap"), folder.path().join("other.mcap"));
         std::fs::write(&log, "x").unwrap();
         assert_eq!((look(), look()), (None, None));

@@ -1,4 +1,4 @@
-//! One process of a run: starting, watching and ending it.
+//! Starts, watches and ends one process of a run.
 
 use std::collections::VecDeque;
 use std::io::{BufRead, BufReader, Error, Read, Write};
@@ -23,14 +23,14 @@ use crate::printer::Echo;
 const LAST_WORDS: usize = 20;
 /// Longest line kept, in bytes; longer ones are split.
 const LONGEST_LINE: u64 = 4096;
-/// How long to wait for the last output lines.
+/// Timeout for the last output lines.
 const WORDS_LIMIT: Duration = Duration::from_secs(1);
-/// How long a keeper may take to report that it has started its program.
+/// Timeout for a keeper to report that it has started its program.
 const START_LIMIT: Duration = Duration::from_secs(20);
-/// How long a keeper may take to kill everything; after that it is killed itself.
+/// Timeout for a keeper to kill everything, after which it is killed itself.
 const KEEPER_LIMIT: Duration = Duration::from_secs(3);
 
-/// Looks in a row that must find no orphan.
+/// Number of consecutive checks that must find no orphan.
 const LOOKS_WITHOUT_ORPHANS: u32 = 3;
 /// Interval between checks for orphans of a killed keeper.
 const ORPHAN_POLL_PERIOD: Duration = Duration::from_millis(2);
@@ -41,7 +41,7 @@ static RUNNING: Mutex<Vec<KillHandle>> = Mutex::new(Vec::new());
 /// Whether this process is the subreaper of its parts' descendants.
 static IS_SUBREAPER: AtomicBool = AtomicBool::new(false);
 
-/// What is needed to kill a part.
+/// Handle to kill a part.
 #[derive(Debug, Clone)]
 struct KillHandle {
     /// Leads its own process group (`bind_to_parent`).
@@ -66,21 +66,21 @@ impl KillHandle {
     }
 }
 
-/// Kills every part of this process, with everything that they have started.
+/// Kills every part of this process and all their descendants.
 pub fn end_all_at_once() {
     // A part leaves the list before it is reaped, so its group number cannot have been reused.
     running().iter().for_each(KillHandle::end_at_once);
 }
 
-/// Makes this process the subreaper: orphans of a killed keeper become its children and are killed with it. Only for a
-/// process whose children are all parts. A viewer must not be among them: its orphan is a browser, which the user
-/// keeps.
+/// Makes this process the subreaper, so that orphans of a killed keeper become its children and are killed
+/// too. Only for a process whose children are all parts. They must not include a viewer, whose orphan can be
+/// the user's browser.
 pub fn adopt() {
     IS_SUBREAPER.store(set_child_subreaper(Some(getpid())).is_ok(), Ordering::Relaxed);
 }
 
-/// Kills the orphans of a killed keeper; a keeper that exits normally leaves none. Repeats, because a process may
-/// spawn another just before it is killed or ends, which one look through `/proc` can miss.
+/// Kills the orphans of a killed keeper; a keeper that exits normally leaves none. Repeats, because a scan of
+/// `/proc` can miss a process spawned just before its parent ends.
 fn kill_orphans() {
     let end = Instant::now() + KEEPER_LIMIT;
     let mut killed = Vec::new();
@@ -139,7 +139,8 @@ pub struct Memory {
 }
 
 impl Memory {
-    /// Updates the figures from a process, given as a process ID or `self`. Does nothing if the process is gone.
+    /// Updates the values from a process, given as a process ID or `self`. Does nothing if the process has
+    /// ended.
     pub fn measure(&mut self, process: &str) {
         let Ok(text) = std::fs::read_to_string(format!("/proc/{process}/status")) else { return };
         // A zombie has no such lines.
@@ -157,12 +158,12 @@ impl Memory {
     }
 }
 
-/// What becomes of a program's output, besides its last lines.
+/// Handling of a program's output, apart from keeping its last lines.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ProgramOutput {
-    /// It is shown, each line with the program's name.
+    /// Print it, each line prefixed with the program's name.
     Shown,
-    /// Nothing.
+    /// Discard it.
     Hidden,
 }
 
@@ -224,7 +225,7 @@ impl Part {
         self.child.id()
     }
 
-    /// The exit status, if the part has ended. Everything it started ends with it.
+    /// Returns the exit status if the part has ended. All its descendants end with it.
     pub fn ended(&mut self) -> Option<ExitStatus> {
         if self.status.is_none() && self.is_to_be_reaped() {
             self.kill_handle.signal(Signal::KILL);
@@ -233,7 +234,7 @@ impl Part {
         self.status
     }
 
-    /// Whether the part is still running; once ended, it cannot be measured.
+    /// Returns whether the part is still running; once ended, it cannot be measured.
     pub fn is_running(&self) -> bool {
         self.status.is_none() && !self.is_to_be_reaped()
     }
@@ -252,7 +253,7 @@ impl Part {
         }
     }
 
-    /// The last output lines of a part that has ended.
+    /// Returns the last output lines of a part that has ended.
     pub fn last_words(&self) -> Vec<String> {
         // Output may still be in the pipe, and an orphan may keep the pipe open.
         let end = Instant::now() + WORDS_LIMIT;
@@ -276,7 +277,7 @@ impl Part {
         }
     }
 
-    /// Kills the part, with everything that it has started.
+    /// Kills the part and all its descendants.
     pub fn kill(&mut self) {
         if self.ended().is_some() {
             return;
@@ -289,7 +290,7 @@ impl Part {
         self.reap();
     }
 
-    /// Waits for the part to end and kills it after the limit. Returns whether it ended by itself.
+    /// Waits for the part to end and kills it after the limit. Returns whether it ended on its own.
     pub fn wait(&mut self, limit: Duration) -> bool {
         let ended = self.ends_within(limit);
         if !ended {
@@ -327,7 +328,7 @@ fn listen(
     std::thread::spawn(move || {
         let mut output = BufReader::new(output);
         let mut bytes = Vec::new();
-        // Read to the end, whatever the bytes: if nobody read the pipe, the part's next write would kill it.
+        // Read to the end, whatever the bytes; otherwise SIGPIPE would kill the part at its next write.
         while output.by_ref().take(LONGEST_LINE).read_until(b'\n', &mut bytes).is_ok_and(|count| count > 0) {
             let line = String::from_utf8_lossy(&bytes).trim_end_matches(['\n', '\r']).to_owned();
             bytes.clear();

@@ -1,5 +1,5 @@
-//! The progress display: a small table rewritten in place on a terminal, a line every two seconds elsewhere, or lines
-//! of JSON for scripts.
+//! The progress display: a small table rewritten in place on a terminal, a line every two seconds elsewhere,
+//! or lines of JSON for scripts.
 
 use std::io::{IsTerminal, Write, stderr};
 use std::time::{Duration, Instant};
@@ -79,7 +79,7 @@ impl Display {
         self.draw(&lines);
     }
 
-    /// Says which session this is; a script gets it on standard output.
+    /// Prints the session's name; scripts get it on standard output.
     fn announce(&self, snapshot: &RunSnapshot) {
         let session = snapshot.session.display();
         match self.style {

@@ -1,5 +1,5 @@
-//! Handles controller programs that end before the run does: restarts them, or continues without them, as the scene
-//! says.
+//! Handles controller programs that end before the run: restarts them or continues without them, as
+//! configured in the scene.
 
 use ipc_types::messages::{EventCode, Part as HubPart, Participant, Severity, Tick};
 use ipc_types::ports::PortError;
@@ -11,7 +11,7 @@ use super::hub::Hub;
 use super::part::Part;
 use super::run::RunPlan;
 
-/// The programs that have ended, and what was reported about each.
+/// Programs that have ended, and the report about each.
 #[derive(Debug)]
 pub(super) struct Replacements {
     events: EventSender,
@@ -27,7 +27,7 @@ impl Replacements {
         })
     }
 
-    /// The program of this part and its restart count, if the run can continue without it.
+    /// Returns the program of this part and its restart count, if the run can continue without it.
     fn dispensable<'a>(&self, plan: &'a RunPlan, part: &Part) -> Option<(&'a Controller, &'a [String], u32)> {
         let controller = plan.scene.controller.iter().find(|controller| controller.name == part.name)?;
         let command = controller.command.as_ref()?;
@@ -35,8 +35,8 @@ impl Replacements {
         (before < controller.restarts || controller.optional).then_some((controller, command, before))
     }
 
-    /// Removes the part at this index after the end of the run. False if the run could not have continued without it:
-    /// then its exit status counts.
+    /// Removes the part at this index after the end of the run. Returns false if the run could not have
+    /// continued without it, in which case its exit status counts.
     pub(super) fn dismiss(&mut self, plan: &RunPlan, parts: &mut Vec<Part>, index: usize) -> bool {
         let may_go = self.dispensable(plan, &parts[index]).is_some();
         if may_go {
@@ -45,7 +45,7 @@ impl Replacements {
         may_go
     }
 
-    /// Restarts the part at this index, or removes it. False if the run cannot continue without it.
+    /// Restarts the part at this index, or removes it. Returns false if the run cannot continue without it.
     pub(super) fn replace(
         &mut self,
         plan: &RunPlan,
@@ -58,15 +58,16 @@ impl Replacements {
         let Some((controller, command, before)) = self.dispensable(plan, part) else { return Ok(false) };
         let again = before < controller.restarts;
         let how = part.ended().map_or_else(String::new, |status| status.to_string());
-        let words = part.last_words().pop().map_or_else(String::new, |line| format!(", saying `{line}`"));
+        let words =
+            part.last_words().pop().map_or_else(String::new, |line| format!(", last output `{line}`"));
         let then = match again {
-            true => format!("start {} of {} follows", before + 1, controller.restarts),
+            true => format!("restarting ({} of {})", before + 1, controller.restarts),
             false => "the run continues without it".to_owned(),
         };
         let text = format!("controller `{}` ended ({how}){words}; {then}", controller.name);
         self.events.send(tick, Severity::Warning, EventCode::Run, &text)?;
         if again {
-            // If the program no longer exists, treat it as one that the run cannot replace.
+            // If the program no longer exists, the run cannot replace it.
             let Ok(successor) = hub.start_program(&controller.name, command) else { return Ok(false) };
             self.gone.push(std::mem::replace(part, successor));
         } else {

@@ -24,16 +24,16 @@ use crate::report::{NOT_SHARED, RunFacts};
 
 const POLL_PERIOD: Duration = Duration::from_millis(20);
 
-/// What to run, and how.
+/// Configuration of a run.
 #[derive(Debug, Clone)]
 pub struct RunPlan {
     /// Scene.
     pub scene: Scene,
-    /// Folder for the logs; none to record nothing.
+    /// Folder for the logs; `None` to record nothing.
     pub output: Option<PathBuf>,
     /// The viewer to start, if any.
     pub view: Option<View>,
-    /// Which files the volume may name.
+    /// Which files the volume can refer to.
     pub volume_files: VolumeFiles,
 }
 
@@ -46,11 +46,12 @@ pub enum Outcome {
     Stopped,
     /// Ctrl-C, SIGTERM or SIGHUP.
     Interrupted,
-    /// The log was removed or moved; says what happened to it.
+    /// The log was removed or moved; holds what happened to it.
     LogGone(String),
-    /// A controller did not join in time, or in lockstep did not answer in time: which of the two, and the physics's words for it.
+    /// A controller did not join in time or, in lockstep, did not reply in time; holds the code and the
+    /// message from the physics.
     ControllerFailed(Blame),
-    /// The simulation could not compute a tick: which one and why, in the physics's words.
+    /// The simulation could not compute a tick; holds the message from the physics.
     SimulationFailed(String),
     /// A part died or ended too early.
     PartDied {
@@ -64,12 +65,12 @@ pub enum Outcome {
 }
 
 impl Outcome {
-    /// Whether the physics ended the run by itself, without a failure.
+    /// Returns whether the physics ended the run without a failure.
     pub(super) fn is_regular(&self) -> bool {
         matches!(self, Outcome::Completed | Outcome::Stopped)
     }
 
-    /// The outcome's name and what there is to say of it, as the table and `summary.json` have it.
+    /// Returns the outcome's name and details, as in the table and `summary.json`.
     pub fn text(&self) -> String {
         match self {
             Outcome::Completed => "completed".to_owned(),
@@ -82,7 +83,7 @@ impl Outcome {
         }
     }
 
-    /// What went wrong: which part died, how, and its last output.
+    /// Returns what failed: which part died, how, and its last output.
     pub(super) fn death(&self) -> Option<String> {
         match self {
             Outcome::Completed | Outcome::Stopped | Outcome::Interrupted => None,
@@ -104,9 +105,9 @@ impl Outcome {
 pub struct RunResult {
     /// How it ended.
     pub outcome: Outcome,
-    /// Folder of its session; gone by now.
+    /// Folder of its session, removed by now.
     pub session: PathBuf,
-    /// Whether a tick was made or due.
+    /// Whether a tick was run or due.
     pub has_started: bool,
     /// Whether the log lacks messages because the recorder could not keep up.
     pub has_gap: bool,
@@ -114,7 +115,7 @@ pub struct RunResult {
     pub running: Duration,
     /// Wall time from the start of the launcher to the first tick.
     pub starting: Duration,
-    /// When that start was, on the monotonic clock, ns.
+    /// Start of the launcher on the monotonic clock, ns.
     pub began_ns: u64,
     /// Wall time of each phase, by name, in order.
     pub phases: [(&'static str, Duration); 5],
@@ -122,7 +123,7 @@ pub struct RunResult {
     pub memory: Vec<(String, Memory)>,
     /// Processor time of each process from its start to its end, by name.
     pub processor: Vec<(String, Duration)>,
-    /// The viewer, if it shows the log of the run now; it ends with the page.
+    /// The viewer, if it is now showing the run's log; it ends with the page.
     pub viewer: Option<Part>,
 }
 
@@ -170,7 +171,7 @@ pub enum RunError {
     Port(#[from] PortError),
 }
 
-/// What the progress display gets at every update.
+/// Input of the progress display at every update.
 #[derive(Debug)]
 pub struct RunSnapshot<'a> {
     /// Folder of the session, needed to start external controllers.
@@ -185,7 +186,7 @@ pub struct RunSnapshot<'a> {
     pub timings: &'a [TickTiming],
     /// Frames so far.
     pub frames: u64,
-    /// For whom the run has been waiting for a while, once.
+    /// What the run has been waiting for, reported once.
     pub waiting: Option<&'a str>,
     /// Running parts, with their resource use.
     pub parts: &'a [Part],
@@ -194,7 +195,7 @@ pub struct RunSnapshot<'a> {
 /// Runs a scene with its own volume; calls `show` at every update.
 ///
 /// # Errors
-/// Any [`RunError`]: the run did not begin. Later failures are part of the [`Outcome`].
+/// Any [`RunError`]: the run did not start. Later failures are part of the [`Outcome`].
 pub fn run(plan: &RunPlan, end: &EndRequest, show: impl FnMut(&RunSnapshot)) -> Result<RunResult, RunError> {
     let began = Instant::now();
     let ct = volume_source::load(&plan.scene, plan.volume_files)?;
@@ -329,7 +330,7 @@ impl Running<'_> {
         Ok(Some(self.blamed(&outcome).unwrap_or_else(|| self.told_apart(outcome))))
     }
 
-    /// The outcome if the physics ended the run because of a controller or the simulation.
+    /// Returns the outcome if the physics ended the run because of a controller or the simulation.
     fn blamed(&self, outcome: &Outcome) -> Option<Outcome> {
         let is_end = match outcome {
             Outcome::PartDied { name, .. } => name == PHYSICS || self.subscriptions.has_ended(),
@@ -346,7 +347,7 @@ impl Running<'_> {
         Some(Outcome::ControllerFailed(blame))
     }
 
-    /// A run that ended before its last tick was stopped.
+    /// Distinguishes a stopped run, which ended before its last tick, from a completed one.
     fn told_apart(&self, outcome: Outcome) -> Outcome {
         let cut = |status: RunStatus| self.subscriptions.has_ended() && status.tick < status.tick_count;
         match outcome {
@@ -356,7 +357,7 @@ impl Running<'_> {
     }
 }
 
-/// Whether every part had connected. A run that ends before that has made no tick.
+/// Returns whether every part had connected; a run that ends before that has run no tick.
 fn has_started(status: RunStatus) -> bool {
     match status.phase() {
         Ok(Phase::Running | Phase::Paused) => true,
@@ -372,8 +373,8 @@ pub(super) enum RunState {
     Ended,
 }
 
-/// Judges how a part ended. Once the run is over, DRR and controllers may exit shortly before the physics does. The
-/// physics exits cleanly only after the run is over, and no part may exit before that.
+/// Judges how a part ended. Once the run is over, DRR and controllers may exit shortly before the physics
+/// does. The physics exits cleanly only after the run is over, and no part may exit before that.
 pub(super) fn judge(part: &mut Part, run: RunState) -> Outcome {
     let status = part.ended();
     let succeeded = status.is_some_and(|status| status.success());
@@ -382,7 +383,7 @@ pub(super) fn judge(part: &mut Part, run: RunState) -> Outcome {
     }
     let how = match status {
         Some(status) if !status.success() => status.to_string(),
-        _ => "ended before the run did".to_owned(),
+        _ => "ended before the run".to_owned(),
     };
     Outcome::PartDied { name: part.name.clone(), how, last_words: part.last_words() }
 }
@@ -390,7 +391,7 @@ pub(super) fn judge(part: &mut Part, run: RunState) -> Outcome {
 fn start_parts(plan: &RunPlan, hub: &Hub) -> Result<Vec<Part>, HubError> {
     let mut parts = Vec::new();
     if let Some(output) = &plan.output {
-        // A viewer that joins later needs this; without it, it shows the bone undrilled.
+        // A viewer that joins late needs this to show the bone that is already drilled.
         let place = std::path::absolute(output).unwrap_or_else(|_| output.clone());
         let _ = hub.host.write(OUTPUT_FILE, place.as_os_str().as_encoded_bytes());
         parts.push(hub.start(RECORDER, &[RECORDER], Some(output))?);
@@ -411,7 +412,7 @@ fn start_parts(plan: &RunPlan, hub: &Hub) -> Result<Vec<Part>, HubError> {
     Ok(parts)
 }
 
-/// One line per external controller: how long the run waits for it, and how to connect it.
+/// Returns one line per external controller: how long the run waits for it, and how to connect it.
 fn awaited(scene: &Scene, hub: &Hub) -> Vec<String> {
     let line = |controller: &Controller| {
         let Controller { name, connect_limit_s, optional, .. } = controller;

@@ -1,4 +1,4 @@
-//! What the launcher hears of its run.
+//! The launcher's subscriptions to its run.
 
 use std::path::Path;
 use std::time::{Duration, Instant};
@@ -26,12 +26,12 @@ pub(super) struct Subscriptions {
     pub(super) status: Option<RunStatus>,
     timings: Vec<TickTiming>,
     frames: u64,
-    /// For whom the run has been waiting, since the last update.
+    /// What the run has been waiting for, since the last update.
     waiting: Option<String>,
 }
 
 impl Subscriptions {
-    /// Whether the physics has said that the run is over.
+    /// Returns whether the physics has announced the end of the run.
     pub(super) fn has_ended(&self) -> bool {
         self.status.is_some_and(|status| status.phase() == Ok(Phase::Ended))
     }

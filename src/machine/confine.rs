@@ -1,7 +1,8 @@
-//! Confines a run to some cores by affinity, and to a share of them by a CPU quota where a cgroup can be created.
+//! Confines a run to some cores by affinity, and to a share of them by a CPU quota where a cgroup can be
+//! created.
 //!
-//! Affinity and cgroup apply to this thread; everything that it starts meanwhile inherits both. Dropping the guard
-//! restores them.
+//! Affinity and cgroup apply to this thread; everything that it starts meanwhile inherits both. Dropping the
+//! guard restores them.
 
 use std::path::{Path, PathBuf};
 
@@ -10,25 +11,26 @@ use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
 /// Period of the quota: the kernel's default.
 const PERIOD_US: u64 = 100_000;
 
-/// Guard: this thread is confined until it drops.
+/// Guard that confines this thread until dropped.
 #[derive(Debug)]
 pub struct Confinement {
     before: CpuSet,
     group: Option<Group>,
-    /// What was requested but not permitted.
+    /// A request that was not permitted.
     pub remark: Option<String>,
 }
 
-/// A cgroup of our own.
+/// A cgroup created for this run.
 #[derive(Debug)]
 struct Group {
     folder: PathBuf,
-    /// Files that accept threads (version 1) or processes (version 2), of the group and of the original group.
+    /// Files that accept threads (version 1) or processes (version 2), of the group and of the original
+    /// group.
     members: PathBuf,
     home: PathBuf,
 }
 
-/// Numbers of the cores that this thread may use.
+/// Returns the indices of the cores that this thread may use.
 pub fn allowed() -> std::io::Result<Vec<usize>> {
     let set = sched_getaffinity(None)?;
     Ok((0..CpuSet::MAX_CPU).filter(|core| set.is_set(*core)).collect())
@@ -79,8 +81,8 @@ impl Group {
         if first_version {
             write("cpu.cfs_period_us", PERIOD_US.to_string())?;
             write("cpu.cfs_quota_us", quota_us.to_string())?;
-            // Without this the group may not hold SCHED_FIFO threads; kernels without group scheduling have no such
-            // file.
+            // Without this the group may not hold SCHED_FIFO threads; kernels without group scheduling have
+            // no such file.
             let _ = write("cpu.rt_runtime_us", "900000".to_owned());
         } else {
             write("cpu.max", format!("{quota_us} {PERIOD_US}"))?;
@@ -92,13 +94,13 @@ impl Group {
 
 impl Drop for Group {
     fn drop(&mut self) {
-        // Moving back and removing an empty group fail only if someone else has removed them.
+        // These fail only if another process has removed the groups.
         let _ = std::fs::write(&self.home, "0");
         let _ = std::fs::remove_dir(&self.folder);
     }
 }
 
-/// Folder of our cgroup with the `cpu` controller, and whether it is version 1.
+/// Returns the folder of this process's cgroup with the `cpu` controller, and whether it is version 1.
 pub fn cpu_group() -> Option<(PathBuf, bool)> {
     let mounts = std::fs::read_to_string("/proc/self/mounts").ok()?;
     let own = std::fs::read_to_string("/proc/self/cgroup").ok()?;

@@ -1,4 +1,4 @@
-//! What this machine is and permits, what each limit costs, and how to lift it.
+//! Describes this machine: its limits, what each one costs, and how to lift it.
 
 use std::path::Path;
 
@@ -24,15 +24,15 @@ pub enum Grade {
 /// One machine property that timing depends on.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Finding {
-    /// Its name.
+    /// Name of the requirement.
     pub name: String,
     /// How well it is met.
     pub grade: Grade,
-    /// What was found.
+    /// Measured state.
     pub found: String,
-    /// What it costs if it is missing.
+    /// Consequence if the requirement is not met.
     pub cost: String,
-    /// The command or setting that grants it.
+    /// Command or setting that meets the requirement.
     pub grant: String,
 }
 
@@ -53,7 +53,7 @@ fn read(path: &str) -> String {
     std::fs::read_to_string(path).unwrap_or_default().trim().to_owned()
 }
 
-/// Inspects this machine; `steal` is the time lost to its hypervisor during the watch.
+/// Inspects this machine; `steal` measures the time lost to the hypervisor.
 pub fn facts(steal: &Machine) -> MachineFacts {
     let cpuinfo = read("/proc/cpuinfo");
     let model = cpuinfo.lines().find(|line| line.starts_with("model name"));
@@ -69,7 +69,7 @@ pub fn facts(steal: &Machine) -> MachineFacts {
     }
 }
 
-/// Whether a requirement is met, and what was found.
+/// Whether a requirement is met, and the measured state.
 type Answer = (Grade, String);
 
 fn findings(steal: &Machine, virtual_machine: bool, cores: usize) -> Vec<Finding> {
@@ -77,20 +77,22 @@ fn findings(steal: &Machine, virtual_machine: bool, cores: usize) -> Vec<Finding
         (
             "SCHED_FIFO",
             fifo(),
-            "`--policy fifo` has no effect: on a busy core, ticks wait for up to a scheduler slice (3 to 4 ms)",
-            "`ulimit -r 50` after `<user> - rtprio 50` in /etc/security/limits.conf, or `setcap cap_sys_nice+ep trabecula`; in a container `--cap-add SYS_NICE --ulimit rtprio=50`",
+            "`--policy fifo` has no effect: on a busy core, ticks wait up to one scheduler slice (3 to 4 ms)",
+            "`ulimit -r 50` after `<user> - rtprio 50` in /etc/security/limits.conf, or `setcap \
+             cap_sys_nice+ep trabecula`; in a container `--cap-add SYS_NICE --ulimit rtprio=50`",
         ),
         (
             "nice below 0",
             nice(),
-            "the physics gets no more CPU weight than other programs; DRR and viewer still yield to it",
+            "the physics gets no higher CPU weight than other programs; DRR and viewer still yield to it",
             "`<user> - nice -15` in /etc/security/limits.conf, or `setcap cap_sys_nice+ep trabecula`",
         ),
         (
             "mlockall",
             memory_lock(),
-            "memory may be paged out; reading a page back from disk takes milliseconds",
-            "`<user> - memlock unlimited` in /etc/security/limits.conf, or `ulimit -l unlimited`; in a container `--ulimit memlock=-1`",
+            "memory can be paged out; reading a page back from disk takes milliseconds",
+            "`<user> - memlock unlimited` in /etc/security/limits.conf, or `ulimit -l unlimited`; in a \
+             container `--ulimit memlock=-1`",
         ),
         (
             "affinity",
@@ -113,20 +115,22 @@ fn findings(steal: &Machine, virtual_machine: bool, cores: usize) -> Vec<Finding
         (
             "/dev/shm",
             shared_memory(),
-            "a session keeps the CT volume and its frames there; too little space is an error at the start",
+            "a session stores the CT volume and frames there; too little space is an error at the start",
             "`mount -o remount,size=4G /dev/shm`; in a container `--shm-size 4g`",
         ),
         (
             "clock source",
             clock_source(),
-            "reading a slow clock (hpet, acpi_pm) is a system call of about a microsecond; a tick does it about ten times",
+            "reading a slow clock (hpet, acpi_pm) takes a system call of about a microsecond, about ten \
+             times per tick",
             "`echo tsc > /sys/devices/system/clocksource/clocksource0/current_clocksource`",
         ),
         (
             "preemption model",
             preemption(),
-            "another program's long system call (a write of megabytes) can delay a tick of any priority by milliseconds",
-            "boot with `preempt=full` where the version says PREEMPT_DYNAMIC, or a PREEMPT_RT kernel",
+            "another program's long system call (a write of megabytes) can delay a tick of any priority by \
+             milliseconds",
+            "boot with `preempt=full` if the version shows PREEMPT_DYNAMIC, or use a PREEMPT_RT kernel",
         ),
         (
             "steal",
@@ -142,7 +146,7 @@ fn findings(steal: &Machine, virtual_machine: bool, cores: usize) -> Vec<Finding
     all.into_iter().map(finding).collect()
 }
 
-/// The answer of something that the system refuses.
+/// The answer for a request that the system denies.
 fn refused(cause: impl std::fmt::Display) -> Answer {
     (Grade::Missing, format!("not permitted ({cause})"))
 }
@@ -171,7 +175,7 @@ fn nice() -> Answer {
 }
 
 fn memory_lock() -> Answer {
-    // The parts lock their own memory; here we only try.
+    // The parts lock their own memory; this only tests it.
     let outcome = rustix::mm::mlockall(MlockAllFlags::CURRENT);
     let _ = rustix::mm::munlockall();
     let limit = rustix::process::getrlimit(rustix::process::Resource::Memlock).current;
@@ -205,7 +209,7 @@ fn quota() -> Answer {
                 Err(cause) => (Grade::Missing, format!("version {version}, {}: {cause}", folder.display())),
             }
         }
-        None => (Grade::Missing, "no hierarchy has the `cpu` controller".to_owned()),
+        None => (Grade::Missing, "no hierarchy with the `cpu` controller".to_owned()),
     }
 }
 
@@ -259,7 +263,7 @@ fn preemption() -> Answer {
         (true, _, _) => "real time".to_owned(),
         (_, Some(word), _) => word.trim_start_matches("preempt=").to_owned(),
         (_, None, Some(model)) => model.to_owned(),
-        (_, None, None) => "the kernel does not say".to_owned(),
+        (_, None, None) => "unknown".to_owned(),
     };
     let grade = match model.as_str() {
         "real time" | "full" => Grade::Good,
@@ -268,7 +272,7 @@ fn preemption() -> Answer {
     (grade, format!("{model} ({version})"))
 }
 
-/// The kernel's configuration, from the uncompressed file.
+/// Returns the kernel's configuration.
 fn kernel_config() -> String {
     let release = read("/proc/sys/kernel/osrelease");
     let boot = std::fs::read_to_string(format!("/boot/config-{release}"));

@@ -1,5 +1,5 @@
-//! The machine under a run: what it permits (`doctor`), what it did meanwhile, and how to confine a run to a part of
-//! it.
+//! The machine under a run: its limits (`doctor`), its load during a measurement, and confining a run to part
+//! of it.
 
 mod confine;
 mod facts;

@@ -1,4 +1,4 @@
-//! Records what the machine did during a measurement; without that, a timing means little.
+//! Records the machine's load and steal during a measurement, without which a timing means little.
 
 use std::time::Instant;
 
@@ -22,7 +22,7 @@ impl CpuTimes {
     }
 }
 
-/// Watches the machine from the start of a measurement.
+/// Measures the machine's load from the start of a measurement.
 #[derive(Debug)]
 pub struct Machine {
     began: Instant,
@@ -35,7 +35,7 @@ impl Machine {
         Machine { began: Instant::now(), before: CpuTimes::now() }
     }
 
-    /// Busy and stolen time since the start, in percent of all cores' time.
+    /// Returns busy and stolen time since the start, in percent of all cores' time.
     pub fn shares_percent(&self) -> (f64, f64) {
         let now = CpuTimes::now();
         let all = now.all.saturating_sub(self.before.all).max(1) as f64;
@@ -43,12 +43,12 @@ impl Machine {
         (100.0 - percent(now.idle, self.before.idle), percent(now.stolen, self.before.stolen))
     }
 
-    /// Seconds since the start.
+    /// Returns the seconds since the start.
     pub fn seconds(&self) -> f64 {
         self.began.elapsed().as_secs_f64()
     }
 
-    /// Cores, load and steal since the start, as text.
+    /// Formats cores, load and steal since the start.
     pub fn summary(&self) -> String {
         let (busy, stolen) = self.shares_percent();
         let cores = std::thread::available_parallelism().map_or(0, usize::from);

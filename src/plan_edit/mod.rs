@@ -1,10 +1,10 @@
-//! Places of a scene moved by hand: from the scene's text to another one that differs in what follows from them, and keeps comments, order
-//! and everything else. Text in, text out.
+//! Edits the text of a scene after points were moved by hand: updates all values that depend on the points,
+//! and keeps comments, order and everything else.
 //!
-//! | moved | what follows |
+//! | moved | also updated |
 //! |---|---|
-//! | burr start | the pilot hole that leads there moves with it |
-//! | burr start or target | `bend_toward` where the target has left the bending plane; length and ramp of the feed, by the arc to the target |
+//! | burr start | the pilot hole that leads there moves along |
+//! | burr start, target | `bend_toward` if the target has left the bending plane; feed length and ramp |
 //! | isocentre | nothing |
 
 mod name;
@@ -17,36 +17,38 @@ use viewer_proc::services::Places;
 
 pub use name::SceneName;
 
-/// A hole whose end is this near to the burr's start, mm, leads to it; as `planned_path_mm` has it.
+/// A hole that ends within this distance of the burr's start leads to it, mm, as in `planned_path_mm`.
 const SAME_MM: f64 = 0.01;
-/// A target this near to the line of the feed, mm, is on it: it says nothing of the direction to bend to.
+/// A target within this distance of the feed line is on it and implies no bend direction, mm.
 const ON_THE_LINE_MM: f64 = 0.05;
-/// The direction of the bend is written anew when the target's is this far from it, as the sine of the angle.
+/// The bend direction is rewritten if it differs from the target's by more than this, as the sine of the
+/// angle.
 const SAME_DIRECTION: f64 = 2e-3;
 
-/// Why a place cannot be moved.
+/// Errors of moving a point.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum EditError {
-    /// It stands in a file of 3D Slicer.
+    /// The point is defined in a 3D Slicer file.
     #[error(
-        "`{0}` follows from `tool.plan`: move the point in 3D Slicer, or take `plan` out of the scene and write its points there"
+        "`{0}` follows from `tool.plan`: move the point in 3D Slicer, or remove `plan` from the scene and \
+         set its points there"
     )]
     OfPlan(&'static str),
-    /// Nothing drills to a target.
-    #[error("has no `[controller.curved_drilling]`, expected one: only that drills to a target")]
+    /// No controller drills to a target.
+    #[error("missing `[controller.curved_drilling]`, the only controller that drills to a target")]
     NoDrilling,
-    /// There is no C-arm.
-    #[error("has no `[drr]`, expected one: without X-ray there is no isocentre")]
+    /// The scene has no C-arm.
+    #[error("missing `[drr]`: without X-ray there is no isocentre")]
     NoXRay,
-    /// The text is not the scene's.
+    /// The text does not match the scene.
     #[error("{0}")]
     Text(String),
 }
 
-/// The text of `scene` with places moved. `scene` is what the text says, plan file included.
+/// Returns the scene's `text` with points moved. `scene` is the parsed text, including its plan file.
 ///
 /// # Errors
-/// [`EditError`]. Whether the values are allowed, the parser of scenes says.
+/// [`EditError`]. The scene parser checks whether the values are allowed.
 pub fn moved(text: &str, scene: &Scene, places: &Places) -> Result<String, EditError> {
     let mut document: DocumentMut =
         text.parse().map_err(|cause: toml_edit::TomlError| EditError::Text(cause.to_string()))?;
@@ -59,7 +61,7 @@ pub fn moved(text: &str, scene: &Scene, places: &Places) -> Result<String, EditE
             return Err(EditError::OfPlan(key));
         }
     }
-    let missing = |key: &str| EditError::Text(format!("`{key}` is not where it was expected"));
+    let missing = |key: &str| EditError::Text(format!("`{key}` not found where it was expected"));
     if let Some(start_mm) = places.burr_start_mm {
         let tool = table(document.get_mut("tool")).ok_or_else(|| missing("tool"))?;
         set(tool, "burr_start_mm", start_mm, 3);
@@ -98,14 +100,14 @@ pub fn moved(text: &str, scene: &Scene, places: &Places) -> Result<String, EditE
     Ok(document.to_string())
 }
 
-/// Numbers of the pilot holes that lead to the burr's start.
+/// Returns the indices of the pilot holes that lead to the burr's start.
 fn leading(scene: &Scene) -> Vec<usize> {
     let start_mm = scene.tool.burr_start_mm;
     let leads = |index: &usize| length(minus(scene.predrill[*index].to_mm, start_mm)) < SAME_MM;
     (0..scene.predrill.len()).filter(leads).collect()
 }
 
-/// From where the bend begins to the target: along the feed, across it, and the direction across.
+/// Returns the target relative to the start of the bend: along the feed, across it, and the direction across.
 fn to_target(scene: &Scene, drilling: &CurvedDrilling, places: &Places) -> Option<(f64, f64, [f64; 3])> {
     let target_mm = places.target_mm.or(drilling.target_mm)?;
     let start_mm = places.burr_start_mm.unwrap_or(scene.tool.burr_start_mm);
@@ -116,8 +118,8 @@ fn to_target(scene: &Scene, drilling: &CurvedDrilling, places: &Places) -> Optio
     Some((ahead_mm, length(beside), beside))
 }
 
-/// Feeds as much farther as the arc has become longer, with the ramp in proportion; returns another direction to bend to, if the target
-/// needs one.
+/// Adds the change in arc length to the feed and scales the ramp in proportion; returns a new bend direction
+/// if the target needs one.
 fn follow(
     table: &mut dyn TableLike,
     scene: &Scene,
@@ -145,7 +147,7 @@ fn table(item: Option<&mut Item>) -> Option<&mut dyn TableLike> {
     item?.as_table_like_mut()
 }
 
-/// A table of an array of tables, in either of TOML's spellings.
+/// Returns a table of an array of tables, in either TOML syntax.
 fn entry(item: Option<&mut Item>, index: usize) -> Option<&mut dyn TableLike> {
     match item? {
         Item::ArrayOfTables(tables) => Some(tables.get_mut(index)?),
@@ -154,7 +156,7 @@ fn entry(item: Option<&mut Item>, index: usize) -> Option<&mut dyn TableLike> {
     }
 }
 
-/// Sets a place, with so many decimals; the array's spaces and comments stay.
+/// Sets a point with the given number of decimals, keeping the array's whitespace and comments.
 fn set(table: &mut dyn TableLike, key: &str, place: [f64; 3], decimals: i32) {
     let place = place.map(|x| rounded(x, decimals));
     if let Some(array) = table.get_mut(key).and_then(Item::as_array_mut).filter(|array| array.len() == 3) {
@@ -166,7 +168,7 @@ fn set(table: &mut dyn TableLike, key: &str, place: [f64; 3], decimals: i32) {
     }
 }
 
-/// Sets a number that stands in the text; a default that does not follows from the target by itself or not at all.
+/// Sets a number if it is in the text; a default is either derived from the target or independent of it.
 fn set_number(table: &mut dyn TableLike, key: &str, number: f64) {
     let Some(value) = table.get_mut(key).and_then(Item::as_value_mut) else { return };
     let decor = value.decor().clone();
@@ -176,7 +178,7 @@ fn set_number(table: &mut dyn TableLike, key: &str, number: f64) {
 
 fn rounded(x: f64, decimals: i32) -> f64 {
     let scale = 10f64.powi(decimals);
-    // Beyond what a scene may hold the parser refuses it, with the number as it was given. No minus before a zero.
+    // Leave numbers that the parser will reject as given. Avoid negative zero.
     if x.abs() < 1e9 { (x * scale).round() / scale + 0.0 } else { x }
 }
 
@@ -209,7 +211,7 @@ mod tests {
         assert_eq!(edited(&Places::default()), TEXT);
     }
 
-    /// The hole goes along; comments and line breaks within the arrays stay.
+    /// The hole moves along; comments and line breaks within the arrays are kept.
     #[test]
     fn the_pilot_hole_moves_with_the_burr_and_the_whole_plan_only_shifts() {
         let places = Places {
@@ -225,7 +227,7 @@ mod tests {
         assert_eq!(edited(&places), expected, "the arc is the same, so the feed is");
     }
 
-    /// The arc from (0, 0, 42) to (0, 5, 57): radius 25 mm, angle 2 atan(1/3), as before, but the tool bends to +y.
+    /// The arc from (0, 0, 42) to (0, 5, 57): radius 25 mm, angle 2 atan(1/3), as before, but bending to +y.
     #[test]
     fn a_target_out_of_the_bending_plane_turns_it_and_a_farther_one_lengthens_the_feed() {
         let turned = edited(&Places { target_mm: Some([0.0, 5.0, 57.0]), ..Places::default() });
@@ -259,7 +261,7 @@ mod tests {
         let text = edited(&Places { isocentre_mm: Some([1e12, 0.0, 0.0]), ..Places::default() });
         let refused = Scene::parse(&text, Path::new("a.toml")).unwrap_err().to_string();
         assert!(
-            refused.starts_with("a.toml: `drr.isocentre_mm") && refused.contains("allowed is"),
+            refused.starts_with("a.toml: `drr.isocentre_mm") && refused.contains("allowed:"),
             "{refused}"
         );
     }

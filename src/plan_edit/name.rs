@@ -1,28 +1,29 @@
-//! The name of a scene's file, as a page may choose it.
+//! Validated name of a scene file chosen in the page.
 
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 
-/// Longest name, bytes: what file systems hold is 255.
+/// Maximum length in bytes; file systems allow 255.
 const LONGEST: usize = 120;
 
-/// A file name that ends in `.toml` and leads nowhere else: it stays in whatever folder it is joined to.
+/// A file name that ends in `.toml` and cannot leave the folder it is joined to.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct SceneName(String);
 
-/// What is no such name.
+/// Error for an invalid name.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "the name is `{}`, expected letters, digits, spaces, `.`, `-` and `_`, a letter or digit first, `.toml` last, {LONGEST} bytes at most",
+    "invalid name `{}`; expected letters, digits, spaces, `.`, `-` and `_`, a letter or digit first, \
+     `.toml` last, at most {LONGEST} bytes",
     foreign_text::foreign(.0)
 )]
 pub struct NameError(String);
 
 impl SceneName {
-    /// Checks a name; `.toml` is added where it lacks.
+    /// Checks a name and appends `.toml` if missing.
     ///
     /// # Errors
-    /// [`NameError`]: it holds another sign, such as one that parts folders, begins with a dot or is too long.
+    /// [`NameError`]: other characters, such as a path separator, a leading dot, or too long.
     pub fn parse(given: &str) -> Result<SceneName, NameError> {
         let given = given.trim();
         let name = if given.ends_with(".toml") { given.to_owned() } else { format!("{given}.toml") };
@@ -34,7 +35,7 @@ impl SceneName {
         if is_name { Ok(SceneName(name)) } else { Err(NameError(given.to_owned())) }
     }
 
-    /// The file of this name in a folder.
+    /// Returns the path of this name in a folder.
     pub fn within(&self, folder: &Path) -> PathBuf {
         folder.join(&self.0)
     }

@@ -1,4 +1,4 @@
-//! Renders a log's frames again.
+//! Re-renders the frames of a log.
 
 use std::sync::Arc;
 
@@ -18,10 +18,10 @@ use super::OpenedLog;
 use super::replies::Replies;
 use crate::failure::Failure;
 
-/// The frames of a log, each paired with what the renderer makes of the same tick, C-arm and seed now.
+/// Re-renders the frames of a log with the same tick, C-arm and seed.
 ///
-/// The log decides what a frame shows: the reply gives its tick, the scene or the request its C-arm, the scene its
-/// seed; the state and the removed voxels are those of that tick.
+/// The inputs come from the log: the tick from the reply, the C-arm from the scene or the request, the seed
+/// from the scene, and the state and removed voxels from that tick.
 pub struct FrameReplay<'l> {
     log: &'l OpenedLog,
     view: VolumeView<'l>,
@@ -37,10 +37,11 @@ pub struct FrameReplay<'l> {
 }
 
 impl<'l> FrameReplay<'l> {
-    /// Starts at the first frame; none if the scene has no X-ray.
+    /// Starts at the first frame; returns `None` if the scene has no X-ray.
     ///
     /// # Errors
-    /// The renderer refuses the scene, a mesh of the arm that frames show is not there or another one, or the file cannot be opened.
+    /// The renderer rejects the scene, an arm mesh shown in frames is missing or different, or the file
+    /// cannot be opened.
     pub fn new(log: &'l OpenedLog, threads: usize) -> Result<Option<FrameReplay<'l>>, Failure> {
         let (Some(drr), Some(ct)) = (&log.scene.drr, &log.ct) else { return Ok(None) };
         let view = VolumeView::try_from(&ct.volume).map_err(Failure::failed)?;
@@ -66,7 +67,7 @@ impl<'l> FrameReplay<'l> {
         }))
     }
 
-    /// The next frame as recorded. The caller may skip it without rendering it.
+    /// Returns the next recorded frame, which the caller can skip without rendering.
     pub fn next_recorded(&mut self) -> Result<Option<FrameRecord>, Failure> {
         loop {
             match self.recorded.next().transpose() {
@@ -77,17 +78,17 @@ impl<'l> FrameReplay<'l> {
         }
     }
 
-    /// Renders a recorded frame again; none if its tick lies in a gap of the log.
+    /// Re-renders a recorded frame; returns `None` if its tick is in a gap of the log.
     ///
     /// # Errors
-    /// The reply disagrees with the frame or with the request; the log lacks the frame's tick; the renderer refuses
-    /// the frame.
+    /// The reply disagrees with the frame or the request; the frame's tick is missing from the log; the
+    /// renderer rejects the frame.
     pub fn render(&mut self, recorded: &Frame) -> Result<Option<FrameRecord>, Failure> {
         let Some(job) = self.job(recorded)? else { return Ok(None) };
         Ok(Some(self.render_job(&job)?))
     }
 
-    /// Renders a recorded frame again, and labels what it shows; voxels at or above `bone_from_hu` are bone.
+    /// Re-renders a recorded frame and labels its contents; voxels at or above `bone_from_hu` are bone.
     pub fn label(
         &mut self,
         recorded: &Frame,
@@ -95,13 +96,13 @@ impl<'l> FrameReplay<'l> {
     ) -> Result<Option<(FrameRecord, Labels)>, Failure> {
         let Some(mut job) = self.job(recorded)? else { return Ok(None) };
         let rendered = self.render_job(&job)?;
-        // The renderer has the voxels of this frame now.
+        // The renderer now has the voxels of this frame.
         (job.restores, job.removed) = (Restores::Nothing, Vec::new());
         let labels = label_job(&mut self.renderer, &self.view, &job, bone_from_hu);
         Ok(Some((rendered, labels.map_err(of_frame(recorded.sequence, recorded.tick))?)))
     }
 
-    /// What is wrong with the log as far as its frames were read.
+    /// Returns the log's verdict as far as its frames were read.
     pub fn verdict(&self) -> Verdict {
         self.recorded.verdict()
     }
@@ -113,7 +114,7 @@ impl<'l> FrameReplay<'l> {
         Ok(FrameRecord { frame: rendered.frame, image: Some(rendered.prefix), pixels })
     }
 
-    /// What to render for a frame; none if its tick lies in a gap.
+    /// Returns what to render for a frame, or `None` if its tick is in a gap.
     fn job(&mut self, recorded: &Frame) -> Result<Option<Job>, Failure> {
         let geometry = self.replies.geometry_of(recorded).map_err(|difference| {
             Failure::failed(format!("frame {}: {difference}{}", recorded.sequence, self.log.label()))
@@ -138,8 +139,8 @@ impl<'l> FrameReplay<'l> {
         }))
     }
 
-    /// Reads the log up to the state that the frame shows, and collects the voxels removed until then. False if the
-    /// state lies in a gap.
+    /// Reads the log up to the state that the frame shows, collecting the voxels removed until then. Returns
+    /// false if the state is in a gap.
     fn advance_to(&mut self, frame: &Frame) -> Result<bool, Failure> {
         while self.state.tick < frame.tick {
             let Some(record) = self.ticks.next() else { break };
@@ -159,21 +160,23 @@ impl<'l> FrameReplay<'l> {
             self.removed.extend_from_slice(&record.removed);
             *self.state = record.state;
         }
-        // Frames come in tick order, so a tick that was skipped was in a gap.
+        // Frames are in tick order, so a skipped tick was in a gap.
         if self.state.tick >= frame.tick {
             return Ok(self.state.tick == frame.tick);
         }
         let (sequence, tick, at) = (frame.sequence, frame.tick, self.state.tick);
-        Err(Failure::failed(format!("frame {sequence} shows tick {tick}, but the log's ticks are at {at}")))
+        Err(Failure::failed(format!(
+            "frame {sequence} shows tick {tick}, but the log is already at tick {at}"
+        )))
     }
 }
 
-/// An error of rendering a frame.
+/// Converts a render error of a frame.
 fn of_frame(sequence: u64, tick: u64) -> impl Fn(xray::DrrError) -> Failure {
     move |cause| Failure::failed(format!("frame {sequence} of tick {tick}: {cause}"))
 }
 
-/// The predrilled voxels, and all voxels removed by the time of a keyframe.
+/// Returns the predrilled voxels, and all voxels removed by the time of a keyframe.
 fn gone_at(log: &OpenedLog, keyframe: &SavedState) -> Result<(Vec<u32>, Vec<u32>), Failure> {
     let mut simulation = log.simulation().map_err(Failure::failed)?;
     let predrilled = simulation.predrilled().to_vec();
@@ -181,21 +184,21 @@ fn gone_at(log: &OpenedLog, keyframe: &SavedState) -> Result<(Vec<u32>, Vec<u32>
     Ok((predrilled, simulation.gone()))
 }
 
-/// What a comparison of rendered with recorded frames has found, if all that were compared are identical.
+/// Result of a comparison in which all compared frames are identical.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct ComparedFrames {
     /// Frames compared.
     pub identical: u64,
-    /// Frames whose ticks lie in a gap.
+    /// Frames whose ticks are in a gap.
     pub in_gaps: u64,
-    /// Requested frames whose request is not in the timing lane.
+    /// On-demand frames whose request is not in the timing lane.
     pub without_request: u64,
 }
 
-/// Renders the frames of these ticks again and compares them with their recordings.
+/// Re-renders the frames of these ticks and compares them with the recorded ones.
 ///
 /// # Errors
-/// The log has no such frames (2); the first frame that differs (1), or a log that cannot be read.
+/// The log has no such frames (2); the first frame that differs, or a log that cannot be read (1).
 pub fn verify_frames(log: &OpenedLog, ticks: TickRange, threads: usize) -> Result<ComparedFrames, Failure> {
     let nothing = |what: &str| Failure::bad_input(format!("--frames: {}: {what}", log.path.display()));
     let Some(mut replay) = FrameReplay::new(log, threads)? else {
@@ -219,12 +222,12 @@ pub fn verify_frames(log: &OpenedLog, ticks: TickRange, threads: usize) -> Resul
         }
     }
     if compared.identical + compared.in_gaps == 0 {
-        return Err(nothing("the log has no frames for these ticks"));
+        return Err(nothing("the log has no frames in this range of ticks"));
     }
     Ok(ComparedFrames { without_request: replay.replies.without_request(), ..compared })
 }
 
-/// Where two frames differ: in their fields, and in the first differing pixel if the log holds the image.
+/// Returns where two frames differ: in fields, and in the first pixel if the log contains the image.
 pub fn compare(recorded: &FrameRecord, rendered: &FrameRecord) -> Option<String> {
     let difference = compare_frame(recorded, rendered)?;
     let pixel = recorded.image.and_then(|image| first_pixel(image.width as usize, recorded, rendered));
@@ -239,7 +242,7 @@ fn first_pixel(columns: usize, recorded: &FrameRecord, rendered: &FrameRecord) -
     let value = |bytes: &[u8]| u16::from_le_bytes([bytes[0], bytes[1]]);
     let (row, column) = (first / columns.max(1), first % columns.max(1));
     Some(format!(
-        "\n  {count} pixels differ, first row {row}, column {column}: {} against {}",
+        "\n  {count} pixels differ, first at row {row}, column {column}: {} vs {}",
         value(a),
         value(b)
     ))

@@ -1,22 +1,22 @@
-//! The voxels that are gone.
+//! The removed voxels of a log.
 
 use crate::failure::Failure;
 use inputs::log::OpenedLog;
 use run_log::Verdict;
 
-/// What of the bone is gone after a tick: pilot holes and what was drilled.
+/// The voxels removed by a tick, including pilot holes.
 #[derive(Debug)]
 pub struct Gone {
-    /// The tick: the one asked for, or the log's last.
+    /// The requested tick, or the log's last.
     pub tick: u64,
     /// The voxels.
     pub voxels: Vec<u32>,
-    /// What is wrong with the log; nothing if the tick asked for was reached.
+    /// The log's verdict; intact if the requested tick was reached.
     pub verdict: Verdict,
 }
 
 impl Gone {
-    /// Reads it from a log, up to a tick.
+    /// Reads the removed voxels from a log, up to a tick.
     ///
     /// # Errors
     /// The log ends before the tick (2), or cannot be read that far.
@@ -42,7 +42,7 @@ impl Gone {
         let last = gone.tick;
         if tick.is_some_and(|tick| tick > last) {
             return Err(Failure::bad_input(format!(
-                "tick {wanted} is asked for, but the log ends at tick {last}"
+                "tick {wanted} is past the end of the log at tick {last}"
             )));
         }
         if tick.is_none() {

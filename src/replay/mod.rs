@@ -1,4 +1,4 @@
-//! Replays a log: opening it, checking that this build may replay it, and the kinds of replay.
+//! Replays a log: opens it, checks that this build can replay it, and implements the kinds of replay.
 
 mod frames;
 mod gone;

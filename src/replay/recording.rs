@@ -37,15 +37,16 @@ pub struct Recorded {
     pub remark: Option<String>,
 }
 
-/// Replays a log and writes the result into `run.mcap` of `folder`: commands and replies from the log; states, removed
-/// voxels and keyframes from the physics; frames rendered again on `frame_threads` threads or, without, copied from
-/// the log.
+/// Replays a log and writes the result to `run.mcap` in `folder`: commands and replies from the log; states,
+/// removed voxels and keyframes from the physics; frames re-rendered on `frame_threads` threads or, if
+/// `None`, copied from the log.
 ///
-/// Every message keeps its place in the log, because in real time the arrival of a frame is not a function of the run.
+/// Every message keeps its position in the log, because in real time the arrival of a frame is not
+/// deterministic.
 ///
 /// # Errors
-/// The first difference; a log that cannot be read to its end; a folder that cannot be written. On error no file
-/// remains.
+/// The first difference; a log that cannot be read to its end; a folder that cannot be written. On error no
+/// file remains.
 pub fn record(log: &OpenedLog, folder: &Path, frame_threads: Option<usize>) -> Result<Recorded, Failure> {
     let path = folder.join("run.mcap");
     refuse_existing(&[&path])?;
@@ -80,7 +81,7 @@ pub fn record(log: &OpenedLog, folder: &Path, frame_threads: Option<usize>) -> R
     copy.put_frame(None)?;
     let (ticks, frames) = (copy.ticks, copy.frame_count);
     let marker = stream.ending().marker.as_ref();
-    // A log without an end marker comes from a recorder that died.
+    // A log without an end marker is from a recorder that died.
     let reason =
         marker.map_or(EndReason::PartDied(Part::Recorder.name().to_owned()), |marker| marker.reason.clone());
     if let EndReason::SimulationFailed(text) = &reason {
@@ -114,7 +115,7 @@ struct ReplayCopy<'l> {
 }
 
 impl ReplayCopy<'_> {
-    /// Handles the log's next message. Every body has the right size: the stream has checked.
+    /// Handles the log's next message, whose size the stream has checked.
     fn handle(&mut self, message: &LogMessage<'_>) -> Result<(), Failure> {
         let chunk_ended = std::mem::replace(&mut self.chunk, message.chunk) != message.chunk;
         if message.known == Some(Topic::DrrImage) {
@@ -150,7 +151,7 @@ impl ReplayCopy<'_> {
         Ok(())
     }
 
-    /// Steps a tick, or takes the initial state, compares the result with the log and writes it.
+    /// Steps a tick or reads the initial state, compares the result with the log and writes it.
     fn tick(&mut self, recorded: &State) -> Result<(), Failure> {
         let expected = self.simulation.state().tick + u64::from(self.latched.is_some());
         if recorded.tick != expected {
@@ -171,7 +172,7 @@ impl ReplayCopy<'_> {
         }
     }
 
-    /// Repeats the tick that the simulation could not compute; its commands are written, as in the run.
+    /// Repeats the tick that the simulation could not compute; writes its commands, as in the run.
     fn fail(&mut self, text: &str) -> Result<(), Failure> {
         let Some(latched) = self.latched.take() else { return Ok(()) };
         let told = match self.lane.tick(&mut self.simulation, &latched, &mut self.out, |_| 0) {
@@ -179,13 +180,13 @@ impl ReplayCopy<'_> {
             Err(LaneError::Output(cause)) => return Err(Failure::failed(cause)),
             Err(LaneError::Plant(cause)) => format!("tick {}: {cause}", latched.tick),
         };
-        let differs = || Failure::failed(format!("{told}; the log says: {text}"));
+        let differs = || Failure::failed(format!("{told}; in the log: {text}"));
         if told == text { Ok(()) } else { Err(differs()) }
     }
 
-    /// A log with a gap cannot be reproduced as the same file.
+    /// Message for a log with a gap, which cannot be reproduced as the same file.
     fn gap(&self, tick: u64) -> String {
-        format!("{}: gap at tick {tick}: --output needs every tick", self.log.path.display())
+        format!("{}: gap at tick {tick}; --output needs every tick", self.log.path.display())
     }
 
     fn keyframe(&mut self) -> Result<(), Failure> {
@@ -193,7 +194,7 @@ impl ReplayCopy<'_> {
         written.map_err(Failure::failed)
     }
 
-    /// Writes the waiting frame, with its image if the image comes next in the log.
+    /// Writes the pending frame, with its image if it is next in the log.
     fn put_frame(&mut self, image: Option<&[u8]>) -> Result<(), Failure> {
         let Some(frame) = self.frame.take() else { return Ok(()) };
         self.frame_count += 1;

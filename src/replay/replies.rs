@@ -1,4 +1,4 @@
-//! What a frame should show, according to its reply, its request and the scene.
+//! Determines the expected contents of a frame from its reply, its request and the scene.
 
 use std::collections::VecDeque;
 use std::path::PathBuf;
@@ -27,16 +27,16 @@ pub struct Replies {
     /// The scene's C-arm.
     scene: CArmGeometry,
     requests: Requests,
-    /// Requested frames whose request is not in the timing lane.
+    /// On-demand frames whose request is not in the timing lane.
     without_request: u64,
     path: PathBuf,
     options: ReadOptions,
-    /// Whether the log lacks replies; none until first needed.
+    /// Whether the log lacks replies; `None` until first needed.
     lacks: Option<bool>,
 }
 
 impl Replies {
-    /// Opens the replies of a log, with the requests of the timing lane beside it.
+    /// Opens the replies of a log, with the requests of its timing lane.
     pub fn open(log: &OpenedLog, drr: &Drr) -> Result<Replies, Failure> {
         let scene = scene_c_arm(drr).map_err(Failure::failed)?;
         let scene = c_arm_message(&scene);
@@ -48,15 +48,16 @@ impl Replies {
         Ok(Replies { stream, waiting, scene, requests, without_request: 0, path, options, lacks: None })
     }
 
-    /// Requested frames so far whose request is not in the timing lane: their C-arm is compared with their reply's alone.
+    /// Returns the number of on-demand frames so far whose request is not in the timing lane, so that their
+    /// C-arm is compared only with the reply's.
     pub fn without_request(&self) -> u64 {
         self.without_request
     }
 
-    /// The C-arm that a frame should have: the scene's or the requested one.
+    /// Returns the expected C-arm of a frame: the scene's or the requested one.
     pub fn geometry_of(&mut self, frame: &Frame) -> Result<CArmGeometry, String> {
         let Some(reply) = self.reply_of(frame.sequence)? else {
-            // A log that lacks replies says so. An unrequested frame shows the scene's C-arm either way.
+            // A log that lacks replies is marked as such. A scheduled frame always shows the scene's C-arm.
             return match (self.lacks_some(), frame.request_id) {
                 (false, _) => Err(format!("{} has no reply for it", Topic::DrrReply.name())),
                 (true, 0) => Ok(self.scene),
@@ -78,7 +79,7 @@ impl Replies {
         }
     }
 
-    /// The requested C-arm; if the request is unknown, the one in the reply.
+    /// Returns the requested C-arm, or the one in the reply if the request is unknown.
     fn asked_for(&mut self, request_id: u64, reply: &DrrReply) -> CArmGeometry {
         if request_id == 0 {
             return self.scene;
@@ -106,7 +107,7 @@ impl Replies {
         Ok(if is_it { self.waiting.pop_front() } else { None })
     }
 
-    /// Whether the log lacks replies, according to its end marker.
+    /// Returns whether the log lacks replies, according to its end marker.
     fn lacks_some(&mut self) -> bool {
         let (path, options) = (&self.path, self.options);
         *self.lacks.get_or_insert_with(|| {
@@ -120,11 +121,11 @@ impl Replies {
     }
 }
 
-/// Requester and request number; a controller may reuse a number.
+/// Requester and request number; a controller can reuse a number.
 type Key = (u32, u64);
 
-/// The requests of the timing lane. Of each only the key and a hash of its C-arm are kept (24 bytes), so that those of a day fit; the C-arm
-/// itself is read again for the report of a difference.
+/// The requests of the timing lane. Only the key and a hash of the C-arm are kept of each (24 bytes), so that
+/// a day's requests fit in memory; the C-arm itself is reread to report a difference.
 struct Requests {
     timing: PathBuf,
     options: ReadOptions,
@@ -134,7 +135,7 @@ struct Requests {
 }
 
 impl Requests {
-    /// None if the timing lane is missing; as far as it can be read.
+    /// Reads the requests as far as possible; empty if the timing lane is missing.
     fn of(timing: PathBuf, options: ReadOptions, scene: CArmGeometry) -> Requests {
         let mut requests = Requests { timing, options, scene, known: Vec::new() };
         let mut known = Vec::new();
@@ -147,7 +148,7 @@ impl Requests {
         requests
     }
 
-    /// The first request that is `wanted`.
+    /// Returns the first matching request.
     fn find(&self, mut wanted: impl FnMut(Key, &CArmGeometry) -> bool) -> Option<CArmGeometry> {
         let topics = [Topic::DrrRequest.name().to_owned()];
         let mut stream =
@@ -163,7 +164,8 @@ impl Requests {
         None
     }
 
-    /// `replied` if a request with this key asked for it, otherwise what the first one asked for; none without a request.
+    /// Returns `replied` if a request with this key asked for it, otherwise the C-arm of the first one;
+    /// `None` without a request.
     fn asked_for(&self, key: Key, replied: &CArmGeometry) -> Option<CArmGeometry> {
         if self.known.binary_search(&(key, hash(replied))).is_ok() {
             return Some(*replied);

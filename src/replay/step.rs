@@ -11,11 +11,12 @@ use run_log::{LogError, SavedState, Verdict};
 use super::{OpenedLog, Overrides};
 use crate::failure::Failure;
 
-/// Steps a log without comparing its ticks: from keyframe to keyframe on several threads if that proves to come to what one pass comes to,
-/// else in one pass. A scene or build that is not the log's has other states than its keyframes, so it is stepped in one pass at once.
+/// Steps a log without comparing its ticks: on several threads from keyframe to keyframe if that provably
+/// gives the same result as one pass, otherwise in one pass. With a different scene or build the states do
+/// not match the keyframes, so one pass is used from the start.
 ///
 /// # Errors
-/// The log cannot be read, or the physics refuses the scene or a tick.
+/// The log cannot be read, or the physics rejects the scene or a tick.
 pub fn step(log: &OpenedLog, options: SegmentOptions) -> Result<(SegmentReport, Verdict), Failure> {
     if options.threads > 1 && log.label().is_empty() {
         let mut reader = log.reader()?;
@@ -26,7 +27,7 @@ pub fn step(log: &OpenedLog, options: SegmentOptions) -> Result<(SegmentReport, 
     in_one_pass(log, options.start.as_ref(), options.to_tick)
 }
 
-/// From the start, or a keyframe, tick after tick.
+/// Steps tick by tick from the start or a keyframe.
 fn in_one_pass(
     log: &OpenedLog,
     start: Option<&SavedState>,
@@ -67,7 +68,7 @@ fn in_one_pass(
         }
     }
     let (tick, hash) = (Tick(simulation.state().tick), simulation.state().hash);
-    // The simulation is unusable after its failure: last.
+    // The simulation is unusable after its failure, so this is last.
     let failure = reader.failure();
     if let Some(failure) = &failure {
         failure
@@ -89,7 +90,7 @@ fn in_one_pass(
     Ok((report, reader.stream().verdict()))
 }
 
-/// Time of a verification between keyframes, in seconds, with one thread per core.
+/// Measures the time in seconds of a verification with one thread per core.
 pub fn timed_verification(log: &Path) -> Result<(f64, usize), Failure> {
     let opened = OpenedLog::open(log, &Overrides::default())?;
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
@@ -101,7 +102,7 @@ pub fn timed_verification(log: &Path) -> Result<(f64, usize), Failure> {
         return Err(Failure::failed(format!("{}: {gap}", log.display())));
     }
     if !found.is_identical() {
-        return Err(Failure::failed(format!("the replay differs behind tick {}", found.last_tick)));
+        return Err(Failure::failed(format!("the replay differs after tick {}", found.last_tick)));
     }
     Ok((began.elapsed().as_secs_f64(), threads))
 }

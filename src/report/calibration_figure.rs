@@ -24,7 +24,7 @@ pub fn draw(title: &str, calibration: &Calibration) -> Result<Figure, FigureErro
         let x = Axis::over(x, points.iter().map(|p| p.0), 0.06, 5);
         let y = Axis::over(y, points.iter().map(|p| p.1), 0.06, 5);
         let mut panel = Panel::new(&mut figure, cell, title, x, y);
-        for (index, (rising, label)) in [(true, "up"), (false, "down")].into_iter().enumerate() {
+        for (index, (rising, label)) in [(true, "loading"), (false, "unloading")].into_iter().enumerate() {
             let rows = calibration.rows.iter().filter(|row| row.rising == rising);
             panel.line(&rows.map(pick).collect::<Vec<_>>(), Stroke::of_palette(index, 1.8), label);
         }

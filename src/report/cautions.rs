@@ -1,4 +1,4 @@
-//! What is most likely wrong with a run that went through: for the table at its end and `summary.json`.
+//! Cautions about likely problems of a completed run, for the final table and `summary.json`.
 
 use ipc_types::scene::{Drives, Scene};
 use simulation::arm::ArmParameters;
@@ -7,12 +7,12 @@ use super::run_lane::RunLane;
 use super::timing_lane::TimingLane;
 use crate::plan::ModelError;
 
-/// Turns the arm's rated payload into the force above which a normal force is named.
+/// Converts the arm's rated payload to the force above which a normal force is reported.
 const GRAVITY_M_PER_S2: f64 = 9.81;
-/// A tip that has stayed within this of its start has not moved.
+/// A tip that stays within this distance of its start has not moved.
 const STILL_M: f64 = 1e-5;
 
-/// The cautions of a run, one line each.
+/// Returns the cautions of a run, one line each.
 pub(super) fn cautions(run: &RunLane, timing: &TimingLane) -> Vec<String> {
     let found = [
         refused(timing),
@@ -27,7 +27,7 @@ pub(super) fn cautions(run: &RunLane, timing: &TimingLane) -> Vec<String> {
 fn refused(timing: &TimingLane) -> Option<String> {
     let (refused, sent) = (timing.refused_commands, timing.commands);
     let share = 100.0 * (refused as f64 / sent.max(1) as f64).min(1.0);
-    (refused > 0).then(|| format!("{refused} of {sent} commands were refused ({share:.1} %)"))
+    (refused > 0).then(|| format!("{refused} of {sent} commands rejected ({share:.1} %)"))
 }
 
 fn force(run: &RunLane) -> Option<String> {
@@ -36,10 +36,9 @@ fn force(run: &RunLane) -> Option<String> {
     let most_n = arm.payload_kg? * GRAVITY_M_PER_S2;
     let drilling = &run.course.peaks.drilling;
     let (burr_n, contact_n) = (drilling.max_burr_force_n, drilling.max_contact_force_n);
-    let (what, force_n) = if burr_n > most_n { ("the burr", burr_n) } else { ("a contact", contact_n) };
-    (force_n > most_n).then(|| {
-        format!("{what} pressed with up to {force_n:.1} N, more than the arm's payload of {most_n:.1} N")
-    })
+    let (what, force_n) = if burr_n > most_n { ("burr", burr_n) } else { ("contact", contact_n) };
+    (force_n > most_n)
+        .then(|| format!("{what} force reached {force_n:.1} N, above the arm's payload of {most_n:.1} N"))
 }
 
 fn tip_at_rest(run: &RunLane) -> Option<String> {
@@ -49,12 +48,12 @@ fn tip_at_rest(run: &RunLane) -> Option<String> {
     };
     let is_driven = run.scene.as_ref().is_some_and(moves);
     (run.course.ticks > 0 && is_driven && run.course.peaks.tip_travel_m < STILL_M).then(|| {
-        format!("the tip never moved: at most {:.4} mm from its start", run.course.peaks.tip_travel_m * 1e3)
+        format!("the tip never moved more than {:.4} mm from its start", run.course.peaks.tip_travel_m * 1e3)
     })
 }
 
 fn on_stops(run: &RunLane) -> Option<String> {
     let share = 100.0 * (run.course.peaks.ticks_on_stops as f64 / run.course.ticks.max(1) as f64).min(1.0);
     (run.course.peaks.ticks_on_stops > 0)
-        .then(|| format!("the tool was on its stops in {share:.1} % of the ticks: it bends no farther"))
+        .then(|| format!("the tool was at its stops in {share:.1} % of the ticks and could not bend further"))
 }

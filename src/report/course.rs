@@ -1,4 +1,4 @@
-//! What the states of a run show: where it began, its deepest place and its end, and the largest values on the way.
+//! Reduces the states of a run to its start, its deepest insertion, its end and the maximum values.
 
 use ipc_types::messages::{MAX_TENDONS, State};
 use ipc_types::scene::Scene;
@@ -16,7 +16,8 @@ pub struct Plane {
 }
 
 impl Plane {
-    /// The plane through the first state's tip, spanned by its base's +x (toward tendon 0) and +z (insertion).
+    /// The plane through the first state's tip, spanned by its base's +x (toward tendon 0) and +z
+    /// (insertion).
     pub fn of(state: &State) -> Plane {
         let q = state.t_world_base.orientation_xyzw;
         let (bend_axis, insertion_axis) = (rotate(q, [1.0, 0.0, 0.0]), rotate(q, [0.0, 0.0, 1.0]));
@@ -38,7 +39,7 @@ fn rotate(q: [f64; 4], v: [f64; 3]) -> [f64; 3] {
     [0, 1, 2].map(|i| v[i] + 2.0 * (q[3] * uv[i] + uuv[i]))
 }
 
-/// Distance of two points, m.
+/// Returns the distance between two points, m.
 pub fn distance_m(a: [f64; 3], b: [f64; 3]) -> f64 {
     length(minus(a, b))
 }
@@ -48,18 +49,18 @@ pub fn distance_m(a: [f64; 3], b: [f64; 3]) -> f64 {
 pub struct Peaks {
     /// Tension of any tendon.
     pub tension_n: f64,
-    /// The maxima of drilling.
+    /// Maxima of drilling.
     pub drilling: DrillingSummary,
     /// Ticks with at least one contact.
     pub ticks_in_contact: u64,
-    /// Farthest place of the tip from where it was at the start.
+    /// Maximum distance of the tip from its start.
     pub tip_travel_m: f64,
     /// Ticks with at least one flexure at its stop.
     pub ticks_on_stops: u64,
 }
 
 impl Peaks {
-    /// Adds a state of a run that began at this tip, with a tool whose flexures bend up to `stop_rad`.
+    /// Adds a state of a run that started at this tip, with a tool whose flexures bend up to `stop_rad`.
     fn add(&mut self, state: &State, first_tip_m: [f64; 3], stop_rad: f64) {
         let joints = (state.joint_count as usize).min(state.joint_position_rad.len());
         let on_stop = state.joint_position_rad[..joints].iter().any(|angle| angle.abs() >= stop_rad);
@@ -82,10 +83,10 @@ impl Peaks {
     }
 }
 
-/// The mount deflects by this much under load.
+/// Deflection of the mount under load.
 const SAME_DEPTH_MM: f64 = 0.02;
 
-/// The states of a run, one after the other, of which it keeps what a summary says.
+/// Accumulates the states of a run for its summary.
 #[derive(Debug, Clone, Default)]
 pub struct Course {
     /// Number of states after the initial one.
@@ -94,20 +95,20 @@ pub struct Course {
     pub first: Option<Box<State>>,
     /// The last state.
     pub last: Option<Box<State>>,
-    /// The last state at the deepest insertion, that is, before the tool retracts, if it does.
+    /// The last state at the deepest insertion, before the tool retracts, if it does.
     pub deepest: Option<Box<State>>,
     deepest_mm: f64,
     /// Maximum values.
     pub peaks: Peaks,
     /// Angle at which a flexure of the scene's tool reaches its stop.
     stop_rad: Option<f64>,
-    /// Target of the burr where it truly lies in the bone, world frame.
+    /// True position of the burr's target in the bone, world frame.
     pub target_m: Option<[f64; 3]>,
     voxel_volume_mm3: Option<f64>,
 }
 
 impl Course {
-    /// Of no state yet, in a scene.
+    /// Creates an empty course for a scene.
     pub fn of(scene: &Scene) -> Course {
         let target_mm = scene.controller.iter().find_map(|c| c.curved_drilling.as_ref()?.target_mm);
         Course {
@@ -136,7 +137,7 @@ impl Course {
         put(&mut self.last, state);
     }
 
-    /// The tool at the start and end; none without a state.
+    /// Returns the tool at the start and end, or `None` without a state.
     pub fn tool(&self) -> Option<ToolSummary> {
         let (first, last, deepest) = (self.first.as_ref()?, self.last.as_ref()?, self.deepest.as_ref()?);
         let burr_m = deepest.t_world_burr.position_m;
@@ -150,7 +151,7 @@ impl Course {
         })
     }
 
-    /// Drilling and contact; none without a state.
+    /// Returns drilling and contact, or `None` without a state.
     pub fn drilling(&self) -> Option<DrillingSummary> {
         let (last, peaks) = (self.last.as_ref()?, &self.peaks);
         Some(DrillingSummary {
@@ -164,7 +165,7 @@ impl Course {
     }
 }
 
-/// Keeps a copy, in the memory of the one before.
+/// Copies a state, reusing the memory of the previous copy.
 fn put(kept: &mut Option<Box<State>>, state: &State) {
     match kept {
         Some(kept) => **kept = *state,
@@ -172,7 +173,7 @@ fn put(kept: &mut Option<Box<State>>, state: &State) {
     }
 }
 
-/// Volume of a voxel, if the scene states it, as it does for phantoms and for files that are resampled to cubes.
+/// Returns the volume of a voxel if the scene specifies it, as for phantoms and for files resampled to cubes.
 fn voxel_volume_mm3(scene: &Scene) -> Option<f64> {
     let volume = scene.volume.as_ref()?;
     let edge_mm = volume.phantom.map(|_| volume.spacing_mm).or(volume.resample_mm)?;

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use super::ReportError;
 use super::timeline::Bin;
 
-/// Longest duration that is counted exactly, 1000 s; longer ones count as this.
+/// Longest duration, 1000 s; longer ones are counted as this.
 const LONGEST_NS: u64 = 1_000_000_000_000;
 
 /// Durations in nanoseconds, counted in bins of a fixed relative width.
@@ -38,13 +38,13 @@ impl Quantiles {
 }
 
 impl Distribution {
-    /// An empty distribution. Values keep `significant_digits` (1 to 5) decimal digits.
+    /// Creates an empty distribution. Values keep `significant_digits` (1 to 5) decimal digits.
     pub fn new(significant_digits: u8) -> Result<Distribution, ReportError> {
         let histogram = Histogram::new_with_bounds(1, LONGEST_NS, significant_digits);
         histogram.map(Distribution).map_err(|source| ReportError::Histogram { source })
     }
 
-    /// Adds a duration; anything above 1000 s counts as 1000 s.
+    /// Adds a duration; anything above 1000 s is counted as 1000 s.
     pub fn add(&mut self, nanoseconds: u64) {
         self.0.saturating_record(nanoseconds);
     }
@@ -59,7 +59,8 @@ impl Distribution {
         self.0.len()
     }
 
-    /// Quantiles in units of `unit_ns`; none without samples. At most half a bin (0.05 % with 3 digits) too high.
+    /// Returns the quantiles in units of `unit_ns`, at most half a bin (0.05 % with 3 digits) too high, or
+    /// `None` without samples.
     pub fn quantiles(&self, unit_ns: f64) -> Option<Quantiles> {
         let at = |quantile: f64| self.0.value_at_quantile(quantile) as f64 / unit_ns;
         let max = self.0.max() as f64 / unit_ns;
@@ -74,7 +75,7 @@ impl Distribution {
         })
     }
 
-    /// Each recorded value with its sample count, ascending, without empty bins.
+    /// Returns each recorded value with its sample count, ascending, without empty bins.
     pub fn recorded(&self) -> impl Iterator<Item = (u64, u64)> {
         self.0.iter_recorded().map(|step| (step.value_iterated_to(), step.count_at_value()))
     }

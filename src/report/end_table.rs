@@ -1,4 +1,4 @@
-//! The table that a run ends with.
+//! The table printed at the end of a run.
 
 use std::fmt;
 
@@ -6,22 +6,22 @@ use super::distribution::Quantiles;
 use super::summary::{LogSummary, MissSummary, NOT_SHARED, Summary};
 
 impl LogSummary {
-    /// `ticks 2233 to 5812 (3580) are not in the log`; none if none is missing.
+    /// Returns `ticks 2233 to 5812 (3580) are missing from the log`, or `None` if no tick is missing.
     fn describe_missing(&self) -> Option<String> {
         let gaps = &self.missing_ticks;
         let count: u64 = gaps.iter().map(|[first, last]| last - first + 1).sum();
         let shown = gaps.iter().take(GAPS_SHOWN).map(|[first, last]| format!("{first} to {last}"));
         let shown = shown.collect::<Vec<_>>().join(", ");
         let more = gaps.len().saturating_sub(GAPS_SHOWN);
-        let more = if more > 0 { format!(" and in {more} more gaps") } else { String::new() };
-        (count > 0).then(|| format!("ticks {shown}{more} ({count}) are not in the log"))
+        let more = if more > 0 { format!(" and {more} more gaps") } else { String::new() };
+        (count > 0).then(|| format!("ticks {shown}{more} ({count}) are missing from the log"))
     }
 }
 
-/// Maximum number of gaps that the table names individually.
+/// Maximum number of gaps listed individually.
 const GAPS_SHOWN: usize = 3;
 
-/// The short table at the end of a run: 20 lines, plus one for each caution and for each controller after the third.
+/// The table at the end of a run: 20 lines, plus one per caution and per controller after the third.
 impl fmt::Display for Summary {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let unknown = || "unknown".to_string();
@@ -62,17 +62,17 @@ impl Summary {
             rows.push(("tip", format!("{start} -> {end} mm{error}")));
             rows.push((
                 "bend",
-                format!("{:.2} deg, tension up to {:.2} N", tool.bend_deg, tool.max_tension_n),
+                format!("{:.2} deg, maximum tension {:.2} N", tool.bend_deg, tool.max_tension_n),
             ));
         }
         if let Some(drilling) = &self.drilling {
             let volume = drilling.removed_volume_mm3.map_or(String::new(), |mm3| format!(" ({mm3:.1} mm3)"));
             let (voxels, energy) = (drilling.removed_voxels, drilling.cutting_energy_j);
             let crushed = drilling.crushing_energy_j;
-            let crushed = if crushed > 0.0 { format!(", {crushed:.3} J of crushing") } else { String::new() };
-            rows.push(("drilled", format!("{voxels} voxels{volume}, {energy:.2} J of cutting{crushed}")));
+            let crushed = if crushed > 0.0 { format!(", {crushed:.3} J crushing") } else { String::new() };
+            rows.push(("drilled", format!("{voxels} voxels{volume}, {energy:.2} J cutting{crushed}")));
             let text = format!(
-                "up to {} at once, in {:.1} % of ticks; burr up to {:.2} N, walls {:.2} N, flange {:.2} N",
+                "up to {} at once, in {:.1} % of ticks; maximum burr {:.2} N, walls {:.2} N, flange {:.2} N",
                 drilling.max_contacts,
                 100.0 * drilling.contact_share,
                 drilling.max_burr_force_n,
@@ -104,7 +104,7 @@ impl Summary {
             rows.push(("lateness", format!("{}, {} missed ticks", quantiles(q), self.timing.missed_ticks)));
         }
         if let Some(causes) = self.timing.misses.describe() {
-            rows.push(("late because", causes));
+            rows.push(("late due to", causes));
         }
         for (name, q) in &self.timing.round_trip_us {
             rows.push(("round trip", format!("{}, {name}", quantiles(q))));
@@ -119,8 +119,7 @@ impl Summary {
             self.logs.mb_per_simulated_s.map_or(String::new(), |mb| format!(", {mb:.2} MB per simulated s"));
         let (run, timing) = (megabytes(self.logs.run_bytes), megabytes(self.logs.timing_bytes));
         rows.push(("logs", format!("run {run}, timing {timing}{rate}")));
-        // Shared memory counts in every process that maps it; the reader wants to know what each process costs by
-        // itself.
+        // Shared memory is counted in every process that maps it, so show private memory.
         let own = self
             .peak_memory_bytes
             .iter()
@@ -145,13 +144,13 @@ impl Summary {
         if !problems.is_empty() {
             rows.push(("log problems", problems.join("; ")));
         }
-        rows.push(("replay it", self.replay_command.clone()));
+        rows.push(("replay", self.replay_command.clone()));
         rows
     }
 }
 
 impl MissSummary {
-    /// `8 run queue, 4 stolen, 2 not recorded (99.1 % confirmed)`; none without a miss.
+    /// Returns `8 run queue, 4 stolen, 2 not recorded (99.1 % confirmed)`, or `None` without a miss.
     fn describe(&self) -> Option<String> {
         let mut causes: Vec<String> =
             self.by_cause.iter().map(|(name, count)| format!("{count} {name}")).collect();

@@ -17,9 +17,9 @@ pub struct LiveStats {
 /// Timing of one interval.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct LiveInterval {
-    /// Time of the physics step, µs; none without a tick.
+    /// Time of the physics step, µs; `None` without a tick.
     pub step_us: Option<Quantiles>,
-    /// How late ticks began, µs; none without a tick.
+    /// How late ticks began, µs; `None` without a tick.
     pub lateness_us: Option<Quantiles>,
     /// Ticks that began more than a period late.
     #[serde(rename = "missed_in_interval")]
@@ -27,7 +27,7 @@ pub struct LiveInterval {
 }
 
 impl LiveStats {
-    /// An empty interval.
+    /// Creates an empty interval.
     pub fn new() -> Result<LiveStats, ReportError> {
         let duration = Distribution::new(3)?;
         Ok(LiveStats { step: duration.clone(), lateness: duration, missed: 0 })
@@ -65,13 +65,13 @@ pub struct LiveSnapshot {
     /// Timing of the last interval.
     #[serde(flatten)]
     pub interval: LiveInterval,
-    /// Frames per second of wall time in the last interval; none without DRR.
+    /// Frames per second of wall time in the last interval; `None` without DRR.
     pub drr_rate_hz: Option<f64>,
-    /// Missed ticks since the start; none in lockstep.
+    /// Missed ticks since the start; `None` in lockstep.
     pub missed_ticks: Option<u64>,
 }
 
-/// One line of fewer than 160 columns.
+/// Formats the progress line, shorter than 160 columns.
 pub fn progress_line(live: &LiveSnapshot) -> String {
     let [x, y, z] = live.tip_position_m.map(|metres| fixed(metres * 1e3, 7, 2));
     let microseconds =
@@ -96,8 +96,8 @@ pub fn progress_line(live: &LiveSnapshot) -> String {
     line
 }
 
-/// A number in at least `width` columns and at most 6 or `width`, whichever is more: a number that does not fit is
-/// written with an exponent, a non-finite one as a dash.
+/// Formats a number in `width` to max(6, `width`) columns. A number that does not fit is written with an
+/// exponent, a non-finite one as a dash.
 fn fixed(value: f64, width: usize, decimals: usize) -> String {
     if !value.is_finite() {
         return format!("{:>width$}", "-");

@@ -1,16 +1,18 @@
-//! What a user sees of a finished run: pictures, numbers, a table; and the line that shows how a run goes on.
+//! The report of a finished run (figures, numbers, a table), and the progress line of a running one.
 //!
-//! [`write()`] reads `run.mcap` and `timing.mcap` of a run folder once each, in bounded memory, and writes beside them:
+//! [`write()`] reads `run.mcap` and `timing.mcap` of a run folder once each, in bounded memory, and writes
+//! next to them:
 //!
-//! | file | what it shows |
+//! | file | contents |
 //! |---|---|
 //! | `drr_before.png`, `drr_half.png`, `drr_after.png` | first, middle and last frame |
 //! | `tip_path.png`, `.svg` | tip path with the manipulator's shape; tension, bend and burr force over time |
 //! | `timing.png`, `.svg` | step time over the run; distributions of step, lateness and round trip |
 //! | `summary.json` | [`Summary`] |
-//! | `report.html` | all of it on one page, with warnings, scene and the command that replays the run |
+//! | `report.html` | all of the above on one page, with warnings, scene and replay command |
 //!
-//! Each file is on the disk before the next is begun. A log that is cut, damaged or not there gives what it holds; what is wrong stands in `LogSummary::notes`.
+//! Each file is on disk before the next is started. From a truncated, damaged or missing log, everything
+//! readable is reported, and its faults are listed in `LogSummary::notes`.
 
 pub mod calibration_figure;
 mod cautions;
@@ -79,13 +81,13 @@ pub struct RunFacts {
     pub replay_command: String,
 }
 
-/// Why a report could not be written.
+/// Errors of writing a report.
 #[derive(Debug, thiserror::Error)]
 pub enum ReportError {
     /// One of its files could not be drawn or written.
     #[error(transparent)]
     Figure(#[from] FigureError),
-    /// A histogram could not be made.
+    /// A histogram could not be created.
     #[error("cannot create a histogram of durations: {source}")]
     Histogram {
         /// The library's reason.
@@ -102,7 +104,7 @@ impl From<ReportError> for Failure {
     }
 }
 
-/// A run's report, and which of its files could not be written.
+/// A run's report, and errors about files that could not be written.
 #[derive(Debug)]
 pub struct Report {
     /// Its numbers.
@@ -111,11 +113,11 @@ pub struct Report {
     pub missing: Vec<FigureError>,
 }
 
-/// Writes the report of a run into its folder. Files are independent: if one cannot be written, the others still are,
-/// and existing files are never replaced.
+/// Writes the report of a run into its folder. Files are independent: if one cannot be written, the others
+/// still are, and existing files are never replaced.
 ///
 /// # Errors
-/// [`ReportError::Histogram`]: there are no numbers. Logs that cannot be read are not an error.
+/// [`ReportError::Histogram`], and no report is written. Unreadable logs are not an error.
 pub fn write(folder: &Path, facts: &RunFacts) -> Result<Report, ReportError> {
     let paths = [folder.join("run.mcap"), folder.join("timing.mcap")];
     // Read the timing lane first: it gives the length of the run, which determines the middle frame.
@@ -139,7 +141,7 @@ pub fn write(folder: &Path, facts: &RunFacts) -> Result<Report, ReportError> {
             Err(error) => missing.push(error),
         }
     }
-    // Drawing is most of a report's time: each figure on a thread of its own.
+    // Drawing takes most of a report's time, so each figure has its own thread.
     let (tip, over_time) = std::thread::scope(|scope| {
         let tip = scope.spawn(|| tip_figure::draw(&run).and_then(|figure| figure.files(folder, "tip_path")));
         let over_time =

@@ -1,4 +1,4 @@
-//! `report.html`: the whole report as one page that needs no other file and no network. Every text in it may be a stranger's (a scene's
+//! `report.html`: the whole report as one self-contained page. Any text in it can be untrusted (a scene's
 //! name, a controller's warning), so the template escapes all of them.
 
 use askama::Template;
@@ -6,7 +6,7 @@ use data_encoding::BASE64;
 
 use super::summary::Summary;
 
-/// A picture inside the page.
+/// A picture embedded in the page.
 #[derive(Debug)]
 pub struct Picture {
     caption: &'static str,
@@ -14,12 +14,12 @@ pub struct Picture {
 }
 
 impl Picture {
-    /// A PNG file's bytes.
+    /// Embeds a PNG file.
     pub fn png(caption: &'static str, bytes: &[u8]) -> Picture {
         Picture { caption, data_uri: format!("data:image/png;base64,{}", BASE64.encode(bytes)) }
     }
 
-    /// An SVG file's bytes. As an image it runs no script and loads nothing.
+    /// Embeds an SVG file. As an image it runs no scripts and loads nothing.
     pub fn svg(caption: &'static str, bytes: &[u8]) -> Picture {
         Picture { caption, data_uri: format!("data:image/svg+xml;base64,{}", BASE64.encode(bytes)) }
     }
@@ -39,7 +39,7 @@ struct Page<'a> {
     scene: &'a str,
 }
 
-/// The page of a run; `scene` is its scene as TOML.
+/// Renders the page of a run; `scene` is its scene as TOML.
 pub fn page(
     summary: &Summary,
     scene: &str,

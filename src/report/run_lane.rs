@@ -83,21 +83,21 @@ impl Frames {
 /// Summary of a run's deterministic lane.
 #[derive(Default)]
 pub struct RunLane {
-    /// Header of the file; none if it could not be opened.
+    /// Header of the file; `None` if it could not be opened.
     pub header: Option<LogHeader>,
     /// The scene, if it can be read from the header.
     pub scene: Option<Scene>,
     /// Simulated time of the last state, counting time before resets.
     pub end_ns: u64,
-    /// What its states show.
+    /// Reduced states.
     pub course: Course,
-    /// Curves for the figures; none without a state.
+    /// Curves for the figures; `None` without a state.
     pub curves: Option<Curves>,
     /// Frames.
     pub frames: Frames,
     /// Ticks with missing states: first and last of each gap, at most [`MAX_GAPS`] gaps.
     pub missing_ticks: Vec<[u64; 2]>,
-    /// Gaps beyond these.
+    /// Number of further gaps.
     further_gaps: u64,
     /// Messages lost, by topic, according to the end marker.
     pub lost: BTreeMap<String, u64>,
@@ -109,8 +109,8 @@ pub struct RunLane {
 const MAX_GAPS: usize = 100;
 
 impl RunLane {
-    /// Reads the file once. Faults become notes. `end_ns` is the simulated length of the run if known, used to choose
-    /// the middle frame; otherwise the scene's length is used.
+    /// Reads the file once. Faults become notes. The middle frame is chosen by the simulated length of the
+    /// run, `end_ns`, or if unknown by the scene's length.
     pub fn read(path: &Path, end_ns: Option<u64>) -> RunLane {
         let mut lane = RunLane::default();
         let stream = match MessageStream::open(&LogFile::at(path), ReadOptions::default()) {

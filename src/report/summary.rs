@@ -1,4 +1,4 @@
-//! The numbers of a run.
+//! Summary of a run.
 
 use std::collections::BTreeMap;
 
@@ -13,7 +13,7 @@ use super::run_lane::RunLane;
 use super::timing_lane::TimingLane;
 use crate::plan::ModelError;
 
-/// The results of a run: the content of `summary.json`. Values that the logs do not give are null.
+/// The results of a run, the content of `summary.json`. Values missing from the logs are null.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Summary {
     /// Name of the scene.
@@ -30,24 +30,26 @@ pub struct Summary {
     pub wall_s: f64,
     /// Wall time from the start to the first tick.
     pub startup_s: f64,
-    /// Wall time of each phase of the run: volume, session and connecting before the first tick, ticks, end of the parts.
+    /// Wall time of each phase of the run: volume, session and connecting before the first tick, ticks, end
+    /// of the parts.
     #[serde(default)]
     pub phases_s: BTreeMap<String, f64>,
     /// Simulated over wall time.
     pub real_time_factor: Option<f64>,
     /// `State.hash` of the last state, 32 hexadecimal digits, high word first.
     pub final_hash: Option<String>,
-    /// The tool; none without a state.
+    /// The tool; `None` without a state.
     pub tool: Option<ToolSummary>,
-    /// Known error of the model; none for a model that does not bend in one plane, without bone, or not measured.
+    /// Known error of the model; `None` for a model that does not bend in one plane, without bone, or without
+    /// a measurement.
     #[serde(default)]
     pub model_error: Option<ModelError>,
-    /// What is most likely wrong with the run.
+    /// Likely problems of the run.
     #[serde(default)]
     pub cautions: Vec<String>,
-    /// Drilling and contact; none without a state.
+    /// Drilling and contact; `None` without a state.
     pub drilling: Option<DrillingSummary>,
-    /// X-ray frames; none without a frame.
+    /// X-ray frames; `None` without a frame.
     pub drr: Option<DrrSummary>,
     /// Real-time behaviour.
     pub timing: TimingSummary,
@@ -75,7 +77,8 @@ pub struct ToolSummary {
     pub tip_deepest_mm: [f64; 3],
     /// Front of the burr at the end, world frame.
     pub tip_end_mm: [f64; 3],
-    /// Distance of the burr centre from the controller's target at the deepest insertion; none without a target.
+    /// Distance of the burr centre from the controller's target at the deepest insertion; `None` without a
+    /// target.
     pub target_error_mm: Option<f64>,
     /// Bend at the deepest insertion.
     pub bend_deg: f64,
@@ -92,7 +95,7 @@ pub struct DrillingSummary {
     pub removed_volume_mm3: Option<f64>,
     /// Energy spent on cutting since the start or the last reset.
     pub cutting_energy_j: f64,
-    /// Energy that bone absorbed where the tool crushed it, since the start or the last reset.
+    /// Energy absorbed by bone that the tool crushed, since the start or the last reset.
     #[serde(default)]
     pub crushing_energy_j: f64,
     /// Maximum normal force of the burr.
@@ -119,7 +122,7 @@ pub struct DrillingSummary {
 pub struct DrrSummary {
     /// Number of frames in the log.
     pub frames: u64,
-    /// Frames that were traced whole; the others were traced only where something had changed.
+    /// Frames traced in full; the others were traced only where something had changed.
     pub full_frames: u64,
     /// Render time.
     pub render_ms: Option<Quantiles>,
@@ -140,7 +143,7 @@ pub struct TimingSummary {
     pub step_us: Option<Quantiles>,
     /// How late ticks began (real time).
     pub lateness_us: Option<Quantiles>,
-    /// From state to command, per controller that answered.
+    /// Time from state to command, per controller that replied.
     pub round_trip_us: BTreeMap<String, Quantiles>,
     /// Ticks that began more than a period late.
     pub missed_ticks: u64,
@@ -157,16 +160,16 @@ pub struct MissSummary {
     pub by_cause: BTreeMap<String, u64>,
     /// Time lost to each cause, with the same keys.
     pub lost_ms: BTreeMap<String, f64>,
-    /// Misses inside a gap of the log: the physics counted them, but their cause is unknown.
+    /// Misses inside a gap of the log, counted by the physics but of unknown cause.
     #[serde(default)]
     pub not_recorded: u64,
-    /// Share of the lost time with an identified cause; none without lost time.
+    /// Share of the lost time with an identified cause; `None` without lost time.
     #[serde(default)]
     pub confirmed_share: Option<f64>,
     /// Steal shown by the machine's own counter, `/proc/stat`, for the late ticks, in steps of 10 ms.
     #[serde(default)]
     pub steal_counter_ms: f64,
-    /// Ticks with a late command from a controller, so that its last command or the safe one held.
+    /// Ticks with a late command from a controller, for which its last command or the safe one was used.
     pub late_controller_ticks: u64,
 }
 
@@ -208,7 +211,7 @@ pub struct LogSummary {
 /// Suffix of a name in [`Summary::peak_memory_bytes`] for a process's memory without shared memory.
 pub const NOT_SHARED: &str = ", not shared";
 
-/// The ratio, if it is finite.
+/// Returns the ratio if it is finite.
 pub(super) fn ratio(a: f64, b: f64) -> Option<f64> {
     Some(a / b).filter(|ratio| b > 0.0 && ratio.is_finite())
 }

@@ -49,7 +49,8 @@ fn is_realtime(timing: &TimingLane) -> bool {
     timing.header.as_ref().is_some_and(|header| header.mode == RunMode::RealTime)
 }
 
-/// Middle (s) and quantiles (µs) of each interval. A last interval less than half full is merged into the one before.
+/// Returns the middle (s) and quantiles (µs) of each interval. A last interval less than half full is merged
+/// into the previous one.
 fn step_bins(timing: &TimingLane, end_s: f64) -> Vec<(f64, Quantiles)> {
     let bins = timing.step_over_time.iter();
     let mut bins: Vec<(f64, Quantiles)> =
@@ -74,7 +75,7 @@ fn draw_over_time(figure: &mut Figure, outer: Rect, timing: &TimingLane, end_s: 
         panel.remark("no timing in the log");
         return panel.finish();
     }
-    // Extend from the middles of the first and last interval to the ends of the run.
+    // Extend from the middle of the first and last interval to the ends of the run.
     let ends = [bins.first().map(|(_, q)| (0.0, *q)), bins.last().map(|(_, q)| (end_s, *q))];
     let [first, last] = ends.map(|end| end.into_iter());
     let all: Vec<_> = first.chain(bins.iter().copied()).chain(last).collect();
@@ -98,7 +99,7 @@ fn draw_over_time(figure: &mut Figure, outer: Rect, timing: &TimingLane, end_s: 
     panel.finish_with_row();
 }
 
-/// Outline of a histogram with bars of equal width on a logarithmic axis: (µs, count).
+/// Returns the outline (µs, count) of a histogram with bars of equal width on a logarithmic axis.
 fn outline(distribution: &Distribution) -> Vec<Point> {
     let bar_of = |us: f64| (us.max(SHORTEST_US).log10() * BARS_PER_DECADE).floor() as i64;
     let edge = |bar: i64| 10f64.powf(bar as f64 / BARS_PER_DECADE);

@@ -23,7 +23,7 @@ const KEPT_WARNINGS: usize = 5;
 
 /// Wall-clock data of a run. Durations in nanoseconds.
 pub struct TimingLane {
-    /// Header of the file; none if it could not be opened.
+    /// Header of the file; `None` if it could not be opened.
     pub header: Option<LogHeader>,
     /// Simulated time of the last message.
     pub end_ns: u64,
@@ -33,7 +33,7 @@ pub struct TimingLane {
     pub step_over_time: Timeline<Distribution>,
     /// How late ticks began.
     pub lateness: Distribution,
-    /// From state to command, per controller in the header's order.
+    /// Time from state to command, per controller in the header's order.
     pub round_trips: Vec<Distribution>,
     /// Ticks that began more than a period late, and why.
     pub misses: Misses,
@@ -45,11 +45,11 @@ pub struct TimingLane {
     pub render: Distribution,
     /// Rays traced for all frames.
     pub rays: u64,
-    /// Frames that were traced whole.
+    /// Frames traced in full.
     pub full_frames: u64,
     /// Commands as sent, of all controllers.
     pub commands: u64,
-    /// Those that were refused, whole or in part.
+    /// Commands rejected, completely or in part.
     pub refused_commands: u64,
     /// Number of events by kind.
     pub events: BTreeMap<String, u64>,
@@ -153,7 +153,7 @@ impl TimingLane {
         self.step_over_time.bin(time_ns).add(timing.step_ns);
         self.lateness.add(timing.wake_lateness_ns.max(0) as u64);
         for (distribution, &round_trip_ns) in self.round_trips.iter_mut().zip(&timing.round_trip_ns) {
-            // 0: no command came for this tick.
+            // 0: no command for this tick.
             if round_trip_ns > 0 {
                 distribution.add(round_trip_ns);
             }
@@ -193,7 +193,7 @@ impl TimingLane {
     }
 }
 
-/// The name of the kind of event in the report.
+/// Returns the name of the kind of event in the report.
 fn event_name(event: &Event) -> String {
     event.code().map_or_else(|unknown| format!("code_{}", unknown.number), |code| code.word().to_string())
 }

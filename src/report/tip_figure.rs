@@ -1,4 +1,4 @@
-//! The figure of the tool's motion: the tip path with the manipulator's shape, and the forces over time.
+//! The figure of the tool's motion: tip path with the manipulator's shape, and forces over time.
 
 use figures::{
     Axis, COLOURS, Figure, FigureError, HEAD, INK, Key, Panel, Point, RGBColor, Rect, Stroke, WIDTH, bounds,
@@ -18,7 +18,7 @@ const START: RGBColor = RGBColor(222, 222, 222);
 pub fn draw(run: &RunLane) -> Result<Figure, FigureError> {
     let scene = run.header.as_ref().map_or("run", |header| header.scene_name.as_str());
     let title =
-        format!("{scene}: tool motion over {:.2} s (bands: least to greatest)", run.end_ns as f64 * 1e-9);
+        format!("{scene}: tool motion over {:.2} s (bands: minimum to maximum)", run.end_ns as f64 * 1e-9);
     let mut figure = Figure::titled(HEIGHT, &title)?;
     let height = HEIGHT - HEAD;
     draw_path(&mut figure, Rect { x: 0.0, y: HEAD, width: PATH_WIDTH, height }, run);
@@ -37,12 +37,19 @@ pub fn draw(run: &RunLane) -> Result<Figure, FigureError> {
         None => (Vec::new(), Vec::new(), Vec::new()),
     };
     draw_over_time(&mut figure, cell(0.0), "Tendon tension", "tension (N)", end_s, &tensions);
-    draw_over_time(&mut figure, cell(1.0), "Bend of the tip against the base", "bend (deg)", end_s, &bend);
+    draw_over_time(
+        &mut figure,
+        cell(1.0),
+        "Bend of the tip relative to the base",
+        "bend (deg)",
+        end_s,
+        &bend,
+    );
     draw_over_time(&mut figure, cell(2.0), "Normal force on the burr", "force (N)", end_s, &force);
     Ok(figure)
 }
 
-/// What the left panel shows, mm along the bend and insertion axes.
+/// Contents of the left panel, mm along the bend and insertion axes.
 struct PathPanel {
     path: Vec<Point>,
     start: Vec<Point>,
@@ -71,7 +78,7 @@ impl PathPanel {
         }
     }
 
-    /// The points that the panel must contain; the shaft may extend beyond it.
+    /// Returns the points that the panel must contain; the shaft can extend beyond it.
     fn corners(&self) -> Vec<Point> {
         let links = |shape: &[Point]| shape.iter().skip(1).copied().collect::<Vec<_>>();
         let mut points = [self.path.clone(), links(&self.start), links(&self.end)].concat();
@@ -83,7 +90,7 @@ impl PathPanel {
     }
 }
 
-/// Base, links and burr centre projected onto the plane.
+/// Projects base, links and burr centre onto the plane.
 fn shape(plane: &Plane, state: &State) -> Vec<Point> {
     let links = links(state).iter().map(|pose| pose.position_m);
     let points = std::iter::once(state.t_world_base.position_m).chain(links);
@@ -109,18 +116,14 @@ fn draw_path(figure: &mut Figure, outer: Rect, run: &RunLane) {
     panel.line(&path_panel.start, Stroke::full(START, 7.0), "tool at the start");
     if let Some((centre, radius_mm)) = path_panel.burr {
         panel.disc(centre, radius_mm * panel.scale(), BURR);
-        panel.key(Key::Disc(BURR), "burr at the greatest insertion");
+        panel.key(Key::Disc(BURR), "burr at the deepest insertion");
     }
-    panel.line(&path_panel.end, Stroke::full(INK, 2.2), "tool at the greatest insertion");
+    panel.line(&path_panel.end, Stroke::full(INK, 2.2), "tool at the deepest insertion");
     let links = path_panel.end.len().saturating_sub(2);
     for &link in path_panel.end.iter().skip(1).take(links) {
         panel.disc(link, 2.4, INK);
     }
-    panel.line(
-        &path_panel.path,
-        Stroke { dash: &[9.0, 3.0], ..Stroke::full(COLOURS[0], 2.0) },
-        "path of the tip",
-    );
+    panel.line(&path_panel.path, Stroke { dash: &[9.0, 3.0], ..Stroke::full(COLOURS[0], 2.0) }, "tip path");
     if let Some(target) = path_panel.target {
         let stroke = Stroke::full(COLOURS[1], 2.2);
         panel.mark(target, Key::Cross(stroke));
@@ -129,7 +132,7 @@ fn draw_path(figure: &mut Figure, outer: Rect, run: &RunLane) {
     panel.finish();
 }
 
-/// Axes with equal scale that contain all points and fill the area.
+/// Returns axes with equal scale that contain all points and fill the area.
 fn equal_axes(points: &[Point], area: Rect) -> (Axis, Axis) {
     let range = |values: Vec<f64>| bounds(values.into_iter()).unwrap_or((-1.0, 1.0));
     let x = range(points.iter().map(|p| p.0).collect());
@@ -170,7 +173,7 @@ fn draw_over_time(
     panel.finish_with_row();
 }
 
-/// The colour at 25 % on white.
+/// Returns the colour at 25 % on white.
 pub fn lighter(RGBColor(r, g, b): RGBColor) -> RGBColor {
     let mix = |channel: u8| 255 - (255 - channel) / 4;
     RGBColor(mix(r), mix(g), mix(b))

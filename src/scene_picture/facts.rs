@@ -1,4 +1,4 @@
-//! What is measured of a scene before its run.
+//! Measurements of a scene before its run.
 
 use ipc_types::scene::Scene;
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
@@ -13,48 +13,48 @@ use super::surroundings::Surroundings;
 use crate::failure::Failure;
 use crate::feasibility::is_program;
 
-/// Distance of the places where Hounsfield units are read, mm.
+/// Distance between Hounsfield samples, mm.
 const STEP_MM: f64 = 0.25;
-/// How far before a path that begins in bone its entry is looked for, mm.
+/// How far in front of a path that begins in bone its entry is searched, mm.
 const BEFORE_MM: f64 = 100.0;
-/// How far the feed of the arm is followed, mm, and in which steps.
+/// Maximum feed of the arm that is checked, and the step, mm.
 const FEED_MM: u32 = 400;
 const FEED_STEP_MM: u32 = 2;
 
-/// A place on the line along which Hounsfield units are read.
+/// A sample of Hounsfield units on the path.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Sample {
-    /// Distance from the path's beginning along it, mm; negative before it.
+    /// Distance along the path from its start, mm; negative before it.
     pub along_mm: f64,
     pub place_mm: Vector3<f64>,
-    /// Hounsfield units; `None` outside of the volume.
+    /// Hounsfield units; `None` outside the volume.
     pub hu: Option<f64>,
 }
 
-/// The figures of a scene.
+/// Measurements of a scene.
 #[derive(Debug, Clone)]
 pub struct Facts {
     /// Hounsfield units along the path.
     pub profile: Vec<Sample>,
-    /// Where the path comes into bone.
+    /// Where the path enters bone.
     pub entry: Option<Sample>,
     pub start: Sample,
     /// The end of the path.
     pub target: Sample,
-    /// Length of the path behind its entry in voxels at or above the threshold, mm.
+    /// Length of the path after its entry in voxels at or above the threshold, mm.
     pub in_bone_mm: f64,
-    /// Distance from the target to the nearest place outside of the bone, mm.
+    /// Distance from the target to the nearest point outside the bone, mm.
     pub depth_mm: f64,
-    /// How far bone goes on behind the target in the direction of the path, mm.
+    /// Length of bone beyond the target in the direction of the path, mm.
     pub ahead_mm: f64,
     /// How far the arm can feed from the start, mm; at most `FEED_MM`.
     pub feed_mm: f64,
-    /// What `scene check` finds, with what it refuses.
+    /// Findings of `scene check`, errors included.
     pub findings: Vec<String>,
 }
 
 impl Facts {
-    /// Measures a scene; `surroundings` are those of its volume, which many measurements share.
+    /// Measures a scene; `surroundings` are computed from its volume and shared by many measurements.
     pub fn of(
         scene: &Scene,
         volume: &Volume,
@@ -73,7 +73,7 @@ impl Facts {
         let entry = profile.iter().find(|sample| is_bone(sample)).copied();
         let in_bone = profile.iter().filter(|sample| is_bone(sample)).count();
         let found = findings(scene, Some(CtView::from(volume)), &is_program).map_err(Failure::bad_input)?;
-        let word = |verdict| if verdict == Verdict::Impossible { "refused" } else { "warning" };
+        let word = |verdict| if verdict == Verdict::Impossible { "error" } else { "warning" };
         Ok(Facts {
             entry,
             start,
@@ -87,7 +87,8 @@ impl Facts {
         })
     }
 
-    /// Least, mean and largest Hounsfield units from the entry to the target; `None` if the path meets no bone.
+    /// Returns the minimum, mean and maximum Hounsfield units from entry to target, or `None` if the path
+    /// meets no bone.
     pub fn hu_range(&self) -> Option<[f64; 3]> {
         let entry = self.entry?;
         let behind = self.profile.iter().filter(|sample| sample.along_mm >= entry.along_mm);
@@ -98,7 +99,7 @@ impl Facts {
         (!values.is_empty()).then(|| [least, sum / values.len() as f64, most])
     }
 
-    /// The figures as JSON.
+    /// Returns the measurements as JSON.
     pub fn json(&self, shapes: &Shapes) -> Value {
         let place = |sample: &Sample| json!({"place_mm": sample.place_mm.as_slice(), "along_mm": sample.along_mm, "hu": sample.hu});
         let range = self.hu_range();
@@ -121,7 +122,7 @@ impl Facts {
     }
 }
 
-/// Hounsfield units along the path; where the path begins in bone, from where that begins.
+/// Samples Hounsfield units along the path; if the path begins in bone, starts where that bone begins.
 fn profile(volume: &Volume, shapes: &Shapes, is_bone: impl Fn(&Sample) -> bool) -> Vec<Sample> {
     let sample = |along_mm: f64, place_mm: Vector3<f64>| Sample {
         along_mm,
@@ -153,7 +154,8 @@ fn profile(volume: &Volume, shapes: &Shapes, is_bone: impl Fn(&Sample) -> bool) 
     before
 }
 
-/// How far the arm can move the tool's base straight ahead from the start, by its inverse kinematics and its joint limits.
+/// Returns how far the arm can feed the tool's base straight ahead from the start, by inverse kinematics and
+/// joint limits.
 fn feed_mm(scene: &Scene, shapes: &Shapes) -> f64 {
     let arm = ArmParameters::of(&scene.arm, scene.dt_s());
     let joints = initial_q_rad(&scene.arm);

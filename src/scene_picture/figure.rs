@@ -1,4 +1,4 @@
-//! The picture of a scene before its run.
+//! Draws a scene before its run.
 
 use figures::{
     Anchor, Axis, BLACK, COLOURS, Figure, FigureError, INK, Panel, Point, RGBColor, Rect, Shape, Stroke,
@@ -17,21 +17,21 @@ const MARGIN: f64 = 10.0;
 const GAP: f64 = 8.0;
 const TEXT: TextSize = TextSize::Label;
 const LINE: f64 = 20.0;
-/// Height of the title over a slice.
+/// Height of the title above a slice.
 const STRIP: f64 = 24.0;
 /// Pixels of a slice per figure unit, as in the file.
 const PIXELS: f64 = 2.0;
-/// Half of the width of the three planes' slices at least and at most, mm.
+/// Minimum and maximum half width of the slices, mm.
 const HALF_MM: [f64; 2] = [25.0, 70.0];
-/// What is kept free around the path, mm.
+/// Margin around the path, mm.
 const AROUND_MM: f64 = 14.0;
-/// A part of the path this near to a plane is drawn solid, mm; the rest, as it lies before or behind the plane, dashed.
+/// Parts of the path within this distance of a plane are drawn solid, the rest dashed, mm.
 const NEAR_MM: f64 = 1.5;
 const ALONG_HEIGHT: f64 = 300.0;
 const PROFILE_HEIGHT: f64 = 230.0;
 const PATH: RGBColor = RGBColor(204, 121, 167);
 
-/// What a picture shows.
+/// Contents of a picture.
 pub struct Pictured<'a> {
     pub scene: &'a Scene,
     pub volume: &'a Volume,
@@ -90,14 +90,14 @@ pub fn draw(of: &Pictured<'_>) -> Result<Figure, FigureError> {
     Ok(figure)
 }
 
-/// The places that slices go through, by name and mark.
+/// Returns the named points through which slices are taken.
 fn places(facts: &Facts) -> Vec<(&'static str, Sample)> {
     let entry = facts.entry.map(|entry| ("Entry", entry));
     let end = ("Target", facts.target);
     entry.into_iter().chain([("Burr start", facts.start), end]).collect()
 }
 
-/// Half of the width that holds the path, if it is within the bounds.
+/// Returns the half width that contains the path, within the bounds.
 fn half_mm(shapes: &Shapes) -> f64 {
     let middle = 0.5 * (shapes.path_mm.first().copied().unwrap_or(shapes.start_mm) + shapes.target_mm());
     let far = |point: &Vector3<f64>| (point - middle).amax();
@@ -105,7 +105,7 @@ fn half_mm(shapes: &Shapes) -> f64 {
     (most + AROUND_MM).clamp(HALF_MM[0], HALF_MM[1])
 }
 
-/// The plane of feed and bend around the path and the bending part of the tool.
+/// Returns the plane of feed and bend around the path and the bending part of the tool.
 fn along_plane(shapes: &Shapes, area: &Rect) -> Plane {
     let side = shapes.along.cross(&shapes.toward);
     let from_start = |point: &Vector3<f64>| {
@@ -122,10 +122,10 @@ fn along_plane(shapes: &Shapes, area: &Rect) -> Plane {
     let (ahead, beside) = (range(0), range(1));
     let half = |[low, high]: [f64; 2]| 0.5 * (high - low);
     let middle = |[low, high]: [f64; 2]| 0.5 * (low + high);
-    // The same scale both ways.
+    // The same scale in both directions.
     let ratio = area.width / area.height;
     let wide = half(ahead).max(half(beside) * ratio);
-    // A target beside the plane of feed and bend pulls the plane with it half-way.
+    // Shift the plane half-way towards a target outside it.
     let off = 0.5 * (shapes.target_mm() - shapes.start_mm).dot(&side);
     Plane {
         centre_mm: shapes.start_mm
@@ -138,7 +138,7 @@ fn along_plane(shapes: &Shapes, area: &Rect) -> Plane {
     }
 }
 
-/// A slice at its place in the figure.
+/// A slice and its position in the figure.
 struct Slice<'a> {
     of: &'a Pictured<'a>,
     plane: Plane,
@@ -169,7 +169,7 @@ impl Slice<'_> {
         self.draw_scale_bar(figure);
     }
 
-    /// Figure units a millimetre.
+    /// Returns figure units per millimetre.
     fn scale(&self) -> f64 {
         0.5 * self.area.width / self.plane.half_mm[0]
     }
@@ -180,7 +180,7 @@ impl Slice<'_> {
         ((x + 0.5 * width + right * self.scale(), y + 0.5 * height + down * self.scale()), before)
     }
 
-    /// The path: solid where it lies in the slice, dashed where it runs before or behind it.
+    /// Draws the path, solid within the slice, dashed in front of or behind it.
     fn draw_path(&self, figure: &mut Figure) {
         let placed: Vec<(Point, f64)> =
             self.of.shapes.path_mm.iter().map(|point| self.place(point)).collect();
@@ -202,7 +202,7 @@ impl Slice<'_> {
         }
     }
 
-    /// A cross with a letter; only where the place is in the picture.
+    /// Draws a cross with a letter if the point is in the picture.
     fn draw_mark(&self, figure: &mut Figure, name: &str, place_mm: &Vector3<f64>) {
         let ((x, y), before) = self.place(place_mm);
         let Rect { x: left, y: top, width, height } = self.area;
@@ -233,7 +233,7 @@ impl Slice<'_> {
     }
 }
 
-/// The mark of a place.
+/// Returns the letter of a point.
 fn letter(name: &str) -> &'static str {
     match name {
         "Entry" => "E",
@@ -242,7 +242,7 @@ fn letter(name: &str) -> &'static str {
     }
 }
 
-/// A text on a white ground, at its middle.
+/// Draws text centred on a white background.
 fn chip(figure: &mut Figure, (x, y): Point, text: &str) {
     let (half, tall) = (0.5 * text_width(text, TEXT) + 3.0, 9.0);
     figure.rectangle(Rect { x: x - half, y: y - tall, width: 2.0 * half, height: 2.0 * tall }, WHITE);
@@ -256,7 +256,7 @@ fn draw_legend(figure: &mut Figure, y: f64, is_planned: bool) {
         (colour(HOLE), &[][..], "pilot hole"),
         (colour(START), &[][..], "tool at the start"),
         (PATH, &[][..], path),
-        (PATH, &[5.0, 4.0][..], "off the slice"),
+        (PATH, &[5.0, 4.0][..], "outside the slice"),
     ];
     if is_planned {
         entries.insert(2, (colour(END), &[], "tool at the end"));
@@ -277,9 +277,9 @@ fn draw_profile(figure: &mut Figure, outer: Rect, of: &Pictured<'_>, places: &[(
         profile.iter().filter_map(|sample| Some((sample.along_mm, sample.hu?))).collect();
     let low = values.first().map_or(0.0, |first| first.0);
     let high = values.last().map_or(1.0, |last| last.0);
-    let x = Axis::linear("along the path, from its beginning (mm)", low, high, 8);
+    let x = Axis::linear("distance along the path (mm)", low, high, 8);
     let y = Axis::around("HU", values.iter().map(|value| value.1), 5);
-    let mut panel = Panel::new(figure, outer, "Hounsfield units along the path, as the CT has them", x, y);
+    let mut panel = Panel::new(figure, outer, "Hounsfield units of the CT along the path", x, y);
     let threshold_hu = of.scene.volume.as_ref().map_or(0, |volume| volume.bone_threshold_hu);
     for (name, sample) in places {
         let stroke = Stroke { colour: INK, width: 1.2, dash: &[2.0, 3.0] };
@@ -293,15 +293,15 @@ fn draw_profile(figure: &mut Figure, outer: Rect, of: &Pictured<'_>, places: &[(
     panel.finish_with_row();
 }
 
-/// The figures, a line each, none wider than the picture.
+/// Formats the measurements in lines that fit the picture.
 fn words(of: &Pictured<'_>) -> Vec<String> {
     let (shapes, facts) = (of.shapes, of.facts);
     let place = |sample: &Sample| {
         let [x, y, z] = [sample.place_mm.x, sample.place_mm.y, sample.place_mm.z];
-        let hu = sample.hu.map_or("outside of the CT".to_owned(), |hu| format!("{hu:.0} HU"));
+        let hu = sample.hu.map_or("outside the CT".to_owned(), |hu| format!("{hu:.0} HU"));
         format!("({x:.1}, {y:.1}, {z:.1}) mm, {hu}")
     };
-    let mut lines = vec!["Places are in the patient frame (LPS: +x left, +y posterior, +z head).".to_owned()];
+    let mut lines = vec!["Points are in the patient frame (LPS: +x left, +y posterior, +z head).".to_owned()];
     match &facts.entry {
         Some(entry) => lines.push(format!("E  entry: {}", place(entry))),
         None => lines.push("The path meets no bone.".to_owned()),
@@ -313,31 +313,31 @@ fn words(of: &Pictured<'_>) -> Vec<String> {
         place(&facts.target)
     ));
     lines.push(format!(
-        "Path {:.1} mm, {:.1} of them drilled by the tool; {:.1} mm in bone.",
+        "Path {:.1} mm, of which {:.1} mm drilled by the tool; {:.1} mm in bone.",
         length(&shapes.path_mm),
         shapes.insertion_mm,
         facts.in_bone_mm
     ));
     if let Some([least, mean, most]) = facts.hu_range() {
-        lines.push(format!("From the entry on: {least:.0} to {most:.0} HU, {mean:.0} on average."));
+        lines.push(format!("From entry to target: {least:.0} to {most:.0} HU, mean {mean:.0} HU."));
     }
     lines.push(format!(
-        "Bone around the target: {:.1} mm to its nearest outside, {:.1} mm straight ahead.",
+        "Bone around the target: {:.1} mm to the nearest surface, {:.1} mm straight ahead.",
         facts.depth_mm, facts.ahead_mm
     ));
     let wanted = if facts.feed_mm >= shapes.insertion_mm { "enough" } else { "TOO SHORT" };
     lines.push(format!(
-        "The arm can feed {:.0} mm or more from the start; the path needs {:.1}: {wanted}.",
+        "The arm can feed at least {:.0} mm from the start; the path needs {:.1} mm: {wanted}.",
         facts.feed_mm, shapes.insertion_mm
     ));
     match facts.findings.is_empty() {
-        true => lines.push("`scene check` finds nothing to warn of.".to_owned()),
+        true => lines.push("`scene check`: no warnings.".to_owned()),
         false => lines.extend(facts.findings.iter().cloned()),
     }
     lines.iter().flat_map(|line| wrapped(line)).collect()
 }
 
-/// A text in lines that fit the picture.
+/// Wraps text to the width of the picture.
 fn wrapped(text: &str) -> Vec<String> {
     let most = WIDTH - 2.0 * MARGIN;
     let mut lines = vec![String::new()];

@@ -1,11 +1,11 @@
-//! A scene before its run, as one picture: CT slices through the burr's start, the entry and the target, the planned path with its pilot
-//! hole, the tool to scale, Hounsfield units along the path, and what is measured there.
+//! A picture of a scene before its run: CT slices through the burr's start, the entry and the target with the
+//! planned path, pilot hole and tool to scale, Hounsfield units along the path, and measurements.
 //!
-//! | module | what it holds |
+//! | module | contents |
 //! |---|---|
-//! | [`shape`] | what is drawn into the CT: the pilot holes, the path, the tool at the start and at the end of the path |
-//! | [`surroundings`] | where the bone ends: distances from the path |
-//! | [`facts`] | the figures |
+//! | [`shape`] | geometry drawn into the CT: pilot holes, path, tool at the start and end |
+//! | [`surroundings`] | distances to the surface of the bone |
+//! | [`facts`] | measurements |
 //! | [`mod@slice`] | a plane through the CT as pixels |
 //! | [`figure`] | the picture |
 
@@ -15,7 +15,7 @@ pub mod shape;
 pub mod slice;
 pub mod surroundings;
 
-/// Metres of millimetres.
+/// Converts millimetres to metres.
 fn metres([x, y, z]: [f64; 3]) -> [f64; 3] {
     [x * 1e-3, y * 1e-3, z * 1e-3]
 }

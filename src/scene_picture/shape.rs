@@ -1,4 +1,4 @@
-//! What is drawn into the CT.
+//! Geometry drawn into the CT.
 
 use ipc_types::scene::{Scene, planned_path_mm};
 use nalgebra::Vector3;
@@ -7,12 +7,12 @@ use simulation::manipulator_parameters;
 
 use crate::failure::Failure;
 
-/// Length of the line that is looked at where no controller drills, mm.
+/// Length of the line ahead that is used if no controller drills, mm.
 const AHEAD_MM: f64 = 30.0;
-/// Distance of the points of a tool's centre line, mm.
+/// Distance between points of a tool's centre line, mm.
 const STEP_MM: f64 = 1.0;
 
-/// A tube with round ends: all points within a radius of a line through points.
+/// A capsule: all points within a radius of a polyline.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Tube {
     pub line_mm: Vec<Vector3<f64>>,
@@ -20,7 +20,7 @@ pub struct Tube {
 }
 
 impl Tube {
-    /// Whether a point lies in it.
+    /// Returns whether a point is inside.
     pub fn holds(&self, point_mm: &Vector3<f64>) -> bool {
         let most = self.radius_mm * self.radius_mm;
         match self.line_mm.as_slice() {
@@ -30,7 +30,7 @@ impl Tube {
     }
 }
 
-/// Squared distance from a piece of a line.
+/// Returns the squared distance from a segment.
 fn from_piece(point: &Vector3<f64>, from: &Vector3<f64>, to: &Vector3<f64>) -> f64 {
     let way = to - from;
     let share = ((point - from).dot(&way) / way.norm_squared().max(f64::MIN_POSITIVE)).clamp(0.0, 1.0);
@@ -46,7 +46,7 @@ pub struct Hole {
 }
 
 impl Hole {
-    /// Whether a point lies in it.
+    /// Returns whether a point is inside.
     pub fn holds(&self, point_mm: &Vector3<f64>) -> bool {
         let way = self.to_mm - self.from_mm;
         let share = (point_mm - self.from_mm).dot(&way) / way.norm_squared().max(f64::MIN_POSITIVE);
@@ -55,19 +55,19 @@ impl Hole {
     }
 }
 
-/// The tool in a position: its tube and its burr.
+/// The tool in a pose: its tube and its burr.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ToolShape {
     /// From the base to the burr's centre.
     pub tube: Tube,
-    /// The tube that it slides out of, which stands.
+    /// The fixed outer tube that it slides out of.
     pub outer: Option<Tube>,
-    /// The burr's balls, from its front to its back.
+    /// The burr's balls, from front to back.
     pub burr: Vec<Tube>,
 }
 
 impl ToolShape {
-    /// The tool along a line, its base at `base_mm`.
+    /// Places the tool along a line, with its base at `base_mm`.
     fn of(
         tool: &ManipulatorParameters,
         mut line_mm: Vec<Vector3<f64>>,
@@ -95,18 +95,19 @@ impl ToolShape {
         ToolShape { tube: Tube { line_mm, radius_mm: 1e3 * tool.tube_radii_m[0] }, outer, burr }
     }
 
-    /// Whether a point lies in it.
+    /// Returns whether a point is inside.
     pub fn holds(&self, point_mm: &Vector3<f64>) -> bool {
         let tubes = self.burr.iter().chain(&self.outer).chain([&self.tube]);
         tubes.into_iter().any(|tube| tube.holds(point_mm))
     }
 }
 
-/// Everything of a scene that lies in the CT.
+/// All geometry of a scene in the CT.
 #[derive(Debug, Clone)]
 pub struct Shapes {
     pub holes: Vec<Hole>,
-    /// The planned path of the burr's centre, from the beginning of its pilot hole; without a controller that drills, a line ahead.
+    /// Planned path of the burr's centre from the start of its pilot hole; a line ahead if no controller
+    /// drills.
     pub path_mm: Vec<Vector3<f64>>,
     /// Whether a controller drills along the path.
     pub is_planned: bool,
@@ -114,19 +115,19 @@ pub struct Shapes {
     pub start_mm: Vector3<f64>,
     /// Direction of the feed.
     pub along: Vector3<f64>,
-    /// Toward which the tool bends, perpendicular to it.
+    /// Bend direction of the tool, perpendicular to the feed.
     pub toward: Vector3<f64>,
     pub at_start: ToolShape,
-    /// The tool where the burr has come to the end of the path, drawn along the path.
+    /// The tool with its burr at the end of the path, drawn along the path.
     pub at_end: ToolShape,
-    /// Length of the path behind the start.
+    /// Length of the path from the start.
     pub insertion_mm: f64,
     /// From the tool's base to the burr's centre.
     pub tool_mm: f64,
 }
 
 impl Shapes {
-    /// The shapes of a scene.
+    /// Builds the shapes of a scene.
     pub fn of(scene: &Scene) -> Result<Shapes, Failure> {
         let tool = manipulator_parameters(scene).map_err(Failure::bad_input)?;
         let tool_mm = 1e3 * tool.burr_centre_m();
@@ -144,7 +145,7 @@ impl Shapes {
         let insertion_mm = length(&ahead);
         let base_mm = start_mm - along * tool_mm;
         let shape = |line_mm: Vec<Vector3<f64>>| ToolShape::of(&tool, line_mm, (&base_mm, &along));
-        // The whole way of the burr: from the base of the tool at the start, and on along the path.
+        // From the base of the tool at the start through the burr, then along the path.
         let mut way = vec![base_mm];
         way.extend(&ahead);
         Ok(Shapes {
@@ -161,12 +162,12 @@ impl Shapes {
         })
     }
 
-    /// Where the path ends.
+    /// Returns the end of the path.
     pub fn target_mm(&self) -> Vector3<f64> {
         self.path_mm.last().copied().unwrap_or(self.start_mm)
     }
 
-    /// Direction of the path at its end.
+    /// Returns the direction of the path at its end.
     pub fn last_direction(&self) -> Vector3<f64> {
         let end = self.target_mm();
         let before = self.path_mm.iter().rev().find(|point| (end - **point).norm() > 1e-6);
@@ -179,19 +180,19 @@ fn hole(hole: &ipc_types::scene::Predrill) -> Hole {
     Hole { from_mm, to_mm, radius_mm: 0.5 * hole.diameter_mm }
 }
 
-/// The path from the point nearest to the start on.
+/// Returns the path from the point nearest to the start.
 fn path_behind(path: &[Vector3<f64>], start: &Vector3<f64>) -> Vec<Vector3<f64>> {
     let from = |point: &Vector3<f64>| (point - start).norm_squared();
     let nearest = (0..path.len()).min_by(|a, b| from(&path[*a]).total_cmp(&from(&path[*b]))).unwrap_or(0);
     path[nearest..].to_vec()
 }
 
-/// Length of a line through points.
+/// Returns the length of a polyline.
 pub fn length(line: &[Vector3<f64>]) -> f64 {
     line.windows(2).map(|piece| (piece[1] - piece[0]).norm()).sum()
 }
 
-/// The last part of a line, of this length, with a point every [`STEP_MM`].
+/// Returns the last part of a polyline with this length, resampled every [`STEP_MM`].
 fn last_of(line: &[Vector3<f64>], wanted_mm: f64) -> Vec<Vector3<f64>> {
     let mut points: Vec<Vector3<f64>> = Vec::new();
     let (mut left_mm, mut due_mm) = (wanted_mm, 0.0);

@@ -8,10 +8,10 @@ use super::shape::Shapes;
 
 /// Hounsfield units shown as black and as white: soft tissue is dark, dense cortex white.
 const WINDOW_HU: [f64; 2] = [-200.0, 1300.0];
-/// Grey of places outside of the volume.
+/// Grey of points outside the volume.
 const OUTSIDE: [u8; 3] = [235, 235, 235];
 
-/// Colours of what lies in the CT, from the palette of Okabe and Ito (2008), light ones, which show on grey.
+/// Pilot holes. These colours are light ones of Okabe and Ito (2008), which are visible on grey.
 pub const HOLE: [u8; 3] = [86, 180, 233];
 /// The tool at the start.
 pub const START: [u8; 3] = [240, 228, 66];
@@ -26,18 +26,18 @@ pub struct Plane {
     pub right: Vector3<f64>,
     /// Unit vector down the picture.
     pub down: Vector3<f64>,
-    /// Half of its width and of its height, mm.
+    /// Half width and half height, mm.
     pub half_mm: [f64; 2],
 }
 
 impl Plane {
-    /// Where a point lies, mm to the right of the middle and below it, and in front of the plane.
+    /// Returns a point relative to the centre, mm: to the right, down, and in front of the plane.
     pub fn place_mm(&self, point_mm: &Vector3<f64>) -> [f64; 3] {
         let away = point_mm - self.centre_mm;
         [away.dot(&self.right), away.dot(&self.down), away.dot(&self.right.cross(&self.down))]
     }
 
-    /// The CT as grey, with the outlines of what lies in it; RGB, row by row.
+    /// Renders the CT in grey with the outlines of the shapes; RGB, row by row.
     pub fn pixels(&self, volume: &Volume, shapes: &Shapes, columns: usize, rows: usize) -> Vec<u8> {
         let mut pixels = Vec::with_capacity(columns * rows * 3);
         let mut inside = Vec::with_capacity(columns * rows);
@@ -60,7 +60,7 @@ fn grey(hu: f64) -> [u8; 3] {
     [(255.0 * share.clamp(0.0, 1.0)).round() as u8; 3]
 }
 
-/// What a pixel lies in.
+/// Which shapes contain a pixel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Inside([bool; 3]);
 
@@ -74,7 +74,7 @@ impl Inside {
     }
 }
 
-/// Colours the pixels at the edges, two wide: those that lie in something and near a pixel that does not.
+/// Colours outlines two pixels wide: pixels inside a shape that are near a pixel outside it.
 fn outline(pixels: &mut [u8], inside: &[Inside], columns: usize, rows: usize) {
     for row in 0..rows {
         for column in 0..columns {
@@ -106,7 +106,7 @@ mod tests {
     use crate::scene_picture::shape::{ToolShape, Tube};
     use crate::scene_picture::surroundings::tests::ball as ball_of;
 
-    /// A ball of bone of 10 mm in air, and nothing else in it.
+    /// A ball of bone of 10 mm in air, without shapes.
     fn ball() -> (Volume, Shapes) {
         let volume = ball_of(81, |radius_mm| if radius_mm <= 10.0 { 1300 } else { -1000 });
         let tool = |at: [f64; 3]| {
@@ -136,7 +136,7 @@ mod tests {
     #[test]
     fn a_ball_has_its_area_in_pixels_and_the_paper_begins_where_the_volume_ends() {
         let (volume, shapes) = ball();
-        // No pixel's middle lies on a face of the volume, where rounding would decide.
+        // No pixel centre is on a face of the volume, where rounding would matter.
         let pixels = plane(24.96).pixels(&volume, &shapes, 500, 500);
         let size_mm: f64 = 2.0 * 24.96 / 500.0;
         let outside = pixels.chunks_exact(3).filter(|pixel| *pixel == OUTSIDE).count() as f64;
@@ -160,7 +160,7 @@ mod tests {
             .filter(|(_, pixel)| *pixel == END)
             .map(|(index, _)| index)
             .collect();
-        // A ball of 3 mm, 1.8 mm beside the plane, is cut in a circle of 2.4 mm: 24 pixels.
+        // A ball of 3 mm, 1.8 mm off the plane, is cut in a circle of 2.4 mm: 24 pixels.
         let columns = ring.iter().map(|index| index % 500);
         let (low, high) = (columns.clone().min().unwrap(), columns.max().unwrap());
         assert_eq!([low, high], [226, 273], "48 pixels about the middle");

@@ -1,20 +1,20 @@
-//! Where the bone ends: what of the volume lies outside of it, and how far that is from a place.
+//! The outside of the bone in a volume, and distances to it.
 
 use nalgebra::Vector3;
 use voxel_grid::Volume;
 
 use super::metres;
 
-/// Most cells of the map. A larger volume is mapped by every second voxel, or every third.
+/// Maximum number of cells of the map; a larger volume is mapped with every second or third voxel.
 const MOST_CELLS: usize = 16 << 20;
-/// Distance of the places of a ray, mm.
+/// Step of a ray, mm.
 const RAY_STEP_MM: f64 = 0.25;
 
-/// The places outside of the bone: below the threshold, and connected with the volume's border by such places. Marrow and the holes of
-/// cancellous bone, closed in by the cortex, are inside.
+/// The outside of the bone: cells below the threshold that are connected to the volume's border by such
+/// cells. Marrow and pores of cancellous bone, enclosed by the cortex, are inside.
 pub struct Surroundings<'a> {
     volume: &'a Volume,
-    /// Voxels from one cell to the next.
+    /// Voxels per cell and axis.
     stride: usize,
     cells: [usize; 3],
     is_outside: Vec<bool>,
@@ -77,7 +77,7 @@ impl<'a> Surroundings<'a> {
         }
     }
 
-    /// Whether a place is outside of the bone, by the nearest cell; outside of the volume it is.
+    /// Returns whether the nearest cell of a point is outside the bone; true outside the volume.
     pub fn is_outside(&self, point_mm: &Vector3<f64>) -> bool {
         let voxel = self.volume.grid.voxel_at(metres((*point_mm).into()));
         let cell = [0, 1, 2].map(|axis| (voxel[axis] / self.stride as f64).round());
@@ -87,7 +87,7 @@ impl<'a> Surroundings<'a> {
         self.is_outside[self.index(cell.map(|index| index as usize))]
     }
 
-    /// Distance of a place from the nearest one outside of the bone, mm, to a voxel; 0 outside.
+    /// Returns the distance of a point to the outside of the bone, mm, accurate to a voxel; 0 outside.
     pub fn depth_mm(&self, point_mm: &Vector3<f64>) -> f64 {
         if self.is_outside(point_mm) {
             return 0.0;
@@ -99,7 +99,7 @@ impl<'a> Surroundings<'a> {
         let mut half = 4;
         loop {
             let (found, is_all) = self.nearest_mm(place, size_mm, half);
-            // What lies beyond the searched box is at least this far away.
+            // Anything beyond the searched box is at least this far away.
             if found <= half as f64 * least_mm || is_all {
                 return found;
             }
@@ -107,7 +107,8 @@ impl<'a> Surroundings<'a> {
         }
     }
 
-    /// The nearest outside cell within a box of so many cells to each side, and whether the box is the whole map.
+    /// Returns the distance to the nearest outside cell in a box of `half` cells to each side, and whether
+    /// the box covers the whole map.
     fn nearest_mm(&self, place: [f64; 3], size_mm: [f64; 3], half: usize) -> (f64, bool) {
         let middle =
             [0, 1, 2].map(|axis| place[axis].round().clamp(0.0, (self.cells[axis] - 1) as f64) as usize);
@@ -129,7 +130,7 @@ impl<'a> Surroundings<'a> {
         (best.sqrt(), is_all)
     }
 
-    /// How far bone goes on from a place in a direction, mm.
+    /// Returns how far bone extends from a point in a direction, mm.
     pub fn ahead_mm(&self, from_mm: &Vector3<f64>, direction: &Vector3<f64>) -> f64 {
         let places = (0..).map(|step| f64::from(step) * RAY_STEP_MM);
         let mut places = places.skip_while(|far_mm| !self.is_outside(&(from_mm + direction * *far_mm)));
@@ -142,7 +143,8 @@ pub(super) mod tests {
     use super::*;
     use voxel_grid::VoxelGrid;
 
-    /// A cube of this many voxels of half a millimetre a side, of Hounsfield units by the distance from its middle, mm.
+    /// A cube with this many voxels of 0.5 mm per side, with Hounsfield units by distance from its centre,
+    /// mm.
     pub fn ball(count: usize, hu_at: impl Fn(f64) -> i16) -> Volume {
         let half_mm = 0.25 * (count - 1) as f64;
         let far = |index: usize| 0.5 * index as f64 - half_mm;
@@ -152,7 +154,7 @@ pub(super) mod tests {
         Volume { grid, hu: (0..count * count * count).map(|index| hu_at(radius_mm(index))).collect() }
     }
 
-    /// A ball of bone of 10 mm with marrow of 4 mm in it.
+    /// A ball of bone of 10 mm with 4 mm of marrow inside.
     #[test]
     fn marrow_is_inside_and_distances_are_those_of_the_ball_to_a_voxel() {
         let volume = ball(61, |radius_mm| match radius_mm {

@@ -13,9 +13,9 @@ use crate::report::timing_figure::draw_histogram;
 
 const HEIGHT: f64 = 640.0;
 const SHORTEST_US: f64 = 0.1;
-/// Greatest width of a map cell, and its height.
+/// Maximum width of a map cell, and its height.
 const CELL: (f64, f64) = (120.0, 46.0);
-/// Width of a map's names of rows.
+/// Width of a map's row names.
 const NAMES: f64 = 80.0;
 
 /// Colour of a cause, always shown with its letter (Okabe and Ito 2008).
@@ -123,12 +123,12 @@ pub fn map(all: &[Tested]) -> Result<Figure, FigureError> {
     }
     let high = 64.0 + CELL.1 * cores.len() as f64;
     let room = |columns: usize| (WIDTH / columns as f64 - NAMES - 20.0) / loads.len().max(1) as f64;
-    // Two maps beside each other, where the names of their loads fit.
+    // Two maps side by side if the load names fit.
     let load_width = loads.iter().map(|load| text_width(load, TextSize::Label) + 8.0).fold(0.0, f64::max);
     let columns = if groups.len() > 1 && room(2) >= load_width { 2 } else { 1 };
     let cell = (room(columns).min(CELL.0.max(load_width)), CELL.1);
     let height = groups.len().div_ceil(columns).max(1) as f64 * high + HEAD;
-    let mut figure = Figure::titled(height, "p99 of the lateness of ticks, over cores and load")?;
+    let mut figure = Figure::titled(height, "p99 lateness of ticks, by cores and load")?;
     for (index, (name, members)) in groups.iter().enumerate() {
         let left = (index % columns) as f64 * WIDTH / columns as f64 + 10.0;
         let top = (index / columns) as f64 * high + HEAD;
@@ -153,7 +153,7 @@ pub fn map(all: &[Tested]) -> Result<Figure, FigureError> {
     Ok(figure)
 }
 
-/// White at 10 µs to dark blue at 100 ms, by decades, with the number inside.
+/// Draws a cell, from white at 10 µs to dark blue at 100 ms by decades, with the number inside.
 fn map_cell(figure: &mut Figure, (x, y): Point, cell: (f64, f64), p99_us: Option<f64>) {
     let shade = p99_us.map(|us| ((us.max(1.0).log10() - 1.0) / 4.0).clamp(0.0, 1.0));
     let mix = |from: f64, to: f64| shade.map_or(245, |s| (from + (to - from) * s) as u8);
@@ -174,7 +174,7 @@ mod tests {
     use super::*;
     use crate::stress::plan::Load;
 
-    /// Five loads and each of the policies and waits: as wide as it gets, so two maps do not fit beside each other.
+    /// Five loads and all policies and waits: the widest case, in which two maps do not fit side by side.
     #[test]
     fn nothing_lies_over_anything_in_a_wide_map() {
         let loads = ["none", "spin:1", "memory:16", "disk:64", "fork:8"];

@@ -1,7 +1,7 @@
-//! Neighbours on the hub's cores: processes of this program whose only purpose is to cause load.
+//! Competing load on the hub's cores: processes of this program that only cause load.
 //!
-//! They never outlive the test: the kernel sends them SIGTERM, which they do not catch, when their parent dies;
-//! dropping their guard kills them; and each ends by itself after its limit.
+//! They never outlive the test: the kernel sends them SIGTERM, which they do not catch, when their parent
+//! dies; dropping their guard kills them; and each ends on its own after its limit.
 
 use std::io::{Seek, Write};
 use std::path::Path;
@@ -16,18 +16,19 @@ use crate::failure::Failure;
 
 /// Memory that a memory load touches, in words of 8 bytes.
 const MEMORY_WORDS: usize = 8 << 20;
-/// Size at which a disk load starts writing its file from the beginning again.
+/// Size at which a disk load starts over at the beginning of its file.
 const DISK_BYTES: u64 = 128 << 20;
 const DISK_WRITE_BYTES: usize = 1 << 20;
-/// Steps between clock reads.
+/// Number of steps between clock reads.
 const STEPS: usize = 1 << 16;
 
-/// Neighbours that run until this is dropped.
+/// Competing processes that run until this is dropped.
 #[derive(Debug, Default)]
 pub struct Loads(Vec<Child>);
 
 impl Loads {
-    /// Starts the neighbours, each with its own seed, on this thread's cores. A disk load writes below `folder`.
+    /// Starts the processes, each with its own seed, on this thread's cores. A disk load writes below
+    /// `folder`.
     pub fn start(load: Load, seed: u64, folder: &Path, limit: Duration) -> std::io::Result<Loads> {
         let program = std::env::current_exe()?;
         let mut loads = Loads::default();

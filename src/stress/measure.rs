@@ -45,18 +45,18 @@ pub struct Curves {
     frame_age: Distribution,
 }
 
-/// The figures of a run. Times in µs unless the name says otherwise.
+/// Measurements of a run. Times in µs unless the name says otherwise.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Measured {
     /// Number of ticks in the log.
     pub ticks: u64,
     pub lateness_us: Option<Quantiles>,
     pub step_us: Option<Quantiles>,
-    /// Age of the command used in a tick, counted from the state that it answers.
+    /// Age of the command used in a tick, from the state that it responds to.
     pub latch_age_us: Option<Quantiles>,
-    /// From a state's publication to the command that answers it.
+    /// From a state's publication to the command that responds to it.
     pub round_trip_us: Option<Quantiles>,
-    /// Simulated time that had passed when a frame was published.
+    /// Simulated time elapsed until a frame was published.
     pub frame_age_us: Option<Quantiles>,
     pub frames_per_s: Option<f64>,
     pub real_time_factor: Option<f64>,
@@ -65,7 +65,7 @@ pub struct Measured {
     pub missed: u64,
     /// Why ticks were missed.
     pub misses: MissSummary,
-    /// Share of on-time ticks among those that the hypervisor did not delay.
+    /// Share of on-time ticks among those not delayed by the hypervisor.
     pub on_time_share: f64,
     /// Processor time of each process over the run's wall time, including startup: 1 is a whole core.
     pub processor_share: BTreeMap<String, f64>,
@@ -73,14 +73,14 @@ pub struct Measured {
     pub log_complete: bool,
     /// Whether every tick replays to the same hash.
     pub replays: bool,
-    /// Why a tick does not replay, or the log is incomplete.
+    /// Why a tick does not replay, or why the log is incomplete.
     pub remarks: Vec<String>,
 }
 
 /// Reads the folder of a run of `expected_ticks` ticks, and replays it.
 ///
 /// # Errors
-/// A histogram cannot be made. Faults of the logs become remarks.
+/// A histogram cannot be created. Faults of the logs become remarks.
 pub fn measure(folder: &Path, expected_ticks: u64) -> Result<(Measured, Curves), Failure> {
     let duration = Distribution::new(3)?;
     let mut reader = Reader {
@@ -119,7 +119,7 @@ pub fn measure(folder: &Path, expected_ticks: u64) -> Result<(Measured, Curves),
     Ok(measured)
 }
 
-/// Adds what only the launcher knew.
+/// Adds the launcher's data.
 fn add_summary(measured: &mut Measured, folder: &Path) {
     let text = std::fs::read_to_string(folder.join("summary.json")).unwrap_or_default();
     let Ok(summary) = serde_json::from_str::<Summary>(&text) else {

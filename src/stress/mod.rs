@@ -1,7 +1,9 @@
-//! `trabecula stress`: the timing of a scene on limited cores with neighbours, with every late tick explained.
+//! `trabecula stress`: measures the timing of a scene on limited cores under competing load, and explains
+//! every late tick.
 //!
-//! Each combination is a separate `trabecula run`, confined to the same cores as its neighbours. Its logs are read,
-//! replayed and removed. The report is rewritten after each one, so whatever ends the test keeps the finished results.
+//! Each combination is a separate `trabecula run`, confined to the same cores as the competing load. Its logs
+//! are read, replayed and removed. The report is rewritten after each combination, so finished results
+//! survive an early end.
 
 mod figures;
 pub mod load;
@@ -31,12 +33,12 @@ use plan::{Combination, policy_name, wait_name};
 use report::{StressReport, Tested};
 
 const POLL_PERIOD: Duration = Duration::from_millis(20);
-/// How long a run that is asked to end may take; its recorder is never cut short.
+/// Timeout for a run that is asked to end; its recorder always finishes.
 const END_LIMIT: Duration = Duration::from_secs(140);
-/// Maximum time of a run beyond its own duration: startup on one core with neighbours is slow.
+/// Maximum time of a run beyond its own duration; startup on one core under load is slow.
 const RUN_LIMIT: Duration = Duration::from_secs(600);
 
-/// What to run.
+/// Configuration of a stress test.
 #[derive(Debug, Clone)]
 pub struct StressPlan {
     /// The scene.
@@ -47,19 +49,19 @@ pub struct StressPlan {
     pub seconds: f64,
     /// Seed of the loads.
     pub seed: u64,
-    /// CPU quota of a run with its neighbours, percent of one core.
+    /// CPU quota of a run with its competing load, percent of one core.
     pub quota_percent: Option<u64>,
     /// Folder of the report.
     pub output: PathBuf,
     /// Whether to keep the runs' folders.
     pub keeps_logs: bool,
-    /// Which files the volume may name.
+    /// Which files the volume can refer to.
     pub volume_files: VolumeFiles,
     /// An earlier test to compare with.
     pub compare: Option<StressReport>,
 }
 
-/// Runs the combinations and writes the report into the output folder. The flag says whether it was interrupted.
+/// Runs the combinations and writes the report to the output folder. The flag is true if it was interrupted.
 ///
 /// # Errors
 /// An invalid scene (2); a report that cannot be written. A failed run is part of the report.
@@ -118,15 +120,14 @@ impl Written {
     }
 }
 
-/// Estimates the remaining time from the finished combinations, or, before the first has finished, from their
-/// duration.
+/// Estimates the remaining time from the finished combinations, or before the first from the duration.
 fn estimate(elapsed: Duration, done: usize, total: usize, seconds: f64) -> String {
     let each_s = if done > 0 { elapsed.as_secs_f64() / done as f64 } else { seconds + 10.0 };
     let left_s = each_s * (total - done) as f64;
     if left_s < 90.0 { format!("{left_s:.0} s") } else { format!("{:.0} min", left_s / 60.0) }
 }
 
-/// Runs one combination; none if it was interrupted.
+/// Runs one combination; returns `None` if it was interrupted.
 fn test(
     plan: &StressPlan,
     scene: &Scene,
@@ -158,7 +159,7 @@ fn test(
             match part.ended() {
                 Some(status) if status.success() => break None,
                 Some(status) => break Some(format!("{status}: {}", said(&part.last_words()))),
-                None if began.elapsed() > limit => break Some("the run did not end".to_owned()),
+                None if began.elapsed() > limit => break Some("the run did not end in time".to_owned()),
                 None => std::thread::sleep(POLL_PERIOD),
             }
         }
@@ -200,13 +201,13 @@ fn command(plan: &StressPlan, combination: &Combination, logs: &Path) -> std::io
     Ok(command)
 }
 
-/// The error message of a failed run, without the table before it.
+/// Returns the error message of a failed run without the preceding table.
 fn said(last_words: &[String]) -> String {
     let failure = last_words.iter().skip_while(|line| !line.starts_with("trabecula: "));
     failure.map(|line| line.trim()).collect::<Vec<_>>().join(" ")
 }
 
-/// What the physics reported about a priority that it did not get.
+/// Returns what the physics reported about a priority that was denied.
 fn refused_priority(folder: &Path) -> Vec<String> {
     let mut said = Vec::new();
     let Ok(mut stream) = run_log::MessageStream::open(
@@ -226,12 +227,12 @@ fn refused_priority(folder: &Path) -> Vec<String> {
     said
 }
 
-/// Removes the files that runs have written into their folders, and the folders if they are then empty.
+/// Removes the files that runs wrote into their folders, and the folders if they are then empty.
 fn remove(logs: &Path, keeps_logs: bool) {
     if keeps_logs {
         return;
     }
-    // Anything that cannot be removed stays in the user's own output folder, under a telling name.
+    // Anything that cannot be removed stays in the output folder under a recognizable name.
     for folder in std::fs::read_dir(logs).into_iter().flatten().flatten().map(|entry| entry.path()) {
         crate::report::FILES.iter().for_each(|name| drop(std::fs::remove_file(folder.join(name))));
         let _ = std::fs::remove_dir(folder);

@@ -19,7 +19,7 @@ struct Page<'a> {
     steal: String,
     /// The class of each row, and its cells.
     results: Vec<(&'static str, [String; 16])>,
-    /// When the earlier test began, and what has changed since.
+    /// Start of the earlier test, and the changes since.
     changes: Option<(&'a str, Vec<[String; 6]>)>,
     map: String,
     distributions: Vec<[String; 8]>,
@@ -35,7 +35,7 @@ struct Section<'a> {
     figure: String,
 }
 
-/// The page, with the folder's figures embedded.
+/// Renders the page with the folder's figures embedded.
 pub fn html(
     report: &StressReport,
     old: Option<&StressReport>,
@@ -47,7 +47,7 @@ pub fn html(
         done: match (report.tested.len(), report.planned) {
             (1, 1) => "1 combination".to_owned(),
             (done, planned) if done == planned => format!("{planned} combinations"),
-            (done, planned) => format!("{done} of {planned} combinations, then interrupted"),
+            (done, planned) => format!("{done} of {planned} combinations (interrupted)"),
         },
         quota: report.quota_percent.map_or(String::new(), |percent| format!(", CPU quota {percent} %")),
         steal: format!("{steal:.2}"),
@@ -109,7 +109,7 @@ fn section<'a>(tested: &'a Tested, folder: &Path) -> Section<'a> {
     }
 }
 
-/// The figure's SVG element, without the parts that only a standalone file needs.
+/// Returns the figure's SVG element without the parts that only a standalone file needs.
 fn picture(folder: &Path, name: &str) -> String {
     let svg = std::fs::read_to_string(folder.join(name)).unwrap_or_default();
     svg.find("<svg").map_or(String::new(), |at| svg[at..].to_owned())

@@ -8,7 +8,7 @@ use fastrand::Rng;
 use ipc_types::scene::{Policy, Wait};
 use serde::{Deserialize, Serialize};
 
-/// What a neighbour on the hub's cores does.
+/// Kind of competing load on the hub's cores.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, clap::ValueEnum)]
 pub enum LoadKind {
     /// Computes in an endless loop.
@@ -30,23 +30,23 @@ impl LoadKind {
         (LoadKind::Fork, "fork"),
     ];
 
-    /// Its name.
+    /// Returns its name.
     pub fn name(self) -> &'static str {
         Self::ALL.into_iter().find(|(kind, _)| *kind == self).map_or("", |(_, name)| name)
     }
 }
 
-/// Neighbours on the hub's cores: `none`, or a kind and a count, such as `spin:2`.
+/// Competing load on the hub's cores: `none`, or a kind and a count, such as `spin:2`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub struct Load {
-    /// What they do; none for no neighbours.
+    /// Kind of the processes; `None` without load.
     pub kind: Option<LoadKind>,
-    /// Number of neighbours.
+    /// Number of processes.
     pub count: usize,
 }
 
-/// Maximum number of neighbours in a combination.
+/// Maximum number of load processes in a combination.
 const MAX_COUNT: usize = 64;
 
 impl FromStr for Load {
@@ -62,7 +62,8 @@ impl FromStr for Load {
         match (kind, count) {
             (Some(kind), Some(count)) => Ok(Load { kind: Some(kind), count }),
             _ => Err(format!(
-                "`{text}` is no load; expected `none`, `spin`, `memory`, `disk` or `fork`, with `:N` for N of them, 1 to {MAX_COUNT}"
+                "unknown load `{text}`; expected `none`, `spin`, `memory`, `disk` or `fork`, with `:N` for \
+                 N of them, 1 to {MAX_COUNT}"
             )),
         }
     }
@@ -95,11 +96,11 @@ impl TryFrom<String> for Load {
 /// One combination.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Combination {
-    /// Number of cores for the whole hub and its neighbours.
+    /// Number of cores for the whole hub and the load.
     pub cores: usize,
-    /// Neighbours.
+    /// Competing load.
     pub load: Load,
-    /// How the scheduler treats physics and controllers.
+    /// Scheduling policy of physics and controllers.
     pub policy: Policy,
     /// How physics and controllers wait.
     pub wait: Wait,
@@ -130,7 +131,7 @@ impl fmt::Display for Combination {
     }
 }
 
-/// All combinations of the levels, the last factor varying fastest; duplicate levels count once.
+/// Returns all combinations of the levels, the last factor varying fastest; duplicate levels count once.
 pub fn all(cores: &[usize], loads: &[Load], policies: &[Policy], waits: &[Wait]) -> Vec<Combination> {
     let mut combinations = Vec::new();
     for &cores in cores {
@@ -164,8 +165,8 @@ fn pairs(combination: &Combination) -> Vec<Pair> {
     pairs
 }
 
-/// Chooses `count` of the combinations, keeping their order, so that they cover as many pairs of levels as possible.
-/// Greedy: each next one covers the most uncovered pairs; the seed breaks ties.
+/// Chooses `count` of the combinations, keeping their order, to cover as many pairs of levels as possible.
+/// Greedy: each step picks the combination that covers the most uncovered pairs; the seed breaks ties.
 pub fn subset(combinations: &[Combination], count: usize, seed: u64) -> Vec<Combination> {
     let mut random = Rng::with_seed(seed);
     let mut left: Vec<(u64, usize)> = (0..combinations.len()).map(|index| (random.u64(..), index)).collect();

@@ -1,4 +1,4 @@
-//! The result of a stress test as JSON, CSV and a table, and its comparison with an earlier one.
+//! Results of a stress test as JSON, CSV and a table, and comparison with an earlier test.
 
 use std::fmt;
 use std::path::Path;
@@ -20,13 +20,13 @@ pub struct Tested {
     pub combination: Combination,
     /// Its measurements.
     pub measured: Measured,
-    /// Share of the machine's core time that was busy, and that was stolen by the hypervisor, during the run; percent.
+    /// Share of the machine's core time that was busy during the run, percent.
     pub busy_percent: f64,
-    /// See `busy_percent`.
+    /// Share of the machine's core time stolen by the hypervisor during the run, percent.
     pub stolen_percent: f64,
     /// Why the run failed, if it did.
     pub failure: Option<String>,
-    /// What was requested but not permitted here.
+    /// Requests that were not permitted.
     pub not_permitted: Vec<String>,
     /// Name of its figure.
     pub figure: String,
@@ -55,7 +55,7 @@ pub struct StressReport {
     pub tested: Vec<Tested>,
 }
 
-/// A column of distributions: its name and how to read it.
+/// A column of distributions: its name and its accessor.
 type Column = (&'static str, fn(&Measured) -> Option<Quantiles>);
 
 /// The distributions of a combination, µs.
@@ -67,14 +67,15 @@ pub const COLUMNS: [Column; 5] = [
     ("frame_age", |m| m.frame_age_us),
 ];
 
-/// How much of the lost time has an identified cause.
+/// Share of the lost time with an identified cause.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ExplainedShare {
     /// Share of the lost time with an identified cause.
     pub confirmed: f64,
-    /// Time attributed to stealing.
+    /// Time attributed to steal.
     pub stolen_ms: f64,
-    /// Steal shown by the machine's own counter, `/proc/stat`, for the late ticks: an upper bound on `stolen_ms`.
+    /// Steal shown by the machine's own counter, `/proc/stat`, for the late ticks: an upper bound on
+    /// `stolen_ms`.
     pub counter_ms: f64,
 }
 
@@ -83,8 +84,9 @@ impl fmt::Display for ExplainedShare {
         let ExplainedShare { confirmed, stolen_ms, counter_ms } = self;
         write!(
             out,
-            "{:.1} % of the lost time has a cause that readings confirm; {stolen_ms:.1} ms of it were stolen, the machine's own \
-             counter shows {counter_ms:.0} ms at the late ticks",
+            "the cause of {:.1} % of the lost time is confirmed by measurements; {stolen_ms:.1} ms of it \
+             are steal time, and \
+             /proc/stat shows {counter_ms:.0} ms of steal at the late ticks",
             100.0 * confirmed
         )
     }
@@ -147,7 +149,7 @@ impl StressReport {
         text
     }
 
-    /// Summary of the lost time over all combinations; none without lost time.
+    /// Summarises the lost time over all combinations; returns `None` without lost time.
     pub fn explained(&self) -> Option<ExplainedShare> {
         let all = || self.tested.iter().map(|tested| &tested.measured.misses);
         let lost = |of: &dyn Fn(&str) -> bool| -> f64 {
@@ -164,7 +166,7 @@ impl StressReport {
         })
     }
 
-    /// The earlier test's result for a combination.
+    /// Returns the result for a combination.
     pub fn find(&self, combination: &Combination) -> Option<&Tested> {
         self.tested.iter().find(|tested| tested.combination == *combination)
     }
@@ -196,7 +198,7 @@ pub fn table(report: &StressReport) -> String {
         "DRR/s",
         "drops",
         "replays",
-        "late because"
+        "late due to"
     );
     for Tested { combination, measured: m, failure, .. } in &report.tested {
         let late =
@@ -220,7 +222,7 @@ pub fn table(report: &StressReport) -> String {
     text
 }
 
-/// One line per combination that both tests have: what has changed.
+/// Returns the changes for each combination present in both tests.
 pub fn comparison(old: &StressReport, new: &StressReport) -> Vec<[String; 6]> {
     let label = |us: Option<f64>| us.map_or("–".to_owned(), duration_label);
     let pair = |a: Option<f64>, b: Option<f64>| {

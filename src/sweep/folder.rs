@@ -1,4 +1,4 @@
-//! A sweep's folder.
+//! Folder of a sweep.
 
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
@@ -14,7 +14,7 @@ use super::row::Row;
 use crate::failure::Failure;
 use crate::scenes::{BuiltIn, SceneSource};
 
-/// What a folder is a sweep of; rows of another are no rows of this.
+/// Identity of a sweep; rows of sweeps with another identity are rejected.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 struct Identity {
     study: String,
@@ -25,20 +25,20 @@ struct Identity {
     keys: Vec<String>,
 }
 
-/// A study with the files that it names.
+/// A study with the files it refers to.
 #[derive(Debug)]
 pub struct OpenedStudy {
     pub study: Study,
-    /// Its scene, before any setting.
+    /// Path of the scene, before any setting is applied.
     pub scene: Option<PathBuf>,
     identity: Identity,
 }
 
 impl OpenedStudy {
-    /// Reads a study and the files that it names; those lie from its own folder.
+    /// Reads a study and the files it refers to, with paths relative to the study.
     ///
     /// # Errors
-    /// Bad input: not a study, a file that cannot be read, or a key that no scene has.
+    /// Bad input: not a study, an unreadable file, or an unknown scene key.
     pub fn read(file: &Path) -> Result<OpenedStudy, Failure> {
         let text = inputs::text::read(file)?;
         let place = |named: PathBuf| {
@@ -63,12 +63,12 @@ impl OpenedStudy {
         Ok(study)
     }
 
-    /// Settings of a run, in the order in which they count.
+    /// Returns the settings of a run in the order of application.
     pub fn settings(&self, point: &sweep::Point) -> Vec<String> {
         [self.study.set.clone(), point.settings()].concat()
     }
 
-    /// Arguments of `trabecula run` for a run.
+    /// Returns the arguments of `trabecula run` for a run.
     pub fn arguments(&self, point: &sweep::Point) -> Vec<String> {
         let mut words: Vec<String> = self.scene.iter().map(|scene| scene.display().to_string()).collect();
         words.extend(["--mode".to_owned(), "lockstep".to_owned()]);
@@ -76,18 +76,18 @@ impl OpenedStudy {
         words
     }
 
-    /// The command that makes a run again.
+    /// Returns the command that repeats a run.
     pub fn command(&self, point: &sweep::Point) -> Result<String, Failure> {
         joined(&[vec!["trabecula".to_owned(), "run".to_owned()], self.arguments(point)].concat())
     }
 }
 
-/// Words as a shell takes them.
+/// Quotes and joins words for a shell.
 pub fn joined(words: &[String]) -> Result<String, Failure> {
     shlex::try_join(words.iter().map(String::as_str)).map_err(Failure::bad_input)
 }
 
-/// A sweep's folder.
+/// Folder of a sweep.
 #[derive(Debug)]
 pub struct Folder {
     path: PathBuf,
@@ -95,10 +95,10 @@ pub struct Folder {
 }
 
 impl Folder {
-    /// Takes a folder for a study: a new one, or one of the same study and build.
+    /// Opens the folder for a study, either new or of the same study and build.
     ///
     /// # Errors
-    /// Bad input: the folder is of another study or build, or holds something else; it cannot be written.
+    /// Bad input: the folder belongs to a different study or build, contains other files, or is not writable.
     pub fn take(path: &Path, study: &OpenedStudy) -> Result<Folder, Failure> {
         let identity = path.join("study.json");
         // Another worker may be writing `study.json`, or may have been killed while it did.
@@ -107,14 +107,15 @@ impl Folder {
             .map(|entries| entries.flatten().filter(|entry| !is_draft(&entry.file_name())).count());
         if others.unwrap_or(0) > 0 && !identity.exists() {
             return Err(Failure::bad_input(format!(
-                "--output {}: is not empty and no sweep's folder, expected a new folder or that of this sweep",
+                "--output {}: not empty and not a sweep folder; expected a new folder or the folder of this \
+                 sweep",
                 foreign_path(path)
             )));
         }
         output_file::create_folder(path).map_err(Failure::folder(path))?;
         let text = serde_json::to_vec_pretty(&study.identity).map_err(Failure::failed)?;
         match output_file::write(&identity, text) {
-            // Of this sweep, or of another worker of it that has just begun.
+            // Already present from this sweep, or from another worker that has just started.
             Ok(()) | Err(OutputError::Exists { .. }) => {}
             Err(other) => return Err(other.into()),
         }
@@ -128,7 +129,8 @@ impl Folder {
         ];
         match differs.iter().find(|(_, differs)| *differs) {
             Some((what, _)) => Err(Failure::bad_input(format!(
-                "--output {}: holds rows of another {what}, which cannot stand in one table with this sweep's; take another folder",
+                "--output {}: contains rows of a different {what}, which cannot be merged with this sweep; \
+                 choose another folder",
                 foreign_path(path)
             ))),
             None => folder.with_subfolders(),
@@ -147,35 +149,33 @@ impl Folder {
         let file = path.join("study.json");
         let bad = |why: String| Failure::bad_input(format!("{}: {why}", foreign_path(path)));
         let text = ipc_types::text_file::read(&file).map_err(|cause| {
-            bad(format!(
-                "is no folder of a sweep, expected one that `trabecula sweep run` has written ({cause})"
-            ))
+            bad(format!("not a sweep folder; expected one written by `trabecula sweep run` ({cause})"))
         })?;
         let identity = serde_json::from_str(&text).map_err(|cause| bad(format!("study.json: {cause}")))?;
         Ok(Folder { path: path.to_owned(), identity })
     }
 
-    /// Where it is.
+    /// Returns its path.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// Number of points of its study.
+    /// Returns the number of points of its study.
     pub fn count(&self) -> u64 {
         self.identity.count
     }
 
-    /// Keys that its study varies.
+    /// Returns the keys that its study varies.
     pub fn keys(&self) -> &[String] {
         &self.identity.keys
     }
 
-    /// Whether two folders are of the same study and build.
+    /// Returns whether two folders have the same study and build.
     pub fn is_of_the_same(&self, other: &Folder) -> bool {
         self.identity == other.identity
     }
 
-    /// The study's text and the text of its table of points, as it was run.
+    /// Parses the study, with its table of points, as it was run.
     pub fn study(&self) -> Result<Study, Failure> {
         let file = self.path.join("study.json");
         Study::parse(&self.identity.study, &file, self.identity.points.as_deref()).map_err(Failure::bad_input)
@@ -185,8 +185,8 @@ impl Folder {
         self.path.join("rows").join(format!("{point:07}.json"))
     }
 
-    /// Makes a folder for a run's log, from the sweep's. A run that was killed may have left one, and another worker may be making the same
-    /// run: nobody gets a folder twice.
+    /// Creates a folder for a run's log and returns its path relative to the sweep's. The name is unique,
+    /// because a killed run may have left a folder, and another worker may be running the same point.
     pub fn claim_run(&self, point: u64) -> Result<PathBuf, Failure> {
         let first = format!("{point:07}");
         let names = std::iter::once(first.clone()).chain((2_u32..).map(|number| format!("{first}-{number}")));
@@ -198,10 +198,10 @@ impl Folder {
                 Err(cause) => return Err(Failure::folder(&folder)(cause)),
             }
         }
-        Err(Failure::failed(format!("{}: no name left for a run's folder", foreign_path(&self.path))))
+        Err(Failure::failed(format!("{}: no free name for a run's folder", foreign_path(&self.path))))
     }
 
-    /// A point's row, if its run has ended.
+    /// Returns a point's row if its run has ended.
     pub fn row(&self, point: u64) -> Result<Option<Row>, Failure> {
         let file = self.row_file(point);
         let text = match std::fs::read(&file) {
@@ -211,24 +211,24 @@ impl Folder {
         };
         let no_row = |cause: String| {
             Failure::failed(format!(
-                "{}: is no row of this sweep ({cause}); remove it, and its run is made again",
+                "{}: not a row of this sweep ({cause}); remove it to repeat its run",
                 foreign_path(&file)
             ))
         };
         let row: Row = serde_json::from_slice(&text).map_err(|cause| no_row(cause.to_string()))?;
         let keys = row.parameters.iter().map(|(key, _)| key);
         if row.point != point || !keys.eq(self.keys()) {
-            return Err(no_row("it is of another point or has other parameters".to_owned()));
+            return Err(no_row("it has a different point or different parameters".to_owned()));
         }
         Ok(Some(row))
     }
 
-    /// All rows that are there, by number.
+    /// Returns all existing rows by number.
     pub fn rows(&self) -> Result<Vec<Row>, Failure> {
         (0..self.count()).filter_map(|point| self.row(point).transpose()).collect()
     }
 
-    /// Keeps a row. One that another worker has kept meanwhile is the same.
+    /// Saves a row. If another worker has saved it meanwhile, it is identical.
     pub fn keep(&self, row: &Row) -> Result<(), Failure> {
         let text = serde_json::to_vec(row).map_err(Failure::failed)?;
         match output_file::write(&self.row_file(row.point), text) {
@@ -237,11 +237,11 @@ impl Folder {
         }
     }
 
-    /// Writes the rows that are there into a file of `table/`, in place of an earlier one of the same name. Returns it.
+    /// Writes the rows into a file of `table/`, replacing an existing one. Returns its path.
     pub fn write_table(&self, name: &str, rows: &[Row]) -> Result<PathBuf, Failure> {
         let file = self.path.join("table").join(name);
         let bytes = parquet::table(self.keys(), rows)?;
-        // The table is made of the rows: an earlier one of fewer rows says nothing else.
+        // Tables are generated from the rows, so replacing an older one loses nothing.
         match std::fs::remove_file(&file) {
             Err(cause) if cause.kind() != ErrorKind::NotFound => {
                 return Err(Failure::failed(format!("{}: {cause}", foreign_path(&file))));

@@ -1,4 +1,5 @@
-//! A run of a sweep in this process: the physics, the scene's own controllers, and the X-ray frames that these look at.
+//! Runs a point of a sweep in this process: the physics, the scene's built-in controllers, and the X-ray
+//! frames that they use.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -10,12 +11,12 @@ use super::row::{Ending, Row};
 use crate::failure::Failure;
 use crate::report::course::Course;
 
-/// Ticks between two looks at whether the sweep is to end.
+/// Number of ticks between checks whether the sweep is to end.
 const LOOK_TICKS: u64 = 64;
 
-/// What a run was.
+/// Result of running a point.
 pub enum Ran {
-    /// It has a row.
+    /// The run has ended and has a row.
     Ended(Box<Row>),
     /// The sweep was asked to end.
     Interrupted,
@@ -24,7 +25,8 @@ pub enum Ran {
 /// Runs a scene to its end and fills the row in. `recorded` is the folder for its log.
 ///
 /// # Errors
-/// The machine's: no memory, no thread, a log that cannot be written. A row holds nothing that depends on the machine, so there is none.
+/// Machine errors: out of memory, no thread, an unwritable log. They yield no row, because a row must not
+/// depend on the machine.
 pub fn run(
     shared: &Arc<SharedScene>,
     mut row: Row,
@@ -53,7 +55,7 @@ pub fn run(
     Ok(Ran::Ended(Box::new(row)))
 }
 
-/// Whether the run came to its end.
+/// Steps the run; returns whether it reached its end.
 fn follow(
     shared: &Arc<SharedScene>,
     course: &mut Course,

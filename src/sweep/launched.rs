@@ -1,4 +1,5 @@
-//! A run of a sweep as a session of its own, for scenes whose controllers are programs and for logs with X-ray frames.
+//! Runs a point of a sweep as a separate session, for scenes whose controllers are programs and for logs with
+//! X-ray frames.
 
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
@@ -11,15 +12,15 @@ use super::row::{Ending, Row};
 use crate::failure::Failure;
 use crate::report::Summary;
 
-/// How often to look whether it has ended.
+/// Interval at which the end of the run is polled.
 const LOOK: Duration = Duration::from_millis(20);
-/// How long a session that is asked to end may take to finish its log.
+/// Timeout for a session to finish its log after it was asked to end.
 const ENDING_LIMIT: Duration = Duration::from_secs(30);
-/// How long to wait for the last words of one that has ended.
+/// Timeout for the remaining output of a run that has ended.
 const SAID_LIMIT: Duration = Duration::from_secs(5);
 
-/// Runs `trabecula run` with these arguments into a folder, and fills the row in from its `summary.json`. The folder keeps the log, because
-/// what a program of the user's did cannot be made again from the row.
+/// Runs `trabecula run` with these arguments into a folder, and fills in the row from its `summary.json`. The
+/// folder keeps the log, because the behaviour of a user's program cannot be reproduced from the row.
 pub fn run(
     arguments: &[String],
     mut row: Row,
@@ -29,7 +30,7 @@ pub fn run(
     let own = std::env::current_exe().map_err(Failure::failed)?;
     let mut command = Command::new(own);
     command.arg("run").args(arguments).args(["--quiet", "--output"]).arg(folder);
-    // Of what it says, the last line is why it failed.
+    // The last line of its error output is why it failed.
     command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped());
     let child =
         command.spawn().map_err(|cause| Failure::failed(format!("a run cannot be started: {cause}")))?;
@@ -54,7 +55,7 @@ pub fn run(
     Ok(Ran::Ended(Box::new(row)))
 }
 
-/// How a process ended and what it said; `None` if the sweep was asked to end, and the process with it.
+/// Returns a process's exit status and error output, or `None` if the sweep, and so the process, was ended.
 fn end_of(mut child: Child, is_to_end: &dyn Fn() -> bool) -> Result<Option<(ExitStatus, String)>, Failure> {
     let failed = |cause: std::io::Error| Failure::failed(format!("a run cannot be waited for: {cause}"));
     let pipe = child.stderr.take();
@@ -69,7 +70,7 @@ fn end_of(mut child: Child, is_to_end: &dyn Fn() -> bool) -> Result<Option<(Exit
             None if is_to_end() => {
                 asked = Some(Instant::now());
                 let id = i32::try_from(child.id()).ok().and_then(Pid::from_raw);
-                // One that has just ended cannot be asked.
+                // It may have just ended.
                 let _ = id.map(|id| kill_process(id, Signal::TERM));
             }
             Some(at) if at.elapsed() > ENDING_LIMIT => {
@@ -79,12 +80,12 @@ fn end_of(mut child: Child, is_to_end: &dyn Fn() -> bool) -> Result<Option<(Exit
         }
         std::thread::sleep(LOOK);
     };
-    // A program that the run has left behind may hold the pipe open: then its words are not waited for.
+    // A program left behind by the run may hold the pipe open, so do not wait indefinitely.
     let said = said.recv_timeout(SAID_LIMIT).ok().flatten().and_then(Result::ok).unwrap_or_default();
     Ok(asked.is_none().then_some((status, said)))
 }
 
-/// The only run in a folder: its name and its summary.
+/// Returns the name and summary of the only run in a folder.
 fn summary_in(folder: &Path) -> Option<(PathBuf, Summary)> {
     let mut runs = std::fs::read_dir(folder).ok()?.flatten().map(|entry| entry.path());
     let (run, None) = (runs.next()?, runs.next()) else { return None };

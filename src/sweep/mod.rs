@@ -1,16 +1,16 @@
-//! Runs the points of a study and keeps a row of each.
+//! Runs the points of a study and saves a row for each.
 //!
-//! A sweep's folder holds what it is a sweep of, its rows, the logs that it keeps, and a table:
+//! A sweep's folder contains:
 //!
-//! | file | what it holds |
+//! | file | contents |
 //! |---|---|
-//! | `study.json` | the study, its table of points, its scene and the build: another study or build is refused |
-//! | `rows/0000012.json` | what run 12 gave; written whole, at its end |
+//! | `study.json` | the study, its table of points, its scene and the build; others are rejected |
+//! | `rows/0000012.json` | results of point 12, written atomically at the end of the run |
 //! | `runs/0000012/` | its log, if the study keeps logs |
 //! | `table/shard-0-of-1.parquet` | the rows of a shard; the folder is a Parquet dataset |
 //!
-//! A row is a function of its point and the build, so a sweep that was killed goes on where it was, machines may share a folder, and
-//! folders may be joined.
+//! A row is a function of its point and the build, so a killed sweep can be continued, machines can share a
+//! folder, and folders can be merged.
 
 pub mod folder;
 mod in_process;

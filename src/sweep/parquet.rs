@@ -6,8 +6,8 @@ use serde_json::Value;
 use super::row::{FIGURES, Row};
 use crate::failure::Failure;
 
-/// The table: `point`, a column for each key, `outcome`, `reason`, `final_hash`, the figures, `log`, `command`. A key
-/// whose values are all numbers gives numbers, any other one texts.
+/// Builds the table: `point`, a column for each key, `outcome`, `reason`, `final_hash`, the results, `log`,
+/// `command`. A key whose values are all numbers has a numeric column, any other a text column.
 pub fn table(keys: &[String], rows: &[Row]) -> Result<Vec<u8>, Failure> {
     let mut columns =
         vec![("point".to_owned(), Column::Integers(rows.iter().map(|row| row.point as i64).collect()))];
@@ -25,7 +25,7 @@ pub fn table(keys: &[String], rows: &[Row]) -> Result<Vec<u8>, Failure> {
     columns.push(("log".to_owned(), texts(|row| row.log.as_ref().map(|log| log.display().to_string()))));
     columns.push(("command".to_owned(), texts(|row| Some(row.command.clone()))));
     let table = parquet_table::table("sweep", &columns);
-    table.map_err(|cause| Failure::failed(format!("the table cannot be made: {cause}")))
+    table.map_err(|cause| Failure::failed(format!("the table cannot be created: {cause}")))
 }
 
 fn of_values(values: &[Option<Value>]) -> Column {

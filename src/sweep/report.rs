@@ -1,4 +1,4 @@
-//! What the rows of a sweep say about its parameters.
+//! Sensitivity of a sweep's results to its parameters.
 
 use figures::{Axis, COLOURS, Figure, FigureError, HEAD, Panel, Point};
 use serde::Serialize;
@@ -8,7 +8,7 @@ use sweep::{Design, Index, Study, indices, spearman};
 use super::row::{Ending, FIGURES, Row};
 use crate::failure::Failure;
 
-/// How a figure depends on each parameter; for programs, the JSON of it.
+/// How a result depends on each parameter; serialized for `--json`.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Sensitivity {
     pub figure: String,
@@ -17,20 +17,20 @@ pub struct Sensitivity {
     pub mean: f64,
     pub highest: f64,
     pub parameters: Vec<Parameter>,
-    /// What the runs gave with each value of a parameter that is no number.
+    /// Results for each value of a non-numeric parameter.
     pub groups: Vec<Group>,
-    /// Samples of a Saltelli design without the figure in one of their rows.
+    /// Samples of a Saltelli design with the result missing in one of their rows.
     pub samples_left_out: usize,
 }
 
-/// Rows with a figure, of all.
+/// Number of rows with a result, and of all rows.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct RowCount {
     with: usize,
     all: usize,
 }
 
-/// What a figure owes to a parameter.
+/// How a result depends on a parameter.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Parameter {
     key: String,
@@ -39,7 +39,7 @@ pub struct Parameter {
     sobol: Option<Index>,
 }
 
-/// The runs with one value of a parameter, and the figure's values in them.
+/// The runs with one value of a parameter, and their results.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Group {
     key: String,
@@ -51,7 +51,7 @@ pub struct Group {
 }
 
 impl Group {
-    /// As in a scene.
+    /// Returns the setting as written in a scene.
     fn name(&self) -> String {
         match &self.value {
             Value::String(text) => format!("{} = {text}", self.key),
@@ -60,19 +60,19 @@ impl Group {
     }
 }
 
-/// Refuses a name that no row has.
+/// Rejects an unknown result name.
 pub fn check_figure(name: &str) -> Result<(), Failure> {
     let names = FIGURES.map(|(figure, _)| figure);
     match names.contains(&name) {
         true => Ok(()),
         false => {
             let names = names.join(", ");
-            Err(Failure::bad_input(format!("--of {name}: no figure of a row, expected one of {names}")))
+            Err(Failure::bad_input(format!("--of {name}: unknown result, expected one of {names}")))
         }
     }
 }
 
-/// Of the rows that completed. `None` without any.
+/// Computes the sensitivity over the completed rows; `None` if there are none.
 pub fn sensitivity(study: &Study, rows: &[Row], figure: &str) -> Option<Sensitivity> {
     let of = |row: &Row| row.figure(figure).filter(|_| row.outcome == Ending::Completed);
     let values: Vec<f64> = rows.iter().filter_map(of).collect();
@@ -108,7 +108,7 @@ pub fn sensitivity(study: &Study, rows: &[Row], figure: &str) -> Option<Sensitiv
     })
 }
 
-/// The values of a parameter in the order in which they first occur; none if it is a number.
+/// Groups rows by a parameter's values in order of first occurrence; empty if the parameter is numeric.
 fn groups(key: &str, rows: &[Row], of: impl Fn(&Row) -> Option<f64>) -> Vec<Group> {
     let mut found: Vec<(&Value, Vec<f64>)> = Vec::new();
     for (value, figure) in rows.iter().filter_map(|row| Some((row.value(key)?, of(row)?))) {
@@ -134,23 +134,23 @@ fn groups(key: &str, rows: &[Row], of: impl Fn(&Row) -> Option<f64>) -> Vec<Grou
     found.into_iter().map(group).collect()
 }
 
-/// Of sorted numbers, at least one.
+/// Returns the median of sorted numbers, at least one.
 fn median(sorted: &[f64]) -> f64 {
     let middle = sorted.len() / 2;
     if sorted.len() % 2 == 1 { sorted[middle] } else { 0.5 * (sorted[middle - 1] + sorted[middle]) }
 }
 
 impl Sensitivity {
-    /// For people.
+    /// Formats the sensitivity as text.
     pub fn text(&self) -> String {
         let Sensitivity {
             figure, rows: RowCount { with, all }, lowest, mean, highest, samples_left_out, ..
         } = self;
         let mut lines =
-            vec![format!("{figure}: {lowest:.4} to {highest:.4}, mean {mean:.4}, of {with} of {all} rows")];
+            vec![format!("{figure}: {lowest:.4} to {highest:.4}, mean {mean:.4}, in {with} of {all} rows")];
         if *samples_left_out > 0 {
             lines.push(format!(
-                "{samples_left_out} samples have a run without it and are left out of the indices"
+                "{samples_left_out} samples have a run without it and are excluded from the indices"
             ));
         }
         let width = self.parameters.iter().map(|it| it.key.len()).max().unwrap_or(0).max("parameter".len());
@@ -176,7 +176,7 @@ impl Sensitivity {
         let Some(width) = named.iter().map(|(name, _)| name.len()).max() else { return Vec::new() };
         let head = format!(
             "{:width$}  {:>6}  {:>10}  {:>10}  {:>10}",
-            "runs with", "number", "lowest", "median", "highest"
+            "runs with", "count", "minimum", "median", "maximum"
         );
         let line = |(name, group): &(String, &Group)| {
             let Group { runs, lowest, median, highest, .. } = group;
@@ -187,10 +187,10 @@ impl Sensitivity {
 }
 
 const PANEL_HEIGHT: f64 = 300.0;
-/// Panels in a row.
+/// Panels per row.
 const COLUMNS: usize = 3;
 
-/// A picture: the figure against each parameter that is a number, a disc for each row that completed.
+/// Plots the result against each numeric parameter, with a disc for each completed row.
 pub fn draw(study: &Study, rows: &[Row], figure: &str) -> Result<Figure, FigureError> {
     let of = |row: &Row| row.figure(figure).filter(|_| row.outcome == Ending::Completed);
     let clouds: Vec<(&str, Vec<Point>)> = study

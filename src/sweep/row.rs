@@ -1,4 +1,4 @@
-//! What a run of a sweep gave.
+//! Result row of a sweep's run.
 
 use std::path::PathBuf;
 
@@ -11,18 +11,18 @@ use crate::report::{DrillingSummary, ToolSummary};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Ending {
-    /// It ran for the scene's time.
+    /// The run reached the scene's duration.
     Completed,
-    /// The scene with these values is refused; nothing was run.
+    /// The scene with these values was rejected; nothing was run.
     Refused,
-    /// The physics could not go on: the state was lost.
+    /// The physics could not continue.
     SimulationFailed,
     /// A part or a controller failed.
     Failed,
 }
 
 impl Ending {
-    /// Its name in a table.
+    /// Returns its name in a table.
     pub fn name(self) -> &'static str {
         match self {
             Ending::Completed => "completed",
@@ -33,7 +33,7 @@ impl Ending {
     }
 }
 
-/// A row: the point, how its run ended, and its figures.
+/// A row: the point, how its run ended, and its results.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Row {
     pub point: u64,
@@ -47,16 +47,16 @@ pub struct Row {
     pub final_hash: Option<String>,
     pub tool: Option<ToolSummary>,
     pub drilling: Option<DrillingSummary>,
-    /// The run's log, from the sweep's folder.
+    /// Path of the run's log relative to the sweep's folder.
     pub log: Option<PathBuf>,
-    /// Command that makes the run again, as a session with its log.
+    /// Command that repeats the run as a session with a log.
     pub command: String,
 }
 
-/// A figure of a row: its name, and its value if the row has it.
+/// A result of a row: its name, and its value if the row has it.
 type Figure = (&'static str, fn(&Row) -> Option<f64>);
 
-/// The figures of a row; those of [`ToolSummary`] and [`DrillingSummary`] mean what they mean in `summary.json`.
+/// The results of a row; those of [`ToolSummary`] and [`DrillingSummary`] are defined as in `summary.json`.
 pub const FIGURES: [Figure; 22] = [
     ("ticks", |row| Some(row.ticks as f64)),
     ("simulated_s", |row| Some(row.simulated_s)),
@@ -83,17 +83,17 @@ pub const FIGURES: [Figure; 22] = [
 ];
 
 impl Row {
-    /// The figure of this name, if the row has it.
+    /// Returns the result of this name if the row has it.
     pub fn figure(&self, name: &str) -> Option<f64> {
         FIGURES.iter().find(|(figure, _)| *figure == name).and_then(|(_, of)| of(self))
     }
 
-    /// A parameter.
+    /// Returns a parameter.
     pub fn value(&self, key: &str) -> Option<&Value> {
         self.parameters.iter().find(|(name, _)| name == key).map(|(_, value)| value)
     }
 
-    /// A parameter as a number, if it is one.
+    /// Returns a parameter as a number if it is one.
     pub fn parameter(&self, key: &str) -> Option<f64> {
         self.value(key)?.as_f64()
     }

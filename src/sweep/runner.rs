@@ -1,4 +1,4 @@
-//! Runs the points of a sweep that have no row yet, several at a time.
+//! Runs the points of a sweep that have no row yet, several concurrently.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -15,48 +15,50 @@ use super::launched;
 use super::row::{Ending, Row};
 use crate::failure::Failure;
 
-/// Which points of a study a process runs: all whose number leaves `index` when divided by `of`.
+/// The points of a study that a process runs: all whose number modulo `of` is `index`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Shard {
-    /// Which shard, from 0.
+    /// Index of the shard, from 0.
     pub index: u64,
-    /// How many there are.
+    /// Number of shards.
     pub of: u64,
 }
 
 impl Shard {
-    /// Name of its table.
+    /// Returns the name of its table.
     pub fn table(self) -> String {
         format!("shard-{}-of-{}.parquet", self.index, self.of)
     }
 
-    /// The numbers of its points.
+    /// Returns the numbers of its points.
     pub fn points(self, count: u64) -> impl Iterator<Item = u64> {
         (self.index..count).step_by(usize::try_from(self.of).unwrap_or(usize::MAX))
     }
 }
 
-/// What has been done so far.
+/// Progress of a sweep.
 #[derive(Debug, Clone, Copy)]
 pub struct Progress {
-    /// Points with a row, of those asked for.
+    /// Requested points that have a row.
     pub done: u64,
     pub of: u64,
     pub made: u64,
     pub elapsed_s: f64,
 }
 
-/// Which points to run, and how.
+/// Points to run and number of jobs.
 #[derive(Debug, Clone)]
 pub struct Work {
     pub points: Vec<u64>,
     pub jobs: usize,
 }
 
-/// Runs what has no row, and tells of each row. Ends early when `is_to_end` says so; then the runs under way are given up.
+/// Runs the points without a row and reports each new row. Ends early when `is_to_end` returns true,
+/// abandoning the runs in progress.
 ///
 /// # Errors
-/// The study's scene is refused by itself; a row or a log cannot be written; the machine has no memory or threads for a run.
+/// The study's scene is invalid without any setting; a row or a log cannot be written; a run is out of memory
+/// or threads.
 pub fn run(
     study: &OpenedStudy,
     folder: &Folder,
@@ -107,14 +109,15 @@ pub fn run(
     failure.into_inner().unwrap_or_else(PoisonError::into_inner).map_or(Ok(()), Err)
 }
 
-/// A worker's scene whose volume its next one may share. The first of all workers' is shared by all, so that they do not all read it.
+/// Caches a worker's scene so that its next one can share the volume. The first scene is shared by all
+/// workers, so that only one reads the volume.
 struct Volumes<'a> {
     own: Option<Arc<SharedScene>>,
     first: &'a Mutex<Option<Arc<SharedScene>>>,
 }
 
 impl Volumes<'_> {
-    /// The scene of these settings.
+    /// Loads the scene with these settings.
     fn load(&mut self, study: &OpenedStudy, settings: &[String]) -> Result<Arc<SharedScene>, SimError> {
         let beside = |other: Option<&SharedScene>| {
             SharedScene::load_beside(other, study.scene.as_deref(), settings, None)
@@ -157,7 +160,7 @@ fn one(
     if let Some(external) = controllers.iter().find(|controller| controller.external && !controller.optional)
     {
         return Err(Failure::bad_input(format!(
-            "controller `{}` is a program that somebody else starts, which a sweep cannot wait for; give its `command` in the scene",
+            "controller `{}` is external, and a sweep cannot start it; give it a `command` in the scene",
             external.name
         )));
     }

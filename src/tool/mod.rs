@@ -1,4 +1,4 @@
-//! The tool's dimensions, for people.
+//! Describes the tool's dimensions.
 
 pub mod response;
 pub mod source;
@@ -15,24 +15,25 @@ use crate::failure::Failure;
 /// A dimension of the tool.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Dimension {
-    /// Its name, with the unit at its end.
+    /// Name, ending in the unit.
     pub name: &'static str,
-    /// Its value.
+    /// Value.
     pub value: f64,
-    /// What it is.
+    /// Description.
     pub text: &'static str,
 }
 
-/// Name, value and text of a dimension.
+/// Name, value and description of a dimension.
 type Entry = (&'static str, f64, &'static str);
 
-/// From a burr's front to its back, m.
+/// Returns the length of a burr from front to back, m.
 fn length_m(cutter: &Cutter) -> f64 {
     let back_m = cutter.balls().last().map_or(0.0, |ball| ball.radius_m);
     cutter.front_radius_m() + cutter.span_m() + back_m
 }
 
-/// The dimensions of a scene's tool: the straight tool in its base's frame, whose z runs along the tool from the flange.
+/// Returns the dimensions of a scene's straight tool in its base frame, whose z axis points along the tool
+/// from the flange.
 pub fn dimensions(scene: &Scene) -> Result<Vec<Dimension>, Failure> {
     let tool = manipulator_parameters(scene).map_err(Failure::bad_input)?;
     let first_m = tool.joint_positions_m.first().copied().unwrap_or(0.0);
@@ -43,28 +44,28 @@ pub fn dimensions(scene: &Scene) -> Result<Vec<Dimension>, Failure> {
         (
             "burr_centre_mm",
             1e3 * burr_m,
-            "from the flange to the burr's centre, which is `burr_start_mm` at the start",
+            "from the flange to the burr's centre, which starts at `burr_start_mm`",
         ),
-        ("rigid_shaft_mm", 1e3 * first_m, "from the flange to the first flexure: this part does not bend"),
+        ("rigid_shaft_mm", 1e3 * first_m, "from the flange to the first flexure; this part does not bend"),
         (
             "flexible_mm",
             1e3 * tool.flexible_length_m(),
-            "from the first flexure to the burr's centre: this part bends",
+            "from the first flexure to the burr's centre; this part bends",
         ),
         (
             "tube_outer_mm",
             2e3 * tool.tube_radii_m[0],
-            "outer diameter of the tube; a pilot hole is at least as wide",
+            "outer diameter of the tube; minimum diameter of a pilot hole",
         ),
         ("tube_inner_mm", 2e3 * tool.tube_radii_m[1], "inner diameter of the tube"),
-        ("burr_mm", 2e3 * tool.cutter.widest_radius_m(), "diameter of the burr, where it is widest"),
+        ("burr_mm", 2e3 * tool.cutter.widest_radius_m(), "largest diameter of the burr"),
         ("burr_length_mm", 1e3 * length_m(&tool.cutter), "from the front of the burr to its back"),
         ("burr_balls", tool.cutter.balls().len() as f64, "number of balls that make up the burr"),
         ("flexures", joints as f64, "number of flexures"),
         (
             "flexure_stop_deg",
             tool.joint_limit_rad.to_degrees(),
-            "bend of each flexure at its stop, to either side",
+            "angle of each flexure at its stop, in either direction",
         ),
         (
             "most_bend_deg",
@@ -85,9 +86,9 @@ pub fn dimensions(scene: &Scene) -> Result<Vec<Dimension>, Failure> {
             (
                 "outer_tube_outer_mm",
                 outer.outer_diameter_mm,
-                "outer diameter of the outer tube; a pilot hole is at least as wide where it goes in",
+                "outer diameter of the outer tube; minimum diameter of a pilot hole where it enters",
             ),
-            ("travel_mm", outer.travel_mm, "farthest that the tool slides out of the outer tube"),
+            ("travel_mm", outer.travel_mm, "maximum length that the tool slides out of the outer tube"),
         ]);
     }
     if let Some(shaft) = scene.manipulator.tool.as_ref().and_then(|tool| tool.drive_shaft.as_ref()) {
@@ -96,7 +97,7 @@ pub fn dimensions(scene: &Scene) -> Result<Vec<Dimension>, Failure> {
     Ok(all.into_iter().map(|(name, value, text)| Dimension { name, value, text }).collect())
 }
 
-/// What of a drive shaft its tool has, and what follows for its burr.
+/// Adds the dimensions of the drive shaft and the resulting properties of the burr.
 fn drive_shaft(
     shaft: &ToolDriveShaft,
     tool: &ManipulatorParameters,
@@ -104,7 +105,7 @@ fn drive_shaft(
 ) -> Vec<Entry> {
     let mut all = Vec::new();
     if shaft.bending_stiffness_nm2 > 0.0 {
-        let text = "bending stiffness E I of the drive shaft, which each flexure has besides its own";
+        let text = "bending stiffness E I of the drive shaft, which adds to that of each flexure";
         all.push(("shaft_bending_nmm2", 1e6 * shaft.bending_stiffness_nm2, text));
     }
     if let Some(torsional_nm2) = shaft.torsional_stiffness_nm2 {
@@ -116,28 +117,28 @@ fn drive_shaft(
         all.push(("shaft_torsion_hz", frequency_hz, "torsional oscillation of the burr on the shaft"));
     }
     if let Some(stall_nmm) = scene_stall_nmm.or(shaft.stall_torque_nmm) {
-        all.push(("stall_torque_nmm", stall_nmm, "torque at which the burr's motor stands"));
+        all.push(("stall_torque_nmm", stall_nmm, "stall torque of the burr's motor"));
     }
     if shaft.friction_torque_nmm > 0.0 {
-        let text = "torque of the drive shaft's friction against the tube";
+        let text = "friction torque of the drive shaft in the tube";
         all.push(("shaft_friction_nmm", shaft.friction_torque_nmm, text));
     }
     all
 }
 
-/// The dimensions as a section of the scene reference.
+/// Formats the dimensions as a section of the scene reference.
 pub fn reference(scene: &Scene) -> Result<String, Failure> {
-    let mut text = "\n## The tool's dimensions\n\nOf the standard tool; `trabecula tool show SCENE` prints those of a scene's own. Distances are along the straight tool.\n\n\
-                    | dimension | value | what it is |\n|---|---|---|\n"
+    let mut text = "\n## The tool's dimensions\n\nDimensions of the standard tool; `trabecula tool show SCENE` prints those of a scene's own tool. Distances are along the straight tool.\n\n\
+                    | dimension | value | meaning |\n|---|---|---|\n"
         .to_owned();
     for Dimension { name, value, text: what } in dimensions(scene)? {
-        // Writing to a text cannot fail.
+        // Writing to a string cannot fail.
         let _ = writeln!(text, "| `{name}` | {} | {what} |", rounded(value));
     }
     Ok(text)
 }
 
-/// A value to a hundredth, without trailing zeros.
+/// Rounds a value to a hundredth.
 pub fn rounded(value: f64) -> f64 {
     (value * 100.0).round() / 100.0
 }

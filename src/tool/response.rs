@@ -1,4 +1,5 @@
-//! What the tool does: its shape at rest and under each tendon, its first mode, and what a step of each rung costs.
+//! Response of the tool: its equilibria under each tendon, its bending modes, and the step time of each model
+//! rung.
 
 use std::time::Instant;
 
@@ -13,50 +14,51 @@ use simulation::{manipulator_parameters, rung};
 
 use crate::failure::Failure;
 
-/// Tensions that are shown, N.
+/// Tensions shown, N.
 const TENSIONS_N: [f64; 3] = [2.0, 5.0, 10.0];
-/// More tensions that tell how far the tool comes: the last is the most that a command may ask for.
+/// Further tensions for the workspace, N; the last is the maximum of a command.
 const HARD_N: [f64; 3] = [20.0, 40.0, 60.0];
-/// Tension of two tendons at once.
+/// Tension of two tendons together, N.
 const PAIR_N: f64 = 20.0;
-/// Bending modes that are shown.
+/// Number of bending modes shown.
 const MODES: usize = 3;
-/// Lengths out of an outer tube that are shown, as shares of its travel.
+/// Deployed lengths shown, as fractions of the outer tube's travel.
 const DEPLOYED_SHARES: [f64; 5] = [0.0, 0.25, 0.5, 0.75, 1.0];
-/// The tool has settled when no flexure turns faster, rad/s; at 1 ms it then moves less than a nanometre a step.
+/// The tool has settled when no flexure turns faster, rad/s; it then moves less than a nanometre per step of
+/// 1 ms.
 const SETTLED_RAD_PER_S: f64 = 1e-6;
-/// Steps of 1 ms in which a critically damped tool settles, or is given up.
+/// Maximum number of 1 ms steps for a critically damped tool to settle.
 const MOST_STEPS: usize = 5000;
 const STEP_S: f64 = 1e-3;
-/// Steps that are timed, of each rung.
+/// Number of steps timed for each rung.
 const TIMED_STEPS: usize = 500;
 
-/// The tool at rest, in its base's frame.
+/// The tool in equilibrium, in its base frame.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Shape {
-    /// The tendon that is pulled, from 0; absent: none.
+    /// Index of the pulled tendon; absent if no tendon is pulled.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tendon: Option<usize>,
-    /// Its tension.
+    /// Tension of the tendon.
     pub tension_n: f64,
-    /// Length of the tool out of its outer tube; absent: it has none.
+    /// Length of the tool outside its outer tube; absent without an outer tube.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub deployed_mm: Option<f64>,
     /// Bend of the whole tool toward `tool.bend_toward`.
     pub bend_deg: f64,
-    /// The burr's centre toward `tool.bend_toward`.
+    /// Position of the burr's centre toward `tool.bend_toward`.
     pub toward_mm: f64,
-    /// Across it.
+    /// Across that direction.
     pub across_mm: f64,
     /// Along the straight tool, from the flange.
     pub along_mm: f64,
-    /// Flexures on their stops.
+    /// Number of flexures at their stops.
     pub stopped: usize,
-    /// Whether the tool has come to rest; if not, its last shape is given, whose numbers may have overflowed.
+    /// Whether the tool has settled; otherwise this is its last shape, whose numbers may have overflowed.
     pub settled: bool,
 }
 
-/// What a step of a rung costs.
+/// Cost of a step of a model rung.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Cost {
     /// Name of the rung.
@@ -69,12 +71,13 @@ pub struct Cost {
     pub refused: Option<String>,
 }
 
-/// Ends of where the tool comes to in free space: with each tendon alone, with every two alike, or out of its outer tube and turned in it.
+/// Limits of the tool's reach in free space: with each tendon alone, with every pair at equal tension, or
+/// deployed from its outer tube at any roll.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Workspace {
     /// The burr's centre toward `tool.bend_toward`.
     pub toward_mm: [f64; 2],
-    /// Across it.
+    /// Across that direction.
     pub across_mm: [f64; 2],
     /// Along the straight tool, from the flange.
     pub along_mm: [f64; 2],
@@ -83,7 +86,7 @@ pub struct Workspace {
 }
 
 impl Workspace {
-    /// Of the shapes in which the tool came to rest; one in an outer tube may turn by any angle.
+    /// Computes the workspace of the settled shapes; a tool in an outer tube can roll by any angle.
     fn of(shapes: &[Shape]) -> Workspace {
         let turns = shapes.iter().any(|shape| shape.deployed_mm.is_some());
         let ends = |of: &dyn Fn(&Shape) -> f64| {
@@ -102,27 +105,27 @@ impl Workspace {
     }
 }
 
-/// What the tool of a scene does.
+/// Response of a scene's tool.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Response {
-    /// Without load, then under each tendon alone.
+    /// Shapes without load, then under each tendon alone.
     pub shapes: Vec<Shape>,
-    /// Where the burr's centre and the tool's bend come to, as far as it was pulled.
+    /// Reach of the burr's centre and of the bend over all shapes measured.
     pub workspace: Workspace,
     /// First bending mode on a rigid mount while the tool is straight, Hz.
     pub first_frequency_hz: f64,
-    /// The first three, Hz.
+    /// First three bending modes, Hz.
     pub bending_frequencies_hz: Vec<f64>,
     /// Euler's buckling load of the straight tool, clamped at its base, N.
     pub buckling_load_n: f64,
-    /// Of every rung, the cheapest first.
+    /// Costs of all rungs, cheapest first.
     pub costs: Vec<Cost>,
 }
 
-/// Measures the tool of a scene, on the scene's rung or else the first that can represent it, in free space.
+/// Measures the tool of a scene in free space, with the scene's rung or the first that can represent it.
 ///
 /// # Errors
-/// Bad input: no such tool, or the rung that the scene names cannot represent it.
+/// Bad input: an invalid tool, or the scene's rung cannot represent it.
 pub fn response(scene: &Scene) -> Result<Response, Failure> {
     let parameters = manipulator_parameters(scene).map_err(Failure::bad_input)?;
     let by_default = rung(scene.manipulator.model.unwrap_or_default());
@@ -171,12 +174,12 @@ fn new(rung: Rung, parameters: &ManipulatorParameters) -> Built {
     AnyManipulator::new(rung, parameters.clone(), &BaseMotion::at_rest(Isometry3::identity()))
 }
 
-/// A model of a tool, in its rest shape.
+/// Builds a model of a tool in its rest shape.
 pub fn built(rung: Rung, parameters: &ManipulatorParameters) -> Result<AnyManipulator, String> {
     let tool = new(rung, parameters).map_err(|cause| cause.to_string())?;
     let mut routes = parameters.tendon_routes.iter().flatten();
     if rung < Rung::Spatial && routes.any(|route| route.channel_m[1] != 0.0) {
-        return Err("a tendon bends out of the plane".to_owned());
+        return Err("a tendon bends it out of the plane".to_owned());
     }
     Ok(tool)
 }
@@ -206,7 +209,7 @@ fn shape(
     })
 }
 
-/// The shape without load, a length out of the outer tube; its place is from the outer tube's base.
+/// Returns the shape without load at a deployed length, relative to the outer tube's base.
 fn shape_deployed(
     rung: Rung,
     parameters: &ManipulatorParameters,
@@ -255,7 +258,7 @@ fn cost(rung: Rung, parameters: &ManipulatorParameters) -> Cost {
     };
     let mut times_us = Vec::with_capacity(TIMED_STEPS);
     for step in 0..TIMED_STEPS {
-        // A pull that comes and goes, so that the tool moves.
+        // Vary the tension so that the tool moves.
         let input = pulled(&[0], if step / 100 % 2 == 0 { 3.0 } else { 0.0 });
         let start = Instant::now();
         if let Err(why) = tool.step(STEP_S, &input) {
@@ -278,7 +281,8 @@ mod tests {
     use super::*;
     use crate::scenes::BuiltIn;
 
-    /// Bug: numbers that had overflowed were printed as a shape, without a word. A pull of newtons on flexures of a micronewton metre.
+    /// Regression: overflowed numbers were printed as a shape without a note. Tension of newtons on flexures
+    /// of a micronewton metre.
     #[test]
     fn a_tool_that_does_not_settle_is_said_not_to() {
         let mut scene = BuiltIn::FreeSpace.scene().unwrap();

@@ -1,4 +1,4 @@
-//! What `trabecula tool show` is given: a scene or a tool file.
+//! Input of `trabecula tool show`: a scene or a tool file.
 
 use std::fmt::{self, Display, Formatter};
 use std::path::Path;
@@ -9,7 +9,7 @@ use ipc_types::text_file;
 use crate::failure::Failure;
 use crate::scenes::{BuiltIn, SceneSource};
 
-/// A scene, its own or one about the tool of a file.
+/// A scene, either given or built around the tool of a file.
 #[derive(Debug)]
 pub struct ToolSource {
     /// The scene.
@@ -18,7 +18,8 @@ pub struct ToolSource {
 }
 
 impl ToolSource {
-    /// Reads a scene or a tool file: a tool file has a `[tube]`. Without a file: the built-in femur, whose tool is the standard one.
+    /// Reads a scene or a tool file, which has a `[tube]`; default: the built-in femur with the standard
+    /// tool.
     pub fn load(file: Option<&Path>) -> Result<ToolSource, Failure> {
         if let Some(file) = file
             && let Ok(text) = text_file::read(file)

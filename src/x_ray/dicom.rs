@@ -1,7 +1,7 @@
 //! Writes frames as DICOM X-ray angiography (XA) images that `dciodvfy` (dicom3tools) accepts.
 //!
-//! Source: DICOM PS3.3 A.14 (the modules of an XA image), C.7 (patient, study, series, equipment, image), C.8.7.1 to C.8.7.5 (X-ray image,
-//! acquisition, XA positioner), C.11.1 (modality LUT).
+//! Source: DICOM PS3.3 A.14 (the modules of an XA image), C.7 (patient, study, series, equipment, image),
+//! C.8.7.1 to C.8.7.5 (X-ray image, acquisition, XA positioner), C.11.1 (modality LUT).
 
 use std::path::Path;
 
@@ -19,7 +19,7 @@ use crate::failure::Failure;
 /// X-Ray Angiographic Image Storage, and Explicit VR Little Endian.
 const XA_STORAGE: &str = "1.2.840.10008.5.1.4.1.1.12.1";
 const EXPLICIT_LITTLE_ENDIAN: &str = "1.2.840.10008.1.2.1";
-/// Type 2 and 2C attributes that a simulation has no value for: they must be there, and may be empty.
+/// Type 2 and 2C attributes without a value in a simulation: required, but allowed to be empty.
 const EMPTY: [(u16, u16, VR); 14] = [
     (0x0008, 0x0020, VR::DA), // StudyDate
     (0x0008, 0x0023, VR::DA), // ContentDate
@@ -37,7 +37,7 @@ const EMPTY: [(u16, u16, VR); 14] = [
     (0x0020, 0x0060, VR::CS), // Laterality
 ];
 
-/// What the frames of one call have in common.
+/// Attributes shared by the frames of one call.
 #[derive(Debug, Clone, Copy)]
 pub struct Series {
     key: u128,
@@ -45,7 +45,7 @@ pub struct Series {
 }
 
 impl Series {
-    /// The series of these poses of a volume: the same call gives the same identifiers.
+    /// Creates the series of these poses of a volume; the same call gives the same identifiers.
     pub fn new(volume_sha256: [u8; 32], poses: &[Placed], tube_kv: Option<f64>) -> Series {
         let text = format!("{volume_sha256:?} {poses:?} {tube_kv:?}");
         Series { key: xxh3_128(text.as_bytes()), tube_kv }
@@ -55,14 +55,15 @@ impl Series {
 /// Writes one image with the positioner's angles and distances; `number` counts from 1 within the series.
 ///
 /// # Errors
-/// More pixels than DICOM holds (2); a file that cannot be written.
+/// More pixels than DICOM supports (2); a file that cannot be written.
 pub fn write_dicom(path: &Path, picture: &Picture, series: &Series, number: usize) -> Result<(), Failure> {
     let (columns, rows) = picture.size();
     let (columns, rows) = match (u16::try_from(columns), u16::try_from(rows)) {
         (Ok(columns), Ok(rows)) => (columns, rows),
         _ => return Err(Failure::bad_input("DICOM images have at most 65535 rows and columns")),
     };
-    // UIDs derived from what they identify (PS3.5 B.2: 2.25 and a 128-bit number), so that the same call gives the same files.
+    // UIDs derived from the content (PS3.5 B.2: 2.25 and a 128-bit number), so that the same call gives the
+    // same files.
     let uid = |content: u128, kind: u128| format!("2.25.{}", (content ^ kind) >> 1);
     let content = xxh3_128(picture.greys.as_bytes()) ^ series.key.rotate_left(number as u32 % 128);
     let mut object = InMemDicomObject::new_empty();
@@ -109,7 +110,7 @@ pub fn write_dicom(path: &Path, picture: &Picture, series: &Series, number: usiz
     Ok(output_file::write(path, bytes)?)
 }
 
-/// Texts and numbers as texts: tag, value representation, value.
+/// Returns the text attributes: tag, value representation, value.
 fn texts(picture: &Picture, series: &Series, number: usize) -> Vec<(u16, u16, VR, String)> {
     let c_arm = &picture.placed.c_arm;
     let positioner = c_arm.positioner(picture.placed.isocentre_m);
@@ -138,7 +139,7 @@ fn texts(picture: &Picture, series: &Series, number: usize) -> Vec<(u16, u16, VR
         (0x0028, 0x0004, VR::CS, "MONOCHROME2".to_owned()),
         // Pixel Intensity Relationship (PS3.3 C.8.7.1.1.2).
         (0x0028, 0x1040, VR::CS, if picture.look.linear { "LIN" } else { "LOG" }.to_owned()),
-        // The window that shows all greys.
+        // Window over all greys.
         (0x0028, 0x1050, VR::DS, "32768".to_owned()),
         (0x0028, 0x1051, VR::DS, "65536".to_owned()),
     ];
@@ -148,17 +149,18 @@ fn texts(picture: &Picture, series: &Series, number: usize) -> Vec<(u16, u16, VR
     out
 }
 
-/// A DS value: at most 16 characters, and no minus before a zero.
+/// Formats a DS value: at most 16 characters, without negative zero.
 fn decimal(value: f64) -> String {
     let text: String = format!("{value:.8}").chars().take(16).collect();
     let zero = text.chars().all(|c| matches!(c, '-' | '0' | '.'));
     if zero { "0".to_owned() } else { text }
 }
 
-/// Least part of a unit vector that is worth a letter: 3 degrees.
+/// Minimum component of a unit vector that gets a letter, 3 degrees.
 const LEAST_PART: f64 = 0.05;
 
-/// A direction in the patient's letters, the largest part first (PS3.3 C.7.6.1.1.1): left or right, posterior or anterior, head or foot.
+/// Returns a direction in patient letters, largest component first (PS3.3 C.7.6.1.1.1): left or right,
+/// posterior or anterior, head or foot.
 fn patient_direction(axis: [f64; 3]) -> String {
     let letters = [('L', 'R'), ('P', 'A'), ('H', 'F')];
     let mut parts: Vec<(f64, char)> = axis
@@ -170,8 +172,8 @@ fn patient_direction(axis: [f64; 3]) -> String {
     parts.into_iter().filter(|(size, _)| *size >= LEAST_PART).map(|(_, letter)| letter).collect()
 }
 
-/// The table from greys to what is linear in the detected X-ray intensity, which logarithmic images have (PS3.3 C.8.7.1.1.2): 65535 at the
-/// low end of the window, and less by exp(-attenuation) from there.
+/// Builds the table of logarithmic images from greys to values linear in the detected X-ray intensity (PS3.3
+/// C.8.7.1.1.2): 65535 at the low end of the window, decreasing by exp(-attenuation).
 fn intensity_table(picture: &Picture) -> DataElement<InMemDicomObject> {
     let WindowLimits { low, high } = picture.window;
     let intensity = |grey: u16| {
@@ -181,7 +183,7 @@ fn intensity_table(picture: &Picture) -> DataElement<InMemDicomObject> {
     };
     let table: Vec<u16> = (0..=u16::MAX).map(intensity).collect();
     let mut item = InMemDicomObject::new_empty();
-    // 0 stands for 65536 entries; the first grey; bits of an entry.
+    // 0 means 65536 entries; the first grey; bits per entry.
     let descriptor = PrimitiveValue::U16([0, 0, 16].into_iter().collect());
     item.put(DataElement::new(Tag(0x0028, 0x3002), VR::US, descriptor));
     let explanation = format!("65535 at -ln(I/I0) = {low:.6}");

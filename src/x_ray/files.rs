@@ -21,7 +21,7 @@ const FRAME_MS: u16 = 66;
 pub struct Picture {
     pub placed: Placed,
     pub look: Look,
-    /// The attenuations (-ln of the fraction of photons) at the ends of the grey scale; of no meaning if linear.
+    /// Attenuations (-ln of the fraction of photons) at the ends of the grey scale; unused if linear.
     pub window: WindowLimits,
     /// Row by row, one per detector pixel.
     pub greys: Vec<u16>,
@@ -39,14 +39,15 @@ pub(super) fn failed<C: std::fmt::Display>(path: &Path) -> impl FnOnce(C) -> Fai
     move |cause| Failure::failed(format!("{}: cannot be written ({cause})", path.display()))
 }
 
-/// One 16-bit PNG.
+/// Writes one 16-bit PNG.
 pub fn write_png(path: &Path, picture: &Picture) -> Result<(), Failure> {
     let mut animation = Animation::create(path, picture.size(), 1)?;
     animation.add(0, picture)?;
     animation.finish()
 }
 
-/// A 16-bit PNG, animated if it has several frames. It keeps a frame only until those before it have come.
+/// Writer of a 16-bit PNG, animated if it has several frames. Buffers a frame only until its predecessors
+/// arrive.
 pub struct Animation {
     path: PathBuf,
     file: OutputFile,
@@ -56,7 +57,7 @@ pub struct Animation {
 }
 
 impl Animation {
-    /// Begins the file; `size` is columns and rows of every frame.
+    /// Starts the file; all frames have these columns and rows.
     pub fn create(path: &Path, (columns, rows): (u32, u32), frames: usize) -> Result<Animation, Failure> {
         let file = OutputFile::create(path)?;
         let mut encoder = png::Encoder::new(BufWriter::new(file.handle()?), columns, rows);
@@ -80,15 +81,15 @@ impl Animation {
         Ok(())
     }
 
-    /// Gives the file its name.
+    /// Finishes the file under its final name.
     pub fn finish(self) -> Result<(), Failure> {
         self.writer.finish().map_err(failed(&self.path))?;
         Ok(self.file.keep()?)
     }
 }
 
-/// Writes a 32-bit NRRD of one frame: -ln of the readout, or the readout in linear mode; pixels in millimetres in the
-/// world frame.
+/// Writes a 32-bit NRRD of one frame: -ln of the readout, or the readout in linear mode; pixels in
+/// millimetres in the world frame.
 pub fn write_nrrd(path: &Path, picture: &Picture) -> Result<(), Failure> {
     let c_arm = &picture.placed.c_arm;
     let vector = |v: [f64; 3]| format!("({:?},{:?},{:?})", v[0] * 1e3, v[1] * 1e3, v[2] * 1e3);

@@ -30,7 +30,7 @@ pub struct Pose {
     pub rotation: Option<[[f64; 3]; 3]>,
     /// Position of the volume's origin in the camera's frame.
     pub translation_mm: Option<[f64; 3]>,
-    /// Where the centre of a pixel lies.
+    /// Position of a pixel's centre.
     pub pixel_centre: Option<PixelCentre>,
     /// For explicit source and detector positions instead: the focal spot.
     pub source_mm: Option<[f64; 3]>,
@@ -46,7 +46,7 @@ pub struct Pose {
     pub pixel_pitch_mm: Option<f64>,
 }
 
-/// A file with a list `pose`.
+/// A file with a `pose` list.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct PoseList {
@@ -61,7 +61,7 @@ pub struct Placed {
 }
 
 impl Pose {
-    /// This pose, with missing values taken from another one.
+    /// Returns this pose with missing values taken from another.
     pub fn or(&self, other: &Pose) -> Pose {
         Pose {
             primary_angle_deg: self.primary_angle_deg.or(other.primary_angle_deg),
@@ -76,7 +76,7 @@ impl Pose {
         }
     }
 
-    /// The first value that a C-arm by its angles alone uses.
+    /// Returns the first value present that only applies to a pose by C-arm angles.
     fn turned_by(&self) -> Option<&'static str> {
         [
             ("primary_angle_deg", self.primary_angle_deg),
@@ -88,14 +88,14 @@ impl Pose {
         .find_map(|(key, value)| value.map(|_| key))
     }
 
-    /// Whether the pose gives more than angles: a camera or points.
+    /// Returns whether the pose is a camera or points instead of angles.
     pub fn is_given(&self) -> bool {
         let camera = self.intrinsics.is_some() || self.rotation.is_some() || self.translation_mm.is_some();
         let axes = self.row_axis.is_some() || self.column_axis.is_some();
         camera || axes || self.source_mm.is_some() || self.detector_centre_mm.is_some()
     }
 
-    /// The C-arm; angles turn about `centre_m` unless the pose has an isocentre.
+    /// Returns the C-arm; angles rotate about `centre_m` unless the pose has an isocentre.
     pub fn place(&self, centre_m: [f64; 3]) -> Result<Placed, String> {
         self.check_ranges()?;
         let isocentre_mm = self.isocentre_mm.unwrap_or(centre_m.map(|x| x * 1e3));
@@ -121,7 +121,8 @@ impl Pose {
         }
         if let Some(key) = self.turned_by().filter(|_| carm.is_some()) {
             return Err(format!(
-                "`{key}` turns or moves a C-arm by its angles, but this pose is a camera or points; expected one of them"
+                "`{key}` belongs to a pose by C-arm angles, but this pose is a camera or points; set only \
+                 one kind"
             ));
         }
         let drr = Drr {
@@ -154,7 +155,7 @@ impl Pose {
 }
 
 impl Pose {
-    /// Checks each number in the unit in which it is given: the renderer's own errors speak of radians and metres.
+    /// Checks each number in its file unit, because the renderer's errors are in radians and metres.
     fn check_ranges(&self) -> Result<(), String> {
         let isocentre_detector_mm = self.source_isocentre_mm.unwrap_or(SOURCE_ISOCENTRE_MM);
         let turn = (-180.0, 180.0);
@@ -176,12 +177,15 @@ impl Pose {
             point.into_iter().flatten().map(move |x| (name, Some(x), "mm", (-FURTHEST_MM, FURTHEST_MM)))
         };
         for (name, value, unit, (low, high)) in numbers.into_iter().chain(points.into_iter().flat_map(each)) {
-            // Written so that NaN fails.
+            // Written so that NaN is rejected.
             if let Some(value) = value.filter(|value| !(low..=high).contains(value)) {
-                let behind =
-                    if name.contains("detector_mm") { " (the detector is behind the isocentre)" } else { "" };
+                let behind = if name.contains("detector_mm") {
+                    " (the detector must be behind the isocentre)"
+                } else {
+                    ""
+                };
                 return Err(format!(
-                    "{name} is {} {unit}; expected {low} to {high} {unit}{behind}",
+                    "{name} is {} {unit}; allowed: {low} to {high} {unit}{behind}",
                     number(value)
                 ));
             }
@@ -195,11 +199,11 @@ const SOURCE_ISOCENTRE_MM: f64 = 700.0;
 /// Largest coordinate.
 const FURTHEST_MM: f64 = 1e5;
 
-/// Reads the poses of a file: TOML or JSON (one table, or a list `pose`), or CSV with a header of keys that hold one
-/// number.
+/// Reads the poses of a file: TOML or JSON (one table, or a `pose` list), or CSV with a header of scalar
+/// keys.
 ///
 /// # Errors
-/// A file that cannot be read, is not one of these, or has an unknown key (2).
+/// A file that cannot be read, has an unknown type or an unknown key (2).
 pub fn read(path: &Path) -> Result<Vec<Pose>, Failure> {
     let bad = |cause: String| Failure::bad_input(format!("{}: {cause}", path.display()));
     let text = inputs::text::read(path)?;
@@ -208,9 +212,13 @@ pub fn read(path: &Path) -> Result<Vec<Pose>, Failure> {
         "csv" => csv(&text).map_err(bad)?,
         "json" => json(&text).map_err(|cause| bad(cause.to_string()))?,
         "toml" => toml(&text).map_err(|cause| bad(cause.to_string()))?,
-        other => return Err(bad(format!("is {other:?}; expected a .toml, .json or .csv file of poses"))),
+        other => {
+            return Err(bad(format!(
+                "unknown file type {other:?}; expected a .toml, .json or .csv file of poses"
+            )));
+        }
     };
-    if poses.is_empty() { Err(bad("has no pose; expected at least one".to_owned())) } else { Ok(poses) }
+    if poses.is_empty() { Err(bad("no poses; expected at least one".to_owned())) } else { Ok(poses) }
 }
 
 // Inspected first instead of parsed as an untagged enum, whose error would not name the wrong key.
@@ -235,7 +243,7 @@ fn csv(text: &str) -> Result<Vec<Pose>, String> {
     let header: Vec<&str> = header.split(',').map(str::trim).collect();
     for (index, key) in header.iter().enumerate() {
         let cause = match set(&mut Pose::default(), key, "0") {
-            Ok(()) if header[..index].contains(key) => format!("column `{key}` is given twice"),
+            Ok(()) if header[..index].contains(key) => format!("duplicate column `{key}`"),
             Ok(()) => continue,
             Err(cause) => cause,
         };
@@ -269,8 +277,9 @@ fn set(pose: &mut Pose, key: &str, value: &str) -> Result<(), String> {
         "source_detector_mm" => &mut pose.source_detector_mm,
         _ => {
             return Err(format!(
-                "no column `{key}`; there are primary_angle_deg, secondary_angle_deg, source_isocentre_mm, \
-                 source_detector_mm"
+                "unknown column `{key}`; expected primary_angle_deg, secondary_angle_deg, \
+                 source_isocentre_mm \
+                 or source_detector_mm"
             ));
         }
     };

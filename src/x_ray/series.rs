@@ -1,4 +1,4 @@
-//! Renders the frames of many poses, and writes their files: both on all threads, one frame on each.
+//! Renders and writes the frames of many poses on all threads, one frame per thread.
 
 use std::time::Instant;
 
@@ -9,17 +9,17 @@ use super::files::Picture;
 use super::poses::Placed;
 use crate::failure::Failure;
 
-/// Bytes of pixels that are in memory at a time, about.
+/// Approximate limit of pixel bytes in memory.
 const GROUP_BYTES: usize = 64 << 20;
 
-/// What a picture is made of.
+/// How a picture is rendered.
 #[derive(Debug, Clone, Copy)]
 pub struct Look {
-    /// Values before windowing and rounding in place of greys.
+    /// Whether to output values before windowing and rounding instead of greys.
     pub as_values: bool,
     /// Whether greys are proportional to the detector's readout; otherwise to its logarithm.
     pub linear: bool,
-    /// Whether more attenuation is darker; of no meaning if linear.
+    /// Whether more attenuation is darker; unused if linear.
     pub dense_is_dark: bool,
     /// Seed of the noise, the same for every frame.
     pub seed: u64,
@@ -39,7 +39,7 @@ impl Look {
     }
 }
 
-/// Renders a frame of each pose, and has each written under its number, from 0 on. Returns how long rendering took, s.
+/// Renders a frame of each pose and writes it under its number, from 0. Returns the rendering time, s.
 pub fn render_and_write(
     renderer: &mut DrrRenderer,
     view: &VolumeView<'_>,

@@ -1,5 +1,5 @@
-/* Counts the calls of the C allocator in a process that is started with this library in LD_PRELOAD: whoever asks, in C,
- * C++ or Rust. The count lies in the first eight bytes of the file TRABECULA_MALLOC_COUNTS/<pid>. */
+/* Counts the calls of the C allocator, from C, C++ or Rust, in a process with this library in LD_PRELOAD. The count is in
+ * the first eight bytes of the file TRABECULA_MALLOC_COUNTS/<pid>. */
 #define _GNU_SOURCE
 #include <fcntl.h>
 #include <stddef.h>

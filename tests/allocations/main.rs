@@ -1,7 +1,8 @@
-//! The loop at 1 kHz asks nobody for memory and calls the kernel only to wait, to wake and to look at its own counters.
+//! The 1 kHz loop allocates no memory, and calls the kernel only to wait, to wake and to read its own
+//! counters.
 //!
-//! Two counters: Rust's global allocator, and for what C++ (Ruckig) takes a library that counts the calls of `malloc` and
-//! its relatives in a preloaded process.
+//! Two counters: Rust's global allocator and, for allocations by C++ (Ruckig), a preloaded library that
+//! counts the calls of `malloc` and its relatives in a process.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, missing_docs)]
 
 #[allow(dead_code, reason = "these tests use a part of what the tests of processes share")]
@@ -35,13 +36,14 @@ use common::scenes;
 static GLOBAL: &StatsAlloc<System> = &INSTRUMENTED_SYSTEM;
 
 const COUNTS: &str = "TRABECULA_MALLOC_COUNTS";
-/// Ticks that are counted.
+/// Number of ticks counted.
 const TICKS: u64 = 10_000;
 
-/// Ticks in which the arm feeds the burr into the bone, 4 mm deep.
+/// Number of ticks in which the arm feeds the burr into the bone, 4 mm deep.
 const FEED: u64 = 2500;
 
-/// Drills without the arm's moving: fed into the bone first, then pulled aside by the tendon, deeper with every tick.
+/// Drills without moving the arm: fed into the bone first, then pulled sideways by the tendon, deeper with
+/// every tick.
 fn sideways(state: &State, command: &mut Command) {
     command.burr_mode = BURR_SPEED;
     command.burr_speed_rad_per_s = 800.0;
@@ -69,7 +71,7 @@ fn straight(state: &State, command: &mut Command) {
 
 type Steer = fn(&State, &mut Command);
 
-/// What was counted over the ticks.
+/// Counts over the ticks.
 #[derive(Debug, Default)]
 struct Counted {
     rust: usize,
@@ -77,7 +79,8 @@ struct Counted {
     removed: u64,
 }
 
-/// Steps through the drilling with a tool of these keys, or the standard one; `malloc` reads the other counter.
+/// Steps through the drilling with a tool of these keys, or the standard one; `malloc` reads the other
+/// counter.
 fn drill(tool: &str, steer: Steer, malloc: impl Fn() -> u64) -> Counted {
     let text = scenes::piloted("lockstep", 30.0, "") + tool;
     let scene = Scene::parse(&text, Path::new("drilling.toml")).unwrap();
@@ -107,8 +110,8 @@ fn drill(tool: &str, steer: Steer, malloc: impl Fn() -> u64) -> Counted {
     counted
 }
 
-/// Whether this process runs nothing else. Otherwise it has run the test of this name in one that does: the counter counts
-/// every thread's calls, and beside this test others run.
+/// Returns whether this process runs nothing else. Otherwise it has run the test of this name in such a
+/// process: the counter counts the calls of all threads, and other tests run next to this one.
 fn alone(test: &str) -> bool {
     const ALONE: &str = "TRABECULA_ALONE";
     if std::env::var_os(ALONE).is_some() {
@@ -170,8 +173,8 @@ fn ten_thousand_ticks_of_drilling_with_a_long_cutter_allocate_nothing() {
     assert_eq!(counted.rust, 0);
 }
 
-/// Ruckig hands out a moving arm's position, velocity and acceleration as three vectors, and takes as many in C++ to
-/// make them. That is all there is.
+/// Ruckig returns a moving arm's position, velocity and acceleration as three vectors, and allocates as many
+/// in C++ to create them. There are no other allocations.
 #[test]
 fn a_moving_arm_allocates_what_ruckig_hands_out_and_nothing_else() {
     if !alone("a_moving_arm_allocates_what_ruckig_hands_out_and_nothing_else") {
@@ -211,7 +214,7 @@ fn a_burr_that_outgrows_its_first_memory_allocates_nothing_in_a_tick() {
     assert_eq!(calls, 0);
 }
 
-/// The library that counts; the error is the reason why there is none.
+/// Builds the counting library; the error says why that is not possible.
 fn counter() -> Result<PathBuf, String> {
     common::preload::library("allocations/count_malloc.c")
 }
@@ -261,7 +264,7 @@ fn ten_thousand_ticks_of_drilling_call_no_malloc_in_any_language() {
     assert_eq!(line, "counted 0");
 }
 
-/// A run that this test drives itself, at its first tick.
+/// Starts a run driven by this test, at its first tick.
 fn piloted(mode: &str, environment: &[(&str, &Path)]) -> (Place, Run, Pilot) {
     let place = Place::new();
     let scene = place.scene(&scenes::piloted(mode, 30.0, ""));
@@ -282,7 +285,7 @@ fn steered(state: &State) -> Command {
     command
 }
 
-/// Messages of the ticks behind a tick, by topic, in a lane.
+/// Returns the messages of the ticks after a tick, by topic, in a lane.
 fn messages_behind(from: u64, log: &Path, topics: &[&str]) -> u64 {
     let mut stream = MessageStream::open(&LogFile::at(log), ReadOptions::default()).unwrap();
     let mut count = 0;
@@ -294,10 +297,11 @@ fn messages_behind(from: u64, log: &Path, topics: &[&str]) -> u64 {
     count
 }
 
-/// iceoryx2 makes one small object (an `Rc` of 48 bytes, `port/details/chunk_mut_shared_state.rs`) for every sample that it
-/// lends, and drops it when the sample is sent: three a tick for state, commands and timing, and one each for the status,
-/// ten times a second of wall time, and removed voxels. There is no way to lend without. Nothing else calls malloc, but for
-/// some hundred calls when a program connects: on a busy machine the launcher may do so late, so there are two looks.
+/// iceoryx2 allocates one small object (an `Rc` of 48 bytes, `port/details/chunk_mut_shared_state.rs`) for
+/// every sample that it loans, and drops it when the sample is sent: three per tick for state, commands and
+/// timing, and one each for the status, ten times per second of wall time, and removed voxels. A loan without
+/// it is not possible. Nothing else calls malloc, except for some hundred calls when a program connects: on a
+/// busy machine the launcher may do so late, so the counter is read twice.
 #[test]
 fn the_loop_of_the_physics_process_calls_no_malloc_but_for_its_loans() {
     let library = match counter() {
@@ -331,18 +335,19 @@ fn the_loop_of_the_physics_process_calls_no_malloc_but_for_its_loans() {
         assert!(sent > 3 * TICKS, "state, commands, timing, and removed voxels: {sent}");
         calls.abs_diff(2 * sent)
     });
-    // When the counter is read, the last messages of its tick, the timing and a status, may still be on their way.
+    // When the counter is read, the last messages of its tick, the timing and a status, may still be in
+    // transit.
     assert!(more.iter().any(|more| *more <= 2 * 2 * 2), "{more:?} calls more or less than for messages");
 }
 
-/// What the loop may ask the kernel for: sleeping, waking and being woken, and its own counters.
+/// Kernel calls that the loop may make: sleeping, waking and being woken, and reading its own counters.
 const ALLOWED: [&str; 12] = [
     "clock_nanosleep",
     "clock_gettime",
     "getrusage",
     // Its own /proc/thread-self/schedstat, open since the start.
     "pread64",
-    // Events of readers that sleep, and its own.
+    // Events of sleeping readers, and its own.
     "sendto",
     "recvfrom",
     "recvmsg",
@@ -378,7 +383,8 @@ fn the_loop_of_the_physics_process_opens_no_file_and_takes_no_lock() {
     drop(pilot);
     assert_eq!(run.end().code, Some(0));
     let text = std::fs::read_to_string(&file).unwrap();
-    // Each line begins with the thread's number. Other threads of the process may lock files: the loop does not wait for them.
+    // Each line begins with the thread's number. Other threads of the process may lock files: the loop does
+    // not wait for them.
     let sleeps = text.lines().find(|line| line.contains("clock_nanosleep(")).expect("the loop sleeps");
     let thread = sleeps.split_whitespace().next().unwrap();
     let of_the_loop = |line: &&str| line.split_whitespace().next() == Some(thread);

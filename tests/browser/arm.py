@@ -1,4 +1,4 @@
-"""Checks of the page of an arm with meshes: its links are there, and stand where its own lengths put them."""
+"""Checks the page of an arm with meshes: its links exist, at positions that match its own lengths."""
 
 from pathlib import Path
 
@@ -14,11 +14,11 @@ def check(browser: Browser, url: str, pictures: Path) -> None:
     page = Page(browser, url)
     page.until("its links", lambda: sorted(page.page.evaluate("[...trabecula.view.arm.blocks.keys()]")) == LINKS)
     page.until("its frames", lambda: page.page.evaluate("trabecula.model.poses?.arm.length === 6"))
-    # From the shoulder to the elbow: every arm was drawn with the lengths of the UR5.
+    # From the shoulder to the elbow. Regression: every arm was drawn with the lengths of the UR5.
     away = "(a, b) => Math.hypot(...a.position.map((x, i) => x - b.position[i]))"
     length_m = page.page.evaluate(f"(({away}))(trabecula.model.poses.arm[1], trabecula.model.poses.arm[2])")
     assert abs(length_m - UPPER_ARM_M) < 1e-6, length_m
-    # From afar, where the whole arm is in the picture.
+    # From a distance at which the whole arm is in the picture.
     page.page.evaluate("Object.assign(trabecula.view.camera, { distance: 3 }) && trabecula.view.changed()")
     page.still()
     page.save(pictures / "arm.png")

@@ -1,4 +1,4 @@
-"""A Chromium for the tests: the system's, or one from npm that needs no root; kept in the target folder."""
+"""Provides Chromium for the tests: the system's, or one from npm, which needs no root and is kept in the target folder."""
 
 import hashlib
 import os
@@ -10,7 +10,8 @@ from pathlib import Path
 PACKAGE = "@sparticuz/chromium"
 VERSION = "153.0.0"
 SHA256 = "20e5656fcdcf4118ede85edfb9d6bb9cc1bbb7ffb8b75622fffbcf36a835c3c0"
-# The processor draws: no machine of the tests needs a graphics card. The tests' pages are this project's own, on loopback.
+# Software rendering, so that test machines need no graphics card. The tests' pages are this project's own, on
+# loopback.
 FLAGS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"]
 FONTS = """<?xml version="1.0"?><!DOCTYPE fontconfig SYSTEM "fonts.dtd">
 <fontconfig><dir>{fonts}</dir><cachedir>{cache}</cachedir></fontconfig>
@@ -18,11 +19,11 @@ FONTS = """<?xml version="1.0"?><!DOCTYPE fontconfig SYSTEM "fonts.dtd">
 
 
 class NoChromium(Exception):
-    """What was tried, and why it did not work."""
+    """No Chromium is available; the text says what was tried and why it failed."""
 
 
 def executable(cache: Path) -> tuple[str, dict[str, str]]:
-    """Path of a Chromium and the environment that it needs."""
+    """Returns the path of a Chromium and the environment that it needs."""
     for name in ("chromium", "chromium-browser"):
         if found := shutil.which(name):
             return found, dict(os.environ)
@@ -74,7 +75,7 @@ def _inflate(node, source: Path, folder: Path, target: str) -> None:
 
 
 def _environment(folder: Path) -> dict[str, str]:
-    """Fonts of the package; its libraries only where the system lacks them."""
+    """Installs the package's fonts, and its libraries only if the system lacks them."""
     configuration = folder / "fonts.conf"
     configuration.write_text(FONTS.format(fonts=folder / "fonts", cache=folder / "fonts-cache"))
     environment = {**os.environ, "FONTCONFIG_FILE": str(configuration)}

@@ -1,4 +1,4 @@
-"""Checks of the page of a live run whose controller is the page itself."""
+"""Checks the page of a live run whose controller is the page itself."""
 
 import os
 import signal
@@ -21,7 +21,7 @@ def shows_the_tool(page: Page) -> None:
     page.until("the poses come", lambda: page.page.evaluate("trabecula.view.pictures > 3 && !!trabecula.model.poses"))
     picture = page.picture("scene-canvas")
     burr, links = count(picture, is_burr), count(picture, is_link)
-    # At the distance at which the page begins the burr is some ten pixels across, and the links are ten times as long.
+    # At the page's initial distance the burr is some ten pixels across, and the links are ten times as long.
     assert burr > BURR_PIXELS, f"{burr} pixels of the burr"
     assert links > 3 * BURR_PIXELS, f"{links} pixels of the links"
 
@@ -47,11 +47,11 @@ def frames_update(page: Page) -> None:
 
 
 def holds_the_frame_that_was_asked_for(page: Page) -> None:
-    """Scheduled frames follow at once; the one that was asked for stays until the user goes back to them."""
+    """Scheduled frames follow immediately; a requested one stays until the user returns to them."""
     assert not page.page.locator("#x-ray-live").is_visible()
     page.page.fill("#c-arm-primary", "40")
     page.page.click("text=Take frame")
-    page.until("the frame that was asked for", lambda: page.text("frame-facts").startswith("asked for, held"))
+    page.until("the frame that was asked for", lambda: page.text("frame-facts").startswith("requested, held"))
     held = page.text("frame-facts")
     assert ", 40.0° / " in held, held
     newest = "trabecula.model.frame.sequence"
@@ -80,7 +80,7 @@ def pauses_and_steps(page: Page) -> None:
 def drives(page: Page) -> None:
     page.page.evaluate("document.activeElement.blur()")
     page.page.keyboard.press("e")
-    page.until("the page drives", lambda: page.text("drive-switch") == "Let go")
+    page.until("the page drives", lambda: page.text("drive-switch") == "Release control")
     before = page.value("Tension")
     page.page.keyboard.down("d")
     page.until("the key pulls the tendon", lambda: page.value("Tension") > before + 1.0)
@@ -98,7 +98,7 @@ def drives(page: Page) -> None:
     page.page.keyboard.press("e")
 
 
-# Asked for by the gamepad alone, and looked for in the log afterwards.
+# Commanded by the gamepad only, and searched for in the log afterwards.
 GAMEPAD_RPM = 6500
 # A pad that does nothing, with the buttons and axes of the standard mapping.
 PAD = """window.pad = { connected: true, id: "Test pad", axes: [0, 0, 0, 0], buttons: Array.from({ length: 17 }, () => ({ pressed: false, value: 0 })) };
@@ -107,12 +107,12 @@ PAD = """window.pad = { connected: true, id: "Test pad", axes: [0, 0, 0, 0], but
 
 
 def drives_by_gamepad(page: Page) -> None:
-    """Sticks and trigger of a gamepad that the browser reports pull the tendon, feed and run the burr; A pauses."""
+    """Sticks and trigger of a gamepad pull the tendon, feed, and run the burr; A pauses."""
     page.page.evaluate(PAD)
     assert "Test pad" in page.text("gamepad")
     page.page.evaluate("document.activeElement.blur()")
     page.page.keyboard.press("e")
-    page.until("the page drives", lambda: page.text("drive-switch") == "Let go")
+    page.until("the page drives", lambda: page.text("drive-switch") == "Release control")
     page.page.evaluate(f"trabecula.drive.set({{ burrRpm: {GAMEPAD_RPM} }})")
     before = page.value("Tension")
     page.page.evaluate("pad.axes[3] = -1")
@@ -134,12 +134,12 @@ def drives_by_gamepad(page: Page) -> None:
         page.page.evaluate("pad.buttons[0] = { pressed: false, value: 0 }")
         page.until("the button is up", lambda: page.page.evaluate("trabecula.drive.padPause === false"))
     page.page.keyboard.press("e")
-    page.until("the page lets go", lambda: page.text("drive-switch") != "Let go")
+    page.until("the page lets go", lambda: page.text("drive-switch") != "Release control")
     page.page.evaluate("window.pad = null")
 
 
 def holds_a_speed(page: Page) -> None:
-    """A speed below real time: the run is said to go on, slower, and Pause stops it."""
+    """A speed below real time: the page shows that the run continues more slowly, and Pause stops it."""
     page.page.select_option("#speed", "0.1")
     page.until("it is said", lambda: page.text("phase") == "Running at 0.1 ×")
     page.until("time goes slower", lambda: 0.0 < page.number("rate") < 0.3)
@@ -153,8 +153,8 @@ def holds_a_speed(page: Page) -> None:
 
 
 def costs_little(page: Page) -> None:
-    """Script time of the page, measured while the run goes on at full rate, with and without slices. Nothing is asserted: it is a figure of
-    the machine."""
+    """Measures the page's script time while the run continues at full rate, with and without slices. Nothing is asserted,
+    because the figure depends on the machine."""
     for slices_are in ("with slices", "without slices"):
         figures = page.page.evaluate("""async () => {
             const { work, view, connection, slices } = trabecula;
@@ -176,7 +176,7 @@ def costs_little(page: Page) -> None:
 
 
 def works_with_keys_alone(page: Page) -> None:
-    """The Tab key reaches every control, each shows that it has the focus, and help, pause and reset need no pointer."""
+    """The Tab key reaches every control, each shows its focus, and help, pause and reset need no pointer."""
     page.page.evaluate("document.activeElement.blur()")
     wanted = set(page.page.evaluate(
         "[...document.querySelectorAll('button, select, input, canvas[tabindex]')].filter((e) => e.offsetParent && !e.disabled)"
@@ -193,9 +193,9 @@ def works_with_keys_alone(page: Page) -> None:
     page.page.evaluate("document.activeElement.blur()")
     page.page.keyboard.press("?")
     page.until("help", lambda: page.page.locator("#help").is_visible() and "slacken the tendon" in page.page.inner_text("body") or
-               "pause, go on" in page.text("help"))
+               "pause, resume" in page.text("help"))
     page.page.keyboard.press("Escape")
-    # Keys are for the help as long as it is open.
+    # While the help is open, it receives the keys.
     page.until("the help is gone", lambda: page.page.evaluate("!document.querySelector('dialog[open]') && !document.activeElement.closest('dialog')"))
     page.page.keyboard.press("Space")
     page.until("Space pauses", lambda: page.text("phase") == "Paused")
@@ -217,9 +217,9 @@ def light_and_dark(page: Page) -> None:
 
 
 def shows_nothing_without_token(browser: Browser, url: str) -> None:
-    """A page without the token is told so, and shows nothing of the run."""
+    """A page without the token reports that, and shows nothing of the run."""
     page = Page(browser, url.split("#")[0])
-    page.until("it says why", lambda: "no or a wrong token" in page.text("banner"))
+    page.until("it says why", lambda: "missing or wrong token" in page.text("banner"))
     assert page.text("phase") == "Not connected", page.text("phase")
     assert not page.text("frame-facts").startswith("frame "), page.text("frame-facts")
     page.clean()
@@ -249,7 +249,7 @@ def says_that_the_hub_died(page: Page, victim: int) -> None:
     assert page.text("phase") != "Paused", "the page shows the log, as if the run had come to its end"
 
 
-# Notes every word of the phase, and every banner, from now on.
+# Records every text of the phase, and every banner, from now on.
 WATCH = """window.seen = [];
     new MutationObserver(() => {
       const banner = document.getElementById("banner");
@@ -259,7 +259,7 @@ WATCH = """window.seen = [];
 
 
 def check_end(browser: Browser, url: str, pictures: Path) -> None:
-    """A run that ends stays on the page, which becomes the time line of its log; nothing turns red meanwhile."""
+    """After a run ends, the page shows the time line of its log; nothing turns red in the meantime."""
     page = Page(browser, url)
     connects(page)
     page.until("its plots", lambda: page.number("tick") > 300)
@@ -271,7 +271,7 @@ def check_end(browser: Browser, url: str, pictures: Path) -> None:
     page.until("its plots are the log's", lambda: page.page.evaluate("trabecula.plots.samples({ topic: '/state', field: 'bend_rad' })?.at(0.1) !== undefined"))
     seen = page.page.evaluate("window.seen")
     assert any(one.startswith("Ended") for one in seen), seen
-    wrong = [one for one in seen if "Not connected" in one or "Trying again" in one or "| error" in one]
+    wrong = [one for one in seen if "Not connected" in one or "Reconnecting" in one or "| error" in one]
     assert not wrong, wrong
     assert "the run has ended" not in page.text("notices") or "error" not in page.page.inner_html("#notices"), page.text("notices")
     page.page.click("#play")
@@ -283,7 +283,7 @@ def check_end(browser: Browser, url: str, pictures: Path) -> None:
 
 
 def check(browser: Browser, url: str, victim: int, pictures: Path) -> None:
-    """All checks on one page, in turn."""
+    """Runs all checks on one page, in sequence."""
     page = Page(browser, url)
     for one in (connects, shows_the_tool, shows_bone, frames_update, holds_the_frame_that_was_asked_for, pauses_and_steps, drives,
                 drives_by_gamepad, holds_a_speed, costs_little, *slices.LIVE):

@@ -1,4 +1,4 @@
-"""Checks of the page of a log, and of two logs side by side."""
+"""Checks the page of a log, and of two logs side by side."""
 
 import time
 from pathlib import Path
@@ -15,7 +15,7 @@ def opens_a_log(page: Page) -> None:
 
 
 def scrubs(page: Page) -> None:
-    """The time line follows the keys, and all that is shown follows the time line."""
+    """The time line follows the keys, and everything on the page follows the time line."""
     page.until("the log's length is known", lambda: length(page) > 0)
     if page.text("play") == "Pause":
         page.page.click("#play")
@@ -34,7 +34,7 @@ def scrubs(page: Page) -> None:
 
 
 def length(page: Page) -> float:
-    """The log's end in seconds, from the time line."""
+    """Returns the log's end in seconds, from the time line."""
     words = page.text("playback-time").split(" of ")
     return float(words[1].split()[0]) if len(words) == 2 else 0.0
 
@@ -71,7 +71,7 @@ def shows_frames(page: Page) -> None:
 
 
 def goes_to_marks(page: Page) -> None:
-    """The key for the next event goes to the first mark of that kind behind where it stands."""
+    """The key for the next event goes to the next mark of that kind."""
     page.until("the thumb stands where the time is", lambda: page.page.evaluate("Number(document.querySelector('#scrub').value)") > 0)
     page.page.focus("#scrub")
     page.page.keyboard.press("Home")
@@ -87,7 +87,7 @@ def goes_to_marks(page: Page) -> None:
 
 
 def plots_are_whole(page: Page) -> None:
-    """The plots show the whole log before anything was played, without a hole, and exact figures."""
+    """The plots show the whole log before anything was played, without gaps, and exact values."""
     span = "trabecula.plots.logs[0].span"
     page.until("the log is read", lambda: page.page.evaluate(f"!!{span} && {span}.reading === null"))
     columns = page.page.evaluate(f"{span}.fields.get('/state bend_rad').at")
@@ -99,7 +99,7 @@ def plots_are_whole(page: Page) -> None:
 
 
 def plays_fast_without_loss(page: Page) -> None:
-    """At twenty times its speed a log's messages outran the page, and the plots had steps that never were."""
+    """Regression: at twenty times its speed a log's messages outran the page, and the plots had spurious steps."""
     before = page.page.evaluate("trabecula.plots.logs[0].span.fields.get('/state bend_rad').mean")
     page.page.select_option("#playback-speed", "20")
     plays(page)
@@ -109,7 +109,7 @@ def plays_fast_without_loss(page: Page) -> None:
 
 
 def times_agree(page: Page) -> None:
-    """Head line, slider and state showed three times at once."""
+    """Regression: headline, slider and state showed three different times."""
     page.page.evaluate("trabecula.connection.call('/playback', {action: 'seek', time_ns: 432100000})")
     page.until("the head line's time", lambda: page.text("time") == "0.432 s")
     page.until("the state's tick", lambda: page.number("tick") == 432)
@@ -118,9 +118,9 @@ def times_agree(page: Page) -> None:
 
 
 def plots_any_field(page: Page) -> None:
-    """A field found by its name is plotted, zoomed with all others, saved, and there again after a reload."""
+    """A field found by its name is plotted, zoomed with all others, saved, and restored after a reload."""
     count, span = page.page.locator(".plot").count(), "trabecula.plots.logs[0].span"
-    page.page.click("text=Add a field")
+    page.page.click("text=Add field")
     page.page.fill("#field-search", "state t_world_burr.position_m[2]")
     page.page.click("#field-list button >> nth=0")
     page.page.click("#fields-close")
@@ -143,7 +143,7 @@ def plots_any_field(page: Page) -> None:
 
 
 def hides_panels(page: Page) -> None:
-    """A panel that was put away stays so after a reload, and comes back."""
+    """A hidden panel stays hidden after a reload, and can be shown again."""
     page.page.click("text=Panels")
     page.page.uncheck("input[data-panel='x-ray']")
     page.until("no X-ray", lambda: not page.page.locator("#x-ray").is_visible())
@@ -157,7 +157,7 @@ def hides_panels(page: Page) -> None:
 
 
 def answers_odd_requests(page: Page) -> None:
-    """Spans of nothing, fields that there are not, and more requests than are served are refused in words, and the page goes on."""
+    """Empty spans, unknown fields and too many requests are rejected with a message, and the page continues to work."""
     ask = "(request) => trabecula.connection.call('/series', request)"
     field = {"topic": "/state", "field": "bend_rad"}
     good = {"fields": [field], "from_ns": 0, "to_ns": 10**9, "columns": 10}
@@ -174,7 +174,7 @@ def answers_odd_requests(page: Page) -> None:
 
 
 def ends_are_told(page: Page) -> None:
-    """Where the shorter log has ended, nothing is compared with its last state."""
+    """After the end of the shorter log, nothing is compared with its last state."""
     page.page.focus("#scrub")
     page.page.keyboard.press("End")
     page.until("its end is told", lambda: "the second log has ended at" in page.text("compare-rows"))
@@ -189,7 +189,7 @@ def shows_differences(page: Page) -> None:
 
 
 def finds_where_they_part(page: Page) -> None:
-    """The key for the next divergence goes to the tick where the two runs part, and the table says in what."""
+    """The key for the next divergence goes to the tick where the two runs diverge, and the table shows the fields."""
     page.page.evaluate("document.activeElement.blur()")
     mark = page.page.evaluate("trabecula.timeLine.events.find((mark) => mark.kind === 'divergence')")
     assert mark and "tendon_force_n" in mark["text"], mark
@@ -206,7 +206,7 @@ def finds_where_they_part(page: Page) -> None:
 
 
 def check(browser: Browser, url: str, pictures: Path) -> None:
-    """One log."""
+    """Checks one log."""
     page = Page(browser, url)
     for one in (opens_a_log, plots_are_whole, plays_fast_without_loss, times_agree, plots_any_field, hides_panels, answers_odd_requests, scrubs, steps_by_ticks, draws, shows_frames, plays, goes_to_marks):
         _run(one, page)
@@ -222,7 +222,7 @@ def check(browser: Browser, url: str, pictures: Path) -> None:
 
 
 def check_two(browser: Browser, url: str, pictures: Path) -> None:
-    """Two logs."""
+    """Checks two logs."""
     page = Page(browser, url)
     for one in (opens_a_log, finds_where_they_part, shows_differences, ends_are_told):
         _run(one, page)

@@ -1,6 +1,6 @@
-"""Runs the checks of one kind against a viewer that is already there: `main.py live|end|log|two|plan|arm --url URL …`.
+"""Runs the checks of one kind against a running viewer: `main.py live|end|log|two|plan|arm --url URL …`.
 
-Exit code 77: there is no Chromium; what was tried is printed.
+Exit code 77: Chromium is not available; what was tried is printed.
 """
 
 import argparse

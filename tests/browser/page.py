@@ -1,4 +1,4 @@
-"""What the checks of the page share: a browser, one page, and how to look at it."""
+"""Helpers shared by the checks: a browser, one page, and ways to inspect it."""
 
 import io
 import time
@@ -12,10 +12,10 @@ from PIL import Image
 from playwright.sync_api import Browser, sync_playwright
 from playwright.sync_api import Page as BrowserPage
 
-# A software renderer on a shared machine; only what never comes reaches it.
+# Allows for a software renderer on a shared machine; only a failure reaches it.
 LIMIT_S = 40.0
 SIZE = {"width": 1100, "height": 760}
-# A burr that is seen has at least so many pixels: a third of its disc.
+# Minimum number of pixels of a visible burr: a third of its disc.
 BURR_PIXELS = 30
 
 
@@ -32,7 +32,7 @@ def browser(cache: Path) -> Iterator[Browser]:
 
 
 class Page:
-    """The viewer's page; remembers errors of its console and requests to anything but its server."""
+    """The viewer's page; records console errors and requests to other servers."""
 
     def __init__(self, browser: Browser, url: str, size: dict[str, int] = SIZE, before: str = "") -> None:
         self.errors: list[str] = []
@@ -56,12 +56,12 @@ class Page:
         return self.page.inner_text(f"#{place}")
 
     def number(self, place: str) -> float:
-        """The first number of a readout; -1 before there is one."""
+        """Returns the first number of a readout; -1 before there is one."""
         first = self.text(place).split()[0].rstrip("%°×")
         return float(first) if first.replace(".", "").replace("-", "").isdigit() else -1.0
 
     def settled(self, read: Callable[[], object]) -> object:
-        """What has stood still for a second: what was asked for before has come."""
+        """Waits until a value has not changed for a second, so that earlier requests have been answered; returns it."""
         seen, since = read(), time.monotonic()
         end = since + LIMIT_S
         while time.monotonic() - since < 1.0:
@@ -72,17 +72,17 @@ class Page:
         return seen
 
     def still(self) -> None:
-        """Waits until the 3D view is drawn and does not change any more."""
+        """Waits until the 3D view is drawn and no longer changes."""
         self.until("the picture", lambda: not self.page.evaluate("trabecula.view.busy"))
         self.settled(lambda: self.page.evaluate("[trabecula.view.pictures, trabecula.view.surface.triangles]"))
 
     def value(self, plot: str, which: int = 0) -> float:
-        """A plot's newest value, as its heading shows it."""
+        """Returns a plot's newest value, as shown in its heading."""
         values = self.page.locator(".plot", has_text=plot).locator(".value").all_inner_texts()
         return float(values[which])
 
     def until(self, what: str, holds: Callable[[], bool], limit_s: float = LIMIT_S) -> None:
-        """Waits for something; says what did not come."""
+        """Waits for a condition; the error names it."""
         end = time.monotonic() + limit_s
         while not holds():
             if time.monotonic() > end:
@@ -91,7 +91,7 @@ class Page:
             time.sleep(0.05)
 
     def picture(self, place: str) -> Image.Image:
-        """What an element looks like on the screen, without the legend and the tools that lie over the 3D view."""
+        """Returns an element's picture, without the legend and the tools over the 3D view."""
         overlays = "for (const e of document.querySelectorAll('.legend, .scene-tools, #gizmo, #scale-bar')) e.hidden = {}"
         self.page.evaluate(overlays.format("true"))
         try:
@@ -106,29 +106,29 @@ class Page:
         self.page.screenshot(path=path)
 
     def clean(self) -> None:
-        """No error on the console, no request to anything but the server."""
+        """Asserts that there was no console error and no request to another server."""
         assert not self.errors, f"errors on the console: {self.errors}"
         assert not self.strangers, f"requests to others than {self.host}: {self.strangers}"
 
 
 def count(picture: Image.Image, matches: Callable[[int, int, int], bool]) -> int:
-    """Pixels of a kind."""
+    """Counts the pixels of a kind."""
     pixels = picture.tobytes()
     return sum(matches(*pixels[i : i + 3]) for i in range(0, len(pixels), 3))
 
 
 def is_burr(red: int, green: int, blue: int) -> bool:
-    """The burr's orange in any light."""
+    """Matches the burr's orange in any light."""
     return red > 110 and red > 1.6 * green and green > 1.2 * blue
 
 
 def is_link(red: int, green: int, blue: int) -> bool:
-    """The links' blues in any light; nothing else of the scene is that blue."""
+    """Matches the links' blues in any light; nothing else in the scene is that blue."""
     return blue > 60 and blue > 1.5 * red and green > 1.2 * red
 
 
 def middle(picture: Image.Image, matches: Callable[[int, int, int], bool]) -> tuple[float, float]:
-    """Mean place of the pixels of a kind."""
+    """Returns the mean position of the pixels of a kind."""
     pixels, width = picture.tobytes(), picture.width
     places = [(i // 3 % width, i // 3 // width) for i in range(0, len(pixels), 3) if matches(*pixels[i : i + 3])]
     assert places, "no such pixel"

@@ -1,6 +1,7 @@
-"""Makes docs/pictures/viewer.png: the page of a live run of the default scene.
+"""Creates docs/pictures/viewer.png: the page of a live run of the default scene.
 
-From the repository's root, after `cargo build --release` and `cargo test --release --test browser`, which makes the environment:
+From the repository's root, after `cargo build --release` and `cargo test --release --test browser`,
+which creates the environment:
 
     target/tmp/browser-1.65.2/bin/python3 tests/browser/pictures.py
 """
@@ -19,13 +20,13 @@ ROOT = Path(__file__).resolve().parents[2]
 PROGRAM = ROOT / "target/release/trabecula"
 SCENE = ROOT / "configs/femur_curved_drilling.toml"
 SIZE = {"width": 1440, "height": 900}
-# Simulated time at which the burr is well in the head, and the bend nearly whole.
+# Simulated time at which the burr is well inside the head, and the bend nearly complete.
 SHOWN_AT_S = 17.0
 LIMIT_BYTES = 400_000
 
 
 def said(program: subprocess.Popen, what: str, pattern: str) -> str:
-    """The first group of the first line that a program prints and that matches; the program ends sooner or later."""
+    """Returns the first group of the first matching line that a program prints; the program ends eventually."""
     for line in program.stdout:
         if found := re.search(pattern, line):
             return found[1]
@@ -33,7 +34,7 @@ def said(program: subprocess.Popen, what: str, pattern: str) -> str:
 
 
 def picture(url: str) -> Image.Image:
-    """The page when the simulation has come to the moment to show."""
+    """Takes a picture of the page when the simulation has reached the moment to show."""
     with page.browser(ROOT / "target/tmp") as browser:
         shown = page.Page(browser, url, SIZE)
         shown.until("the moment to show", lambda: shown.number("time") >= SHOWN_AT_S, 600.0)
@@ -57,7 +58,7 @@ def main() -> None:
             return started[-1]
 
         try:
-            # The browser draws without a graphics card, on the cores that the run needs.
+            # The browser renders in software, on the cores that the run needs.
             run = start("run", SCENE, "--set", 'run.policy="fifo"', "--output", folder, "--images", "none", "--quiet")
             session = said(run, "session", r"^session\s+(\S+)")
             view = start("view", "--session", session, "--port", "0", "--no-open", "--page-folder", ROOT / "crates/viewer_proc/page")

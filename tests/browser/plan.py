@@ -1,4 +1,4 @@
-"""Checks of the page of a scene before its run: it is shown, its places are moved, it is saved, and run."""
+"""Checks the page of a scene before its run: it is shown, its points are moved, it is saved, and run."""
 
 import math
 import tomllib
@@ -34,12 +34,13 @@ def fields(page: Page, name: str) -> list[float]:
 
 def radius(page: Page) -> float:
     rows = page.text("plan-rows").splitlines()
-    line = next((line for line in rows if line.startswith("radius of the bend")), "")
+    line = next((line for line in rows if line.startswith("bend radius")), "")
     return float(line.split("\t")[-1].split()[0]) if line else -1.0
 
 
 def arc_radius(page: Page) -> float:
-    """Of the circle that leaves the feed (+z, from 1 mm behind the start) as its tangent and ends at the target."""
+    """Returns the radius of the circle that starts tangentially to the feed (+z, from 1 mm behind the start) and ends at the
+    target."""
     start, target = place(page, "burr_start_mm"), place(page, "target_mm")
     beside = math.hypot(target[0] - start[0], target[1] - start[1])
     ahead = target[2] - start[2] - 1.0
@@ -47,7 +48,7 @@ def arc_radius(page: Page) -> float:
 
 
 def follows(page: Page, what: str) -> None:
-    """Numbers, path and radius are those of the places."""
+    """Numbers, path and radius match the points."""
     target = lambda: place(page, "target_mm")
     page.until(f"{what}: the radius", lambda: abs(radius(page) - arc_radius(page)) < 0.06)
     end = page.page.evaluate("trabecula.model.info.scene.planned_path_m.at(-1)")
@@ -65,13 +66,13 @@ def moves_by_number_and_key(page: Page) -> None:
     page.until("a key moves it by a step", lambda: place(page, "target_mm")[2] == before + 0.5)
     page.page.evaluate("document.activeElement.blur()")
     follows(page, "by key")
-    # The HU line ends where the path does.
+    # The HU profile ends where the path does.
     along = page.page.evaluate("trabecula.model.info.plan.profile.at(-1)[0]")
     assert abs(along - page.page.evaluate("trabecula.model.info.plan.facts.target.along_mm")) < 0.3
 
 
 def drags_in_a_slice(page: Page) -> None:
-    """A drag by pixels is one by millimetres in the plane; what is behind the plane stays."""
+    """A drag by pixels is one by millimetres in the plane; the offset from the plane is unchanged."""
     tile = "trabecula.slices.tiles.find((tile) => tile.view.name === 'coronal')"
     page.page.evaluate("document.getElementById('slice-coronal').scrollIntoView({ block: 'center' })")
     box = page.page.locator("#slice-coronal").bounding_box()
@@ -90,7 +91,7 @@ def drags_in_a_slice(page: Page) -> None:
 
 
 def drags_in_the_view(page: Page) -> None:
-    """A handle follows the pointer, and the view stays where it is."""
+    """A handle follows the pointer, and the view does not move."""
     at = "trabecula.sceneOverlay.pixelOf(trabecula.planEdit.handles.find((one) => one.name === 'isocentre_mm').point)"
     page.page.evaluate("window.scrollTo(0, 0)")
     box = page.page.locator("#scene-canvas").bounding_box()
@@ -108,7 +109,7 @@ def drags_in_the_view(page: Page) -> None:
 def refuses_in_the_scenes_words(page: Page) -> None:
     before = place(page, "burr_start_mm")
     page.page.fill("#burr_start_mm-1", "1e7")
-    page.until("it is refused", lambda: "`tool.burr_start_mm[1]` is 10000000, allowed is" in page.text("plan-said"))
+    page.until("it is refused", lambda: "`tool.burr_start_mm[1]` is 10000000; allowed:" in page.text("plan-said"))
     assert place(page, "burr_start_mm") == before
     page.page.fill("#burr_start_mm-1", str(before[1]))
     page.until("it is taken back", lambda: page.text("plan-said") == "")
@@ -121,13 +122,13 @@ def save(page: Page, name: str) -> None:
 
 
 def saves(page: Page, scene: Path) -> Path:
-    """The file has the values that are shown, everything else is the original's, and the original is as it was."""
+    """The file has the values shown and is otherwise the same as the original, which is unchanged."""
     original = scene.read_text()
     for wrong in ("../elsewhere.toml", "/tmp/elsewhere.toml", ".hidden.toml"):
         save(page, wrong)
-        page.until(f"{wrong} is refused", lambda wrong=wrong: f"the name is `{wrong}`" in page.text("plan-said"))
+        page.until(f"{wrong} is refused", lambda wrong=wrong: f"invalid name `{wrong}`" in page.text("plan-said"))
     save(page, scene.name)
-    page.until("the original is refused", lambda: "stays as it is" in page.text("plan-said"))
+    page.until("the original is refused", lambda: "never overwritten" in page.text("plan-said"))
     edited = scene.with_name("edited.toml")
     edited.write_text("# somebody else's\n")
     save(page, edited.name)

@@ -1,9 +1,9 @@
-"""Checks of the slices, the cross-hair and the distances: of a log at its end, and of a live run."""
+"""Checks the slices, the cross-hair and the distances: of a log at its end, and of a live run."""
 
 from page import Page
 
 TILES = ["axial", "coronal", "sagittal", "along-the-path"]
-# Each slice's axes to the right and down, in the patient frame: as radiologists look at them.
+# Each slice's axes to the right and down, in the patient frame, by radiological convention.
 AXES = {"axial": ([1, 0, 0], [0, 1, 0]), "coronal": ([1, 0, 0], [0, 0, -1]), "sagittal": ([0, 1, 0], [0, 0, -1])}
 FIELD = "trabecula.slices.field"
 POINT = "trabecula.cursor.point"
@@ -14,12 +14,12 @@ def shows_slices(page: Page) -> None:
     for tile in TILES:
         greys = set(page.picture(f"slice-{tile}").convert("L").tobytes())
         assert len(greys) > 20, f"{tile} has {len(greys)} greys"
-    # What does not change is not asked for again.
+    # Unchanged slices are not requested again.
     page.settled(lambda: page.page.evaluate("trabecula.slices.asked"))
 
 
 def moves_the_cross_hair(page: Page) -> None:
-    """A click in a slice puts the cross-hair where it is, by the slice's own scale, and the other slices go there."""
+    """A click in a slice moves the cross-hair there, according to the slice's scale, and the other slices follow."""
     page.page.evaluate("trabecula.cursor.follows || trabecula.cursor.toggle()")
     for tile, (right, down) in AXES.items():
         box = page.page.locator(f"#slice-{tile}").bounding_box()
@@ -49,8 +49,9 @@ def goes_through_the_slices(page: Page) -> None:
 
 
 def has_windows(page: Page) -> None:
-    """Bone from -200 HU on is not black; soft tissue's window is narrower; a drag with Shift makes one's own."""
-    # The picture itself: on the screen the one that has the focus has a frame.
+    """Tissue above -200 HU is not black in the bone window; the soft-tissue window is narrower; a drag with Shift sets a
+    custom one."""
+    # The picture itself: on the screen the focused one has a frame.
     picture = lambda: page.page.evaluate("document.querySelector('#slice-coronal').toDataURL()")
     bone = page.settled(picture)
     page.page.select_option("#slice-window", "soft tissue")
@@ -81,7 +82,7 @@ def measures_in_a_slice(page: Page) -> None:
 
 
 def measures_in_the_x_ray(page: Page) -> None:
-    """Two places at the depth of the cross-hair, clicked where the frame's own projection shows them."""
+    """Two points at the depth of the cross-hair, clicked where the frame's own projection shows them."""
     page.page.evaluate("trabecula.cursor.follows || trabecula.cursor.toggle()")
     page.until("a frame with its projection", lambda: page.page.evaluate("!!trabecula.model.frame?.projection && !!trabecula.cursor.point"))
     # From above the head is up: left and right lie across the detector, which is in front of the patient.
@@ -98,12 +99,12 @@ def measures_in_the_x_ray(page: Page) -> None:
         page.page.mouse.click(box["x"] + (box["width"] - size[0] * scale) / 2 + (column + 0.5) * scale,
                               box["y"] + (box["height"] - size[1] * scale) / 2 + (row + 0.5) * scale)
     measured = float(page.text("measure-facts").split()[0])
-    # sqrt(15² + 8²) = 17 mm; a pixel of the page is a quarter of a millimetre or so.
+    # sqrt(15² + 8²) = 17 mm; a pixel of the page is about a quarter of a millimetre.
     assert abs(measured - 17.0) < 0.6, f"{measured} mm, expected 17"
 
 
 def measures_in_the_3d_view(page: Page) -> None:
-    """A click on the burr's middle meets its surface, a burr's radius from the middle."""
+    """A click on the burr's centre hits its surface, a burr radius from the centre."""
     page.still()
     x, y = page.page.evaluate("""async () => {
         const { project } = await import("/assets/vector.js");
@@ -116,7 +117,7 @@ def measures_in_the_3d_view(page: Page) -> None:
     begun, tip = page.page.evaluate("[trabecula.measures.begun, trabecula.model.tip]")
     radius = page.page.evaluate("trabecula.model.info.tool.burr_radius_m")
     distance = sum((a - b) ** 2 for a, b in zip(begun, tip)) ** 0.5
-    # Bone before the plane of the section is cut away, so that nothing stands before the burr.
+    # Bone in front of the section plane is cut away, so that nothing hides the burr.
     assert abs(distance - radius) < 1e-6, f"{distance} m, expected {radius}"
     page.page.keyboard.press("Escape")
     page.page.click("#measure")
@@ -134,7 +135,7 @@ def enlarges_the_x_ray(page: Page) -> None:
 
 
 def draws_the_tool_where_the_x_ray_shows_it(page: Page) -> None:
-    """The burr is metal: where the overlay puts it, the frame is darker than a burr's width beside it."""
+    """The burr is metal: at its position in the overlay, the frame is darker than a burr's width beside it."""
     inside, outside = page.page.evaluate("""async () => {
         const { project, pixelsPerMetre } = await import("/assets/pick.js");
         const { model, xRay } = trabecula;
@@ -159,14 +160,14 @@ def tells_the_numbers(page: Page) -> None:
     shown = [1e3 * x for x in page.page.evaluate("trabecula.model.poses.burr.position")]
     assert max(abs(a - b) for a, b in zip(tip, shown)) <= 0.06, (tip, shown)
     assert page.text("force").endswith(" N"), page.text("force")
-    # Nobody planned a path where the page itself is the controller.
+    # There is no planned path if the page itself is the controller.
     planned = page.page.evaluate("(trabecula.model.info.scene.planned_path_m ?? []).length > 1")
     off_plan = page.text("off-plan")
     assert off_plan.endswith(" mm") if planned else off_plan == "–", (planned, off_plan)
 
 
 def survives_a_flood_of_requests(page: Page) -> None:
-    """Two hundred slices at once, and what is none: all are answered, most refused, and the page goes on."""
+    """Two hundred slices at once, and invalid ones: all are answered, most are rejected, and the page continues to work."""
     answers = page.page.evaluate("""async () => {
         const { connection } = trabecula;
         const slice = { centre_m: [0, 0, 0], right: [1, 0, 0], down: [0, 1, 0], side_m: [0.1, 0.1], columns: 256, rows: 256 };
@@ -175,7 +176,7 @@ def survives_a_flood_of_requests(page: Page) -> None:
         return all.map((answer) => answer.bytes?.byteLength ?? answer.error);
     }""")
     assert sum(answer == 24 + 2 * 256 * 256 for answer in answers) >= 8, answers
-    assert any("under way" in str(answer) for answer in answers), answers
+    assert any("in progress" in str(answer) for answer in answers), answers
     assert all(isinstance(answer, str) for answer in answers[200:]), answers[200:]
     page.until("slices still come", lambda: page.page.evaluate("trabecula.slices.refused === ''"))
 

@@ -7,7 +7,8 @@ use test_support::limited::Limited;
 
 use crate::common::preload::library;
 
-/// A library that makes the wall clock of whoever preloads it step; the error is the reason why there is none.
+/// Builds a library that makes the wall clock of a program that preloads it step; the error says why that is
+/// not possible.
 pub fn stepping_clock() -> Result<PathBuf, String> {
     static LIBRARY: OnceLock<Result<PathBuf, String>> = OnceLock::new();
     LIBRARY.get_or_init(|| library("faults/clock_step.c")).clone()
@@ -25,7 +26,7 @@ fn the_stepping_clock_steps() {
     assert!((off.abs() - 3600).abs() < 60, "{off} s");
 }
 
-/// Every mention of a wall clock in the program's sources, with the reason why a step of it does no harm.
+/// Every use of a wall clock in the program's sources, with the reason why a step does no harm.
 const WALL_CLOCK: [(&str, &str, &str); 6] = [
     ("src/launcher/run.rs", "Zoned::now", "the name of a run's folder; a name that is taken gets a suffix"),
     ("src/stress/mod.rs", "Zoned::now", "the date in a report"),
@@ -43,7 +44,7 @@ const WALL_CLOCK: [(&str, &str, &str); 6] = [
     ("crates/inputs/src/cache/tests.rs", ".modified()", "a test looks at a file's time"),
 ];
 
-/// Loops run by the monotonic clock (`Instant`, `CLOCK_MONOTONIC`): nobody reads another one.
+/// Loops use the monotonic clock (`Instant`, `CLOCK_MONOTONIC`) only.
 #[test]
 fn no_loop_reads_the_wall_clock() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));

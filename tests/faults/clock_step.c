@@ -1,5 +1,5 @@
-/* A wall clock that steps by an hour to and fro, ten times a second, for a process that is started with this library
- * in LD_PRELOAD. The monotonic clocks are left as they are. */
+/* Makes the wall clock step by an hour back and forth, ten times per second, in a process with this library in
+ * LD_PRELOAD. The monotonic clocks are unchanged. */
 #define _GNU_SOURCE
 #include <sys/syscall.h>
 #include <sys/time.h>

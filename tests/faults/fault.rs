@@ -1,4 +1,4 @@
-//! What can happen in the middle of a run, and what may come of it.
+//! Faults that can occur in the middle of a run, and their permitted outcomes.
 
 /// A process of a run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -23,7 +23,7 @@ impl Victim {
         Victim::Client,
     ];
 
-    /// As `trabecula proc` calls it; a client is none.
+    /// The name in `trabecula proc`; a client has none.
     pub fn part(self) -> &'static str {
         match self {
             Victim::Physics => "physics",
@@ -35,7 +35,7 @@ impl Victim {
         }
     }
 
-    /// As the launcher calls it.
+    /// The name used by the launcher.
     fn name(self) -> &'static str {
         match self {
             Victim::Controller => "reference",
@@ -51,48 +51,48 @@ pub enum Fault {
     Kill(Victim),
     /// SIGSTOP for two seconds.
     Stop(Victim),
-    /// For a second it may run a fifth of the time: SIGSTOP and SIGCONT.
+    /// For a second it runs only a fifth of the time, by SIGSTOP and SIGCONT.
     Starve(Victim),
-    /// A client that takes a state every 100 ms.
+    /// A client that reads a state every 100 ms.
     SlowReader,
     /// A client that sends commands as fast as it can.
     Flood,
-    /// A client that sends random bytes of random lengths to every service it may write.
+    /// A client that sends random bytes of random lengths to every service that it may write.
     Garbage,
     /// A client that is killed while it fills a command in shared memory.
     LoanDeath,
-    /// Clients that are killed while they join, and one that joins then.
+    /// Clients that are killed while they join, followed by one that joins.
     JoinDeath,
-    /// The controller that the start waits for is killed while it joins; then it comes.
+    /// The controller awaited at the start is killed while it joins; then it joins again.
     AwaitedJoinDeath,
-    /// /dev/shm has not the room that a session needs.
+    /// /dev/shm lacks the room that a session needs.
     MemoryFullAtStart,
     /// /dev/shm is full, and a client joins.
     MemoryFull,
     /// The disk of the log is full.
     DiskFull,
-    /// The log has reached the recorder's limit on the size of a file.
+    /// The log reaches the recorder's file size limit.
     FileLimit,
-    /// Every process of a run is killed at once; the next run clears up.
+    /// Every process of a run is killed at once; the next run cleans up.
     AllKilled,
-    /// A second hub beside, whose parts are killed.
+    /// A second hub runs concurrently, and its parts are killed.
     TwoHubs,
-    /// The wall clock steps by an hour to and fro, ten times a second, for every process.
+    /// The wall clock of every process steps by an hour back and forth, ten times per second.
     ClockStep,
     /// Clients of another version.
     OtherVersion,
 }
 
-/// What may come of a fault.
+/// Permitted outcomes of a fault.
 #[derive(Debug, Clone, Copy)]
 pub struct Allowed {
-    /// The run may go on.
+    /// The run may continue.
     pub goes_on: bool,
-    /// The run may end with an error that has one of these words.
+    /// The run may end with an error that contains one of these texts.
     pub errors: [&'static str; 2],
 }
 
-/// No error has these words.
+/// No error contains this text.
 const NEVER: &str = "\0";
 
 impl Fault {
@@ -142,9 +142,9 @@ impl Fault {
         }
     }
 
-    /// What may come of it.
+    /// Returns the permitted outcomes.
     pub fn allowed(self, lockstep: bool) -> Allowed {
-        // In lockstep every tick waits for every controller; its silence ends the run and names it.
+        // In lockstep every tick waits for every controller; if one is silent, the run ends and names it.
         let silent = |name: &'static str| Allowed {
             goes_on: true,
             errors: [if lockstep { name } else { NEVER }, NEVER],
@@ -184,7 +184,7 @@ impl Fault {
         }
     }
 
-    /// Whether the guest takes part from the start.
+    /// Returns whether the guest takes part from the start.
     pub fn needs_guest(self) -> bool {
         matches!(
             self,
@@ -192,7 +192,7 @@ impl Fault {
         )
     }
 
-    /// Whether another client may misbehave at the same time.
+    /// Returns whether another client may misbehave at the same time.
     pub fn may_have_company(self) -> bool {
         match self {
             Fault::Kill(victim) | Fault::Stop(victim) | Fault::Starve(victim) => victim != Victim::Client,

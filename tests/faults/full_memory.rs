@@ -1,4 +1,4 @@
-//! Shared memory that is full, read-only, has no room for more files, or is another container's.
+//! Shared memory that is full, read-only, without room for more files, or another container's.
 
 use std::fs::Permissions;
 use std::os::unix::fs::PermissionsExt;
@@ -10,7 +10,8 @@ use crate::common::scenes;
 use crate::name_space::NameSpace;
 use crate::scarce::{MEMORY, memory_left, start_in};
 
-/// The transport writes into a segment before it is reserved, which was a SIGBUS. Less than a session's first port needs: the error names the place and the bytes, and no signal ends the program.
+/// Regression: the transport wrote to a segment before it was reserved, which was a SIGBUS. With less than a
+/// session's first port needs, the error names the place and the bytes, and no signal ends the program.
 #[test]
 fn a_full_shared_memory_is_an_error_and_no_sigbus() {
     let space = match NameSpace::with_tmpfs(Path::new(MEMORY), 64 << 10) {
@@ -26,7 +27,8 @@ fn a_full_shared_memory_is_an_error_and_no_sigbus() {
     assert_eq!(memory_left(&space), Vec::<String>::new());
 }
 
-/// The need was reckoned with as many copies of the CT as it may have readers: 35 times its bytes, where there is one.
+/// Regression: the requirement was computed with as many copies of the CT as it can have readers: 35 times
+/// its size, although there is only one copy.
 #[test]
 fn the_default_scene_runs_with_one_gibibyte_of_shared_memory() {
     let space = match NameSpace::with_tmpfs(Path::new(MEMORY), 1 << 30) {
@@ -44,7 +46,7 @@ fn the_default_scene_runs_with_one_gibibyte_of_shared_memory() {
     assert_eq!(memory_left(&space), Vec::<String>::new());
 }
 
-/// A run with such a shared memory.
+/// Completes a run with such a shared memory.
 fn run_with_memory(options: &str) -> Option<Ended> {
     let space = own_memory(options)?;
     let place = private_place();
@@ -56,7 +58,8 @@ fn run_with_memory(options: &str) -> Option<Ended> {
     Some(ended)
 }
 
-/// A namespace of this user's own with such a shared memory; none, aloud, where that is not permitted.
+/// Creates a namespace of this user's own with such a shared memory; `None`, with a message, if that is not
+/// permitted.
 fn own_memory(options: &str) -> Option<NameSpace> {
     let space = NameSpace::of_own_user(Path::new(MEMORY), options);
     space.inspect_err(|reason| println!("\n*** SKIPPED: {reason} ***\n")).ok()
@@ -77,7 +80,8 @@ fn start(mut command: Command, place: &Place, scene: &str) -> Run {
     Run::of(command, output)
 }
 
-/// "creating a node failed (UnableToGenerateUniqueNodeId)": not where, nor why, nor what to do.
+/// Regression: "creating a node failed (UnableToGenerateUniqueNodeId)" named neither place nor cause nor
+/// remedy.
 #[test]
 fn a_read_only_shared_memory_is_named() {
     let Some(ended) = run_with_memory("ro") else { return };
@@ -86,7 +90,7 @@ fn a_read_only_shared_memory_is_named() {
     assert!(words.iter().all(|word| ended.err.contains(word)), "{}", ended.err);
 }
 
-/// "publishing failed (UnableToCreateDataSegment)": there were bytes enough.
+/// Regression: "publishing failed (UnableToCreateDataSegment)", although there were enough bytes.
 #[test]
 fn a_shared_memory_with_no_room_for_more_files_is_named() {
     let mut codes = Vec::new();
@@ -103,8 +107,8 @@ fn a_shared_memory_with_no_room_for_more_files_is_named() {
     assert_eq!((codes[0], codes.last()), (Some(1), Some(&Some(0))), "{codes:?}");
 }
 
-/// Two containers with one `/tmp`, each with a `/dev/shm` of its own: the hub of one removed the folder of a killed session of the other, and
-/// nobody knew of that one's memory any more.
+/// Regression: two containers with one `/tmp`, each with its own `/dev/shm`: the hub of one removed the
+/// folder of a killed session of the other, whose memory could then no longer be found.
 #[test]
 fn a_killed_session_in_another_shared_memory_is_left_to_a_hub_that_sees_it() {
     let Some(space) = own_memory("size=1g") else { return };

@@ -1,4 +1,4 @@
-//! The external controller in a process of its own, well behaved or not.
+//! The external controller in a separate process, well behaved or not.
 
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
@@ -19,7 +19,7 @@ use crate::common::program::{signal, wait_for};
 const BEHAVIOUR: &str = "TRABECULA_TEST_GUEST";
 const NAME: &str = "TRABECULA_TEST_GUEST_NAME";
 const SEED: &str = "TRABECULA_TEST_GUEST_SEED";
-/// What the guest prints once it is at it.
+/// Printed by the guest once it is running.
 const READY: &str = "guest is ready";
 const LIMIT: Duration = Duration::from_secs(20);
 
@@ -43,13 +43,13 @@ impl Behaviour {
         Behaviour::OtherVersion,
     ];
 
-    /// One that makes trouble for others.
+    /// Returns a behaviour that disturbs others.
     pub fn bad(random: &mut Rng) -> Behaviour {
         [Behaviour::Slow, Behaviour::Flood, Behaviour::Garbage, Behaviour::Loan][random.u64(..4) as usize]
     }
 }
 
-/// A guest under way; it is killed when dropped.
+/// A running guest; it is killed when dropped.
 #[derive(Debug)]
 pub struct Guest {
     child: Child,
@@ -61,7 +61,7 @@ impl Guest {
         Guest::of(Program::new(std::env::current_exe().unwrap()), session, name, behaviour, seed)
     }
 
-    /// The same by a program that starts this one with the arguments that follow.
+    /// The same, started by a program that takes the guest's command line as its arguments.
     pub fn of(mut program: Program, session: &Path, name: &str, behaviour: Behaviour, seed: u64) -> Guest {
         program.args(["--exact", "guest::guest_program", "--nocapture"]);
         program.env(SESSION_VARIABLE, session).env(NAME, name).env(SEED, seed.to_string());
@@ -72,7 +72,7 @@ impl Guest {
         Guest { child, lines }
     }
 
-    /// Waits until it is at what it is to do; the error is what it said instead.
+    /// Waits until it is running; the error is what it printed instead.
     pub fn ready(&mut self) -> Result<(), String> {
         let mut said = String::new();
         for line in self.lines.take().unwrap().lines().map_while(Result::ok) {
@@ -101,7 +101,7 @@ impl Drop for Guest {
     }
 }
 
-/// Not a test by itself: the program of a guest, which [`Guest`] starts from this test's own file.
+/// Not a test by itself: the guest's program, which [`Guest`] starts from this test's own file.
 #[test]
 fn guest_program() {
     let Ok(behaviour) = std::env::var(BEHAVIOUR) else { return };
@@ -151,8 +151,8 @@ fn controller(session: &Path, name: &str, behaviour: Behaviour) -> Result<(), tr
     }
 }
 
-/// Answers a state, and then holds room in shared memory for a command that it never sends: a program without the library,
-/// which takes such room only while it sends.
+/// Answers a state, and then keeps a loan in shared memory for a command that it never sends. Bypasses the
+/// library, which keeps a loan only while it sends.
 fn loan(folder: &Path, name: &str) -> Result<(), Box<dyn std::error::Error>> {
     let session = Session::join(folder)?;
     let states = session.subscriber::<State>(&services::STATE)?;
@@ -169,7 +169,7 @@ fn loan(folder: &Path, name: &str) -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-/// Random bytes to every service that a client may write.
+/// Sends random bytes to every service that a client may write.
 fn garbage(folder: &Path, name: &str, seed: u64) -> Result<(), Box<dyn std::error::Error>> {
     let session = Session::join(folder)?;
     let commands = session.command_publisher(name)?;
@@ -181,7 +181,7 @@ fn garbage(folder: &Path, name: &str, seed: u64) -> Result<(), Box<dyn std::erro
     println!("\n{READY}");
     loop {
         let mut bytes = |most: usize| -> Vec<u8> {
-            // One in four has the right length.
+            // One in four has the correct length.
             let length = if random.u64(..4) == 0 { most } else { random.u64(..most as u64) as usize };
             (0..length).map(|_| random.u8(..)).collect()
         };
@@ -194,7 +194,7 @@ fn garbage(folder: &Path, name: &str, seed: u64) -> Result<(), Box<dyn std::erro
     }
 }
 
-/// Joins as a program with other layouts, then as one with another transport; both must be refused by name.
+/// Joins as a program with other layouts, then as one with another transport; both must be rejected by name.
 fn other_version(folder: &Path) -> Result<(), String> {
     let session = Session::join(folder).map_err(|error| error.to_string())?;
     let layout = session.subscriber::<Command>(&services::STATE).err();

@@ -1,49 +1,49 @@
-//! How long a run takes to say what is wrong or to go on, counted in looks at it and not in seconds: on a machine that is
-//! slow the looks come as late as everybody else does, so a count of them means the same on every machine.
+//! Measures how long a run takes to report an error or to continue, counted in polls and not in seconds: on a
+//! slow machine the polls are delayed like everything else, so their number means the same on every machine.
 
 use std::time::{Duration, Instant};
 
 use crate::common::program::{LIMIT, Run};
 use crate::table::Outcome;
 
-/// Time between two looks.
+/// Interval between two polls.
 const LOOK: Duration = Duration::from_millis(5);
-/// Looks of two seconds.
+/// Number of polls in two seconds.
 pub const LOOK_LIMIT: u64 = 400;
 
-/// Looks at a run since a fault.
+/// Polls of a run since a fault.
 #[derive(Debug)]
 pub struct Looks {
-    /// What the error may say.
+    /// Permitted texts of the error.
     errors: [&'static str; 2],
     since: Instant,
     started: Instant,
     count: u64,
-    /// Looks and milliseconds until it was said.
+    /// Polls and milliseconds until the error was reported.
     found: Option<(u64, u64)>,
     over_ms: u64,
 }
 
 impl Looks {
-    /// The fault comes now.
+    /// Starts counting at the fault.
     pub fn new(errors: [&'static str; 2]) -> Looks {
         let now = Instant::now();
         Looks { errors, since: now, started: now, count: 0, found: None, over_ms: 0 }
     }
 
-    /// The fault has come only now.
+    /// Restarts the count, because the fault occurs only now.
     pub fn restart(&mut self) {
         if self.found.is_none() {
             (self.since, self.count) = (Instant::now(), 0);
         }
     }
 
-    /// Looks so far.
+    /// Returns the number of polls so far.
     pub fn count(&self) -> u64 {
         self.count
     }
 
-    /// Looks whether the run has said what is wrong, and waits until the next look.
+    /// Checks whether the run has reported the error, and waits until the next poll.
     pub fn look(&mut self, run: &Run) {
         self.count += 1;
         self.find(&run.said());
@@ -58,18 +58,18 @@ impl Looks {
         }
     }
 
-    /// All is over, and this is what has been said.
+    /// Checks the final output, after everything has ended.
     pub fn end(&mut self, said: &str) {
         self.find(said);
         self.over_ms = self.since.elapsed().as_millis() as u64;
     }
 
-    /// It must have been said, and soon.
+    /// Asserts that the error was reported in time.
     pub fn assert_in_time(&self, what: &str) {
         assert!(self.found.is_some_and(|(looks, _)| looks <= LOOK_LIMIT), "{what}: {self:?}");
     }
 
-    /// As far as time goes.
+    /// Returns the outcome, as far as timing is concerned.
     pub fn outcome(&self, went_on: bool) -> Outcome {
         let named = self.found.filter(|_| !went_on);
         Outcome {

@@ -1,18 +1,18 @@
-//! Faults in the middle of a run, seeded: processes that are killed, stopped or starved, clients that misbehave, memory
-//! and disks that are full, sessions of the dead, clocks that step.
+//! Seeded faults in the middle of a run: processes that are killed, stopped or starved, clients that
+//! misbehave, memory and disks that are full, dead sessions, clocks that step.
 //!
-//! In every trial the run goes on, or stops with an error that names the cause; nothing hangs and nobody panics; the log
-//! replays up to its end and holds what had been published; nothing is left behind; the next run starts. The error comes,
-//! or the next tick, within two seconds of looks at the run ([`looks`]).
+//! In every trial the run continues, or stops with an error that names the cause; nothing hangs or panics;
+//! the log replays to its end and contains what was published; nothing is left behind; the next run starts.
+//! The error, or the next tick, comes within two seconds of polling ([`looks`]).
 //!
-//! An ordinary test run makes every fault once. As many trials as wanted, with the table:
+//! An ordinary test run performs every fault once. For any number of trials, with a table:
 //!
 //! ```sh
 //! TRABECULA_FAULT_TRIALS=500 cargo test --release --test faults -- --nocapture
 //! ```
 //!
-//! `TRABECULA_FAULT_ONLY` names faults (a part of their name), `TRABECULA_FAULT_SEED` the first seed,
-//! `TRABECULA_FAULT_LANES` how many trials run side by side.
+//! `TRABECULA_FAULT_ONLY` selects faults by a part of their name, `TRABECULA_FAULT_SEED` the first seed,
+//! `TRABECULA_FAULT_LANES` the number of trials in parallel.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, missing_docs)]
 
 #[allow(dead_code, reason = "these tests use a part of what the tests of processes share")]
@@ -36,7 +36,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use fault::Fault;
 use table::Table;
 
-/// Trials side by side: most of a trial is waiting.
+/// Number of trials in parallel: most of a trial is waiting.
 const LANES: u64 = 6;
 
 fn number(variable: &str, otherwise: u64) -> u64 {

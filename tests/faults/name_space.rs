@@ -1,4 +1,4 @@
-//! A mount namespace with file systems of its own, so that a full one disturbs nobody else.
+//! A mount namespace with its own file systems, so that a full one disturbs no other program.
 
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
@@ -9,7 +9,7 @@ use test_support::limited::{Limited, Watchdog, end_within};
 /// For a command that mounts.
 const LIMIT: Duration = Duration::from_secs(90);
 
-/// Kept by a sleeping process; gone with it.
+/// A namespace held by a sleeping process, with which it is removed.
 #[derive(Debug)]
 pub struct NameSpace {
     holder: Child,
@@ -17,12 +17,13 @@ pub struct NameSpace {
 }
 
 impl NameSpace {
-    /// A tmpfs of some bytes at a place that only this namespace sees; the error is the reason why there is none.
+    /// Creates a tmpfs of this size at a place that only this namespace sees; the error says why that is not
+    /// possible.
     pub fn with_tmpfs(at: &Path, bytes: u64) -> Result<NameSpace, String> {
         NameSpace::with(false, at, &format!("size={bytes}"))
     }
 
-    /// The same with any options, as whoever may have a user namespace, in which its user is root.
+    /// The same with any options, in a user namespace in which the user is root.
     pub fn of_own_user(at: &Path, options: &str) -> Result<NameSpace, String> {
         NameSpace::with(true, at, options)
     }
@@ -50,7 +51,7 @@ impl NameSpace {
         Err("this user may not mount in a namespace of its own".to_owned())
     }
 
-    /// A command whose program is the rest of its arguments, seen by nobody outside.
+    /// Returns a command that runs the program in its arguments inside the namespace.
     pub fn command(&self) -> Command {
         let mut command = Command::new("nsenter");
         let space = |kind: &str, name: &str| format!("--{kind}=/proc/{}/ns/{name}", self.holder.id());
@@ -59,19 +60,19 @@ impl NameSpace {
         command
     }
 
-    /// Where a path of the namespace is seen from outside.
+    /// Returns the path outside of a path in the namespace.
     pub fn path(&self, inside: &Path) -> PathBuf {
         Path::new(&format!("/proc/{}/root", self.holder.id())).join(inside.strip_prefix("/").unwrap())
     }
 
-    /// Gives its tmpfs another size.
+    /// Resizes the tmpfs.
     pub fn resize(&self, at: &Path, bytes: u64) {
         let mut mount = self.command();
         mount.args(["mount", "-o", &format!("remount,size={bytes}")]).arg(at);
         assert!(mount.limited_output().unwrap().status.success());
     }
 
-    /// Fills a folder's file system to the last byte, and says when it is done.
+    /// Fills a folder's file system to the last byte, and returns when done.
     pub fn fill(&self, folder: &Path) -> PathBuf {
         let path = self.path(folder).join("filler");
         let mut file = std::fs::File::create(&path).unwrap();

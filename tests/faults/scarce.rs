@@ -64,7 +64,7 @@ pub fn memory_full_at_start(random: &mut Rng) -> Result<Outcome, String> {
     Ok(looks.outcome(went_on))
 }
 
-/// All shared memory is taken in the middle of a run, and clients try to join: the run goes on.
+/// All shared memory is used up in the middle of a run, and clients try to join: the run continues.
 pub fn memory_full(random: &mut Rng) -> Result<Outcome, String> {
     let space = NameSpace::with_tmpfs(Path::new(MEMORY), 1 << 30)?;
     let place = Place::new();

@@ -1,28 +1,29 @@
-//! What came of all trials.
+//! Results of all trials.
 
 use std::collections::BTreeMap;
 use std::fmt::Write;
 
 use crate::fault::Fault;
 
-/// What came of one trial.
+/// Result of one trial.
 #[derive(Debug, Default)]
 pub struct Outcome {
-    /// The machine does not permit this fault.
+    /// Whether the machine does not permit this fault.
     pub skipped: bool,
-    /// The run went on until the test stopped it; otherwise it ended with an error that names the cause.
+    /// Whether the run continued until the test stopped it; otherwise it ended with an error that names the
+    /// cause.
     pub went_on: bool,
-    /// From the fault to the error, in looks of 5 ms.
+    /// From the fault to the error, in polls of 5 ms.
     pub named_after_looks: Option<u64>,
     /// The same in milliseconds.
     pub named_after_ms: Option<u64>,
-    /// From the fault to the end of the last process, in milliseconds; of runs that ended.
+    /// From the fault to the end of the last process, in milliseconds; only for runs that ended.
     pub over_after_ms: Option<u64>,
     /// Ticks in the log.
     pub ticks: u64,
-    /// Ticks that had been published before the fault and are not in the log.
+    /// Ticks that were published before the fault but are not in the log.
     pub lost_before: u64,
-    /// Messages that the log's end says were lost.
+    /// Messages lost according to the log's end marker.
     pub lost_counted: u64,
 }
 

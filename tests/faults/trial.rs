@@ -1,4 +1,4 @@
-//! One trial: a run, a fault in the middle of it, and what must hold afterwards.
+//! One trial: a run, a fault in the middle of it, and the checks afterwards.
 
 use std::path::{Path, PathBuf};
 use std::process::Command as Program;
@@ -23,26 +23,27 @@ use crate::looks::{LOOK_LIMIT, Looks};
 use crate::scarce::{disk_full, memory_full, memory_full_at_start};
 use crate::table::Outcome;
 
-/// Ticks that a run must make after a fault for it to have gone on.
+/// Number of ticks after a fault for the run to count as continued.
 const TICKS_AFTER: u64 = 200;
-/// A killed recorder takes with it what it had not written: 100 ms, and on a machine as loaded as these tests make it what
-/// it was late by.
+/// Ticks that a killed recorder may lose: 100 ms, plus its delay on a machine as loaded as these tests make
+/// it.
 const RECORDER_LOSS: u64 = 400;
 /// A log's header is shorter: scene, calibration and schemas.
 const HEADER_BYTES: u64 = 100_000;
 const STOP_TIME: Duration = Duration::from_secs(2);
 
-/// The scene of most trials: every part takes part, and a guest may.
+/// The scene of most trials, with every part and optionally a guest.
 pub fn scene(lockstep: bool) -> String {
     let mode = if lockstep { "lockstep" } else { "realtime" };
     let guest =
         "\n[[controller]]\nname = \"guest\"\ndrives = [\"c_arm\"]\nexternal = true\noptional = true\n";
-    // Long enough for a lockstep run to be under way at the fault; late controllers are soon replaced or named.
+    // Long enough for a lockstep run to be running at the fault; late controllers are soon replaced or
+    // reported.
     let keys = "seed = 7\nhold_ticks = 20\ncontroller_limit_ms = 1500.0";
     scenes::drill(mode, 600.0).replace("seed = 7", keys) + guest + &scenes::keyframes(0.25)
 }
 
-/// Makes a trial. It panics if something is not as it must be.
+/// Performs a trial. Panics if a check fails.
 pub fn make(fault: Fault, seed: u64) -> Outcome {
     let mut random = Rng::with_seed(seed);
     let random = &mut random;
@@ -88,7 +89,7 @@ impl Watched {
         Watched { place, run, client, session, lockstep, newest: 0 }
     }
 
-    /// The newest tick that has been published.
+    /// Returns the newest published tick.
     fn published(&mut self) -> u64 {
         let states = &self.client.as_ref().unwrap().states;
         while let Some(state) = states.receive().unwrap() {
@@ -101,7 +102,7 @@ impl Watched {
         wait_for("a tick", || (self.published() >= tick).then_some(()));
     }
 
-    /// A log without any tick, of a recorder killed too early for one, has a test of its own.
+    /// A log without any tick, of a recorder killed too early, has a separate test.
     fn wait_for_recorded_ticks(&self) {
         let length = || self.run.log().and_then(|log| log.metadata().ok()).map_or(0, |file| file.len());
         wait_for("the first ticks in the log", || (length() > HEADER_BYTES).then_some(()));
@@ -115,7 +116,7 @@ impl Watched {
     }
 }
 
-/// Signals a process as the fault wants it; `look` is called all the while.
+/// Signals a process according to the fault, calling `look` all the time.
 fn disturb(fault: Fault, pid: u32, mut look: impl FnMut()) {
     match fault {
         Fault::Kill(_) => signal(pid, Signal::KILL),
@@ -138,7 +139,7 @@ fn disturb(fault: Fault, pid: u32, mut look: impl FnMut()) {
     }
 }
 
-/// Starts the run, makes the fault, and sees what comes of it.
+/// Starts the run, causes the fault, and observes the result.
 fn in_the_middle(fault: Fault, random: &mut Rng) -> Result<Outcome, String> {
     let lockstep = random.u64(..3) == 0;
     let preload = match fault {
@@ -163,7 +164,7 @@ fn in_the_middle(fault: Fault, random: &mut Rng) -> Result<Outcome, String> {
     let mut looks = Looks::new(fault.allowed(lockstep).errors);
     act(fault, &mut watched, &mut guests, random, &mut looks);
     if !matches!(fault, Fault::Kill(_) | Fault::Stop(_) | Fault::Starve(_)) {
-        // What it took to make the fault does not count.
+        // The time to cause the fault does not count.
         looks.restart();
     }
     let (ended, went_on) = observe(fault, &mut watched, &mut looks);
@@ -233,14 +234,14 @@ fn second_hub(random: &mut Rng) {
     wait_for("the end of its parts", || parts_of(&session).is_empty().then_some(()));
 }
 
-/// Waits until the run has ended, or has made enough ticks after the fault and is stopped. It must say what is wrong, or
-/// make a tick, within the limit of looks.
+/// Waits until the run has ended, or has computed enough ticks after the fault and is stopped. It must report
+/// the error, or compute a tick, within the limit of polls.
 fn observe(fault: Fault, watched: &mut Watched, looks: &mut Looks) -> (Ended, bool) {
     let allowed = fault.allowed(watched.lockstep);
     let log =
         |watched: &Watched| watched.run.log().and_then(|log| log.metadata().ok()).map(|meta| meta.len());
     let mut length = None;
-    // What was in the queue does not count.
+    // Queued states do not count.
     let newest = watched.published();
     let (before, mut first) = (looks.count(), None);
     let went_on = loop {
@@ -249,7 +250,7 @@ fn observe(fault: Fault, watched: &mut Watched, looks: &mut Looks) -> (Ended, bo
             break false;
         }
         if fault == Fault::FileLimit && length != log(watched) {
-            // It has not come yet.
+            // The fault has not occurred yet.
             length = log(watched);
             looks.restart();
         }
@@ -272,7 +273,7 @@ fn observe(fault: Fault, watched: &mut Watched, looks: &mut Looks) -> (Ended, bo
     let session = watched.session.clone();
     let run = std::mem::replace(&mut watched.run, Run::of(Program::new("true"), PathBuf::new()));
     let ended = run.end();
-    // A launcher that is killed leaves its parts to the kernel's signal.
+    // The parts of a killed launcher are ended by the kernel's signal.
     wait_for("the end of all parts", || parts_of(&session).is_empty().then_some(()));
     looks.end(&ended.err);
     if !went_on && !is_launcher_killed(fault) {
@@ -281,12 +282,12 @@ fn observe(fault: Fault, watched: &mut Watched, looks: &mut Looks) -> (Ended, bo
     (ended, went_on)
 }
 
-/// Nobody is left to say anything; the log's end names the launcher.
+/// No process is left to report anything; the log's end names the launcher.
 fn is_launcher_killed(fault: Fault) -> bool {
     matches!(fault, Fault::Kill(Victim::Launcher) | Fault::AllKilled)
 }
 
-/// What must hold after every fault.
+/// Checks that must hold after every fault.
 fn judge(fault: Fault, watched: &Watched, ended: &Ended, published: u64, outcome: Outcome) -> Outcome {
     let said = format!("{}: exit {:?}\n{}\n{}", fault.name(), ended.code, ended.err, ended.out);
     let launcher_killed = is_launcher_killed(fault);
@@ -320,7 +321,7 @@ fn judge(fault: Fault, watched: &Watched, ended: &Ended, published: u64, outcome
     assert_replays(&ended.folder);
     next_run_starts(&watched.place);
     if launcher_killed {
-        // It may have been the host of another trial that found it, and that one may not have finished.
+        // Another trial's host may have found it, and may not have finished.
         wait_for("the removal of the dead session", || (!session_folder(ended.pid).exists()).then_some(()));
         assert_eq!(shared_memory_of(ended.pid), Vec::<String>::new());
     }
@@ -341,7 +342,7 @@ fn assert_reason(fault: Fault, went_on: bool, reason: &EndReason) {
     }
 }
 
-/// The way in which the launcher tells the recorder why the run ends.
+/// Asserts that the file with the end reason, from the launcher to the recorder, is gone.
 fn assert_no_hidden_file(folder: &Path) {
     let hidden = |entry: &std::fs::DirEntry| entry.file_name().to_string_lossy().starts_with('.');
     let left: Vec<_> = std::fs::read_dir(folder).unwrap().flatten().filter(hidden).collect();
@@ -355,7 +356,7 @@ pub fn next_run_starts(place: &Place) {
     assert_eq!(ended.code, Some(0), "the next run: {}", ended.err);
 }
 
-/// The controller that the start waits for dies while it joins, and comes back.
+/// The controller awaited at the start dies while it joins, and returns.
 fn awaited_join_death(random: &mut Rng) -> Result<Outcome, String> {
     let place = Place::new();
     let mode = if random.u64(..2) == 0 { "lockstep" } else { "realtime" };

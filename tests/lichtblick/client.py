@@ -1,5 +1,5 @@
-"""What Lichtblick would do with a viewer, without Lichtblick: connects, finds the layout's topics, decodes their messages by the
-advertised schemas, and holds the 3D scene against Foxglove's published schema.
+"""Does what Lichtblick would do with a viewer, without Lichtblick: connects, finds the layout's topics, decodes their
+messages by the advertised schemas, and checks the 3D scene against Foxglove's published schema.
 
     client.py ws://HOST:PORT/ws LAYOUT.json TOKEN
 """
@@ -19,7 +19,7 @@ LIMIT_S = 30
 
 
 class Viewer:
-    """A connection and what it offers."""
+    """A connection and its advertised channels."""
 
     def __init__(self, socket: ClientConnection) -> None:
         self.socket = socket
@@ -40,7 +40,7 @@ class Viewer:
         self.socket.send(struct.pack("<BIII", 2, self.services["/playback"], 1, len(encoding)) + encoding + body)
 
     def newest(self, topics: list[str]) -> dict[str, bytes]:
-        """Subscribes and takes the first message of each topic."""
+        """Subscribes and receives the first message of each topic."""
         wanted = {100 + number: topic for number, topic in enumerate(topics)}
         subscriptions = [{"id": number, "channelId": self.channels[topic]["id"]} for number, topic in wanted.items()]
         self.socket.send(json.dumps({"op": "subscribe", "subscriptions": subscriptions}))
@@ -62,7 +62,7 @@ class Viewer:
 
 
 def paths_of(layout: dict) -> tuple[set[str], set[str]]:
-    """Topics and message paths that the layout's panels show."""
+    """Returns the topics and message paths that the layout's panels show."""
     topics, paths = set(), set()
     for name, panel in layout["configById"].items():
         kind = name.split("!")[0]
@@ -80,12 +80,12 @@ def paths_of(layout: dict) -> tuple[set[str], set[str]]:
 
 
 def panels_of(layout: dict | str) -> set[str]:
-    """Panels that the layout places."""
+    """Returns the panels that the layout places."""
     return {layout} if isinstance(layout, str) else panels_of(layout["first"]) | panels_of(layout["second"])
 
 
 def value_at(message: object, path: str) -> float:
-    """The number at a path such as `t_world_tip.position_m[0]`."""
+    """Returns the number at a path such as `t_world_tip.position_m[0]`."""
     for part in path.split("."):
         name, *indices = re.split(r"[\[\]]+", part.rstrip("]"))
         message = getattr(message, name)
@@ -108,7 +108,7 @@ def check_scene(update: dict) -> None:
     for entity in entities:
         assert entity["timestamp"]["nsec"] < 1_000_000_000
         del entity["timestamp"]  # a Timestamp's text is a date, not a duration
-    # Refuses fields, types and codes that the published schema does not have.
+    # Rejects fields, types and codes that the published schema does not have.
     parsed = ParseDict(as_protobuf(update), SceneUpdate())
     tool = next(entity for entity in parsed.entities if entity.id == "tool")
     assert tool.frame_id == "world" and len(tool.spheres) == 1 and len(tool.cylinders) > 3, tool
@@ -117,7 +117,7 @@ def check_scene(update: dict) -> None:
     for shape in [*tool.spheres, *tool.cylinders]:
         q = shape.pose.orientation
         assert abs(q.x**2 + q.y**2 + q.z**2 + q.w**2 - 1.0) < 1e-9
-    # A line strip's points come in twos: where the contact is, and where its force points.
+    # A line strip's points come in pairs: the contact, and the tip of its force.
     assert all(len(line.points) == 2 for line in tool.lines)
 
 
@@ -131,7 +131,7 @@ def main() -> None:
 
 
 def check(viewer: Viewer, layout: dict, token: str) -> None:
-    """What the layout shows is advertised and is as its schemas say."""
+    """Checks that everything in the layout is advertised and matches its schema."""
     topics, paths = paths_of(layout)
     topic_of = {path: path.split(".")[0] for path in paths}
     shown = sorted(topics | set(topic_of.values()))

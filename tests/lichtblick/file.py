@@ -1,5 +1,5 @@
-"""What Lichtblick would do with an exported file, without Lichtblick: reads it with the MCAP project's reader and ROS 2 decoder, finds what
-the layout shows, and holds the 3D scene against Foxglove's published schema.
+"""Does what Lichtblick would do with an exported file, without Lichtblick: reads it with the MCAP project's reader and
+ROS 2 decoder, finds what the layout shows, and checks the 3D scene against Foxglove's published schema.
 
     file.py VIEW.mcap LAYOUT.json
 """
@@ -11,7 +11,7 @@ from client import check_scene, paths_of, value_at
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
-# Topics of the timing log, which an exported run does not hold.
+# Topics of the timing log, which an exported run does not contain.
 ELSEWHERE = ("/timing/", "/event", "/run/")
 
 
@@ -47,7 +47,7 @@ def main() -> None:
 
 
 def check_poses(states: dict, transforms: list) -> None:
-    """Each `/tf` says where the state of its time has its parts."""
+    """Checks that each `/tf` matches the state of its time."""
     assert len(transforms) == len(states) > 1
     for log_time, message in transforms:
         state = states[log_time]
@@ -62,7 +62,7 @@ def check_poses(states: dict, transforms: list) -> None:
 
 
 def check_scenes(updates: list) -> None:
-    """Tool at every time, the planned path once, the burr's path growing."""
+    """Checks the tool at every time, the planned path once, and the growing path of the burr."""
     ids = [entity["id"] for update in updates for entity in update["entities"]]
     assert ids.count("planned path") == 1 and ids.count("burr path") >= 2, set(ids)
     lengths = [len(entity["lines"][0]["points"]) for update in updates for entity in update["entities"] if entity["id"] == "burr path"]

@@ -1,4 +1,5 @@
-//! Answers on standard output: one that cannot be written is a failure, one that nobody wants more of is none.
+//! Command output: a failed write to standard output is a failure, except when the reader has closed the
+//! pipe.
 
 use std::fs::{self, File};
 use std::process::{Command, Output, Stdio};
@@ -8,11 +9,11 @@ use test_support::limited::limited_output_of;
 use crate::common::program::{LIMIT, Place, trabecula};
 use crate::common::scenes;
 
-/// How a command of the program's own table is called here.
+/// How a command of the program's command table is called here.
 enum Call {
-    /// With these words; `@` stands for the test's folder, `#` for a number of this call's own.
+    /// With these arguments; `@` is replaced by the test's folder, `#` by a number unique to this call.
     As(&'static str),
-    /// Only its help is asked for.
+    /// Only with `--help`.
     HelpOnly,
 }
 
@@ -50,23 +51,23 @@ fn call(command: &str) -> Call {
         "docs install" => As("docs install -o @usr#"),
         "doctor" => As("doctor"),
         "session list" => As("session list"),
-        // It would remove what this machine's other runs need: `tests/processes/cache.rs`.
+        // It would remove what other runs on this machine need: `tests/processes/cache.rs`.
         "cache clear" => HelpOnly,
         "cache info" => As("cache info"),
         "tool show" => As("tool show @scene.toml"),
-        // They need a run under way: `tests/processes/session_commands.rs`.
+        // They need a running session: `tests/processes/session_commands.rs`.
         "session stop" | "session pause" | "session resume" | "session env" => HelpOnly,
-        // It ends when it is told to. The others take minutes, and a part of a session answers nobody. All speak through
-        // `src/say.rs`: a lint refuses every other way to standard output.
+        // These end only on request or take minutes, and a part of a session has no user to answer. All write
+        // through `src/say.rs`: a lint rejects any other access to standard output.
         "view" | "stress" => HelpOnly,
-        // `tests/processes/sweeps.rs` runs them.
+        // Covered by `tests/processes/sweeps.rs`.
         _ if command.starts_with("sweep ") => HelpOnly,
         _ if ["bridge ", "proc "].iter().any(|group| command.starts_with(group)) => HelpOnly,
         unknown => panic!("`{unknown}` is new: say here how it is called"),
     }
 }
 
-/// The commands below one, as its help lists them.
+/// Returns the subcommands of a command, as its help lists them.
 fn commands(above: &str) -> Vec<String> {
     let words: Vec<&str> = above.split(' ').filter(|word| !word.is_empty()).collect();
     let output = run(&[&words[..], &["--help"]].concat(), Stdio::piped());
@@ -91,7 +92,7 @@ fn full() -> Stdio {
     File::options().write(true).open("/dev/full").unwrap().into()
 }
 
-/// A pipe whose reader has gone, as behind `| head`.
+/// A pipe whose reader has closed, as behind `| head`.
 fn closed() -> Stdio {
     let (reader, writer) = std::io::pipe().unwrap();
     drop(reader);
@@ -107,8 +108,8 @@ fn assert_told(words: &[&str]) {
     assert_eq!(err.matches(UNWRITTEN).count(), 1, "{words:?}: {err}");
 }
 
-/// `log info`, `log diff`, `replay --verify`, `volume info`, `scene check`, `doctor`, `run --json` and most others ended with 0 though nobody
-/// had their answer.
+/// Regression: `log info`, `log diff`, `replay --verify`, `volume info`, `scene check`, `doctor`, `run
+/// --json` and most others ended with 0 although their output was lost.
 #[test]
 fn an_answer_that_cannot_be_written_ends_with_1_whatever_the_command() {
     let place = Place::new();

@@ -1,4 +1,4 @@
-//! Commands without a scene, in a folder where nothing is: the scene is inside the program.
+//! Commands without a scene, in an empty folder: the default scene is embedded in the program.
 
 use std::fs;
 use std::path::Path;
@@ -22,7 +22,7 @@ fn succeed_in(folder: &Path, words: &[&str]) -> Done {
     done
 }
 
-/// The one run below `out`, and the hash of its last state.
+/// Returns the only run below `out`, and the hash of its last state.
 fn only_run(folder: &Path) -> (String, String) {
     let mut runs = fs::read_dir(folder.join("out")).unwrap();
     let run = runs.next().unwrap().unwrap().path();
@@ -33,14 +33,15 @@ fn only_run(folder: &Path) -> (String, String) {
     (run.to_str().unwrap().to_owned(), hash)
 }
 
-/// Of a run's log: the scene that its header holds.
+/// Returns the scene in the header of a run's log.
 fn scene_in(run: &str) -> String {
     let log = Path::new(run).join("run.mcap");
     run_log::LogReader::open(&recorder_proc::log_file::LogFile::at(&log)).unwrap().header().scene_toml.clone()
 }
 
-/// `run` looked for `configs/femur_curved_drilling.toml` in the folder it was called in, and ended with exit code 2. What
-/// `scene init` writes is the same scene: the same text in the log, the same hash of the last state, from another folder.
+/// Regression: `run` looked for `configs/femur_curved_drilling.toml` in the current folder, and ended with
+/// exit code 2. `scene init` writes the same scene: the same text in the log, and the same hash of the last
+/// state from another folder.
 #[test]
 fn the_default_scene_runs_and_replays_in_any_folder_and_is_the_one_that_init_writes() {
     let (empty, other) = (Place::new(), Place::new());
@@ -48,7 +49,7 @@ fn the_default_scene_runs_and_replays_in_any_folder_and_is_the_one_that_init_wri
     succeed_in(&empty.path(""), &[&["run"][..], &few].concat());
     assert_eq!(empty.entries(), ["out"]);
     let (run, hash) = only_run(&empty.path(""));
-    // From another folder than that of the run.
+    // From a folder other than that of the run.
     let done = succeed_in(&other.path(""), &["replay", &run, "--verify"]);
     assert!(done.out.contains("20"), "{}", done.out);
 
@@ -59,7 +60,7 @@ fn the_default_scene_runs_and_replays_in_any_folder_and_is_the_one_that_init_wri
     assert_eq!((hash_of_copy, scene_in(&copy)), (hash, scene_in(&run)));
 }
 
-/// Each of them looked for its scene below `configs/`.
+/// Regression: each of them looked for its scene below `configs/`.
 #[test]
 fn commands_without_a_scene_work_in_an_empty_folder() {
     let place = Place::new();

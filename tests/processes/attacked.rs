@@ -1,4 +1,4 @@
-//! What a stranger found who had read the documents alone.
+//! Faults found by a tester who had read only the documentation.
 
 use std::ffi::OsStr;
 use std::fs;
@@ -13,7 +13,7 @@ use crate::common::logs::{assert_replays, read, recorded};
 use crate::common::program::{Place, assert_nothing_left, signal, trabecula, wait_for};
 use crate::common::scenes;
 
-/// The comparison stopped at the first difference, and called what it had not read "not ended".
+/// Regression: the comparison stopped at the first difference, and reported the unread rest as "not ended".
 #[test]
 fn a_whole_log_is_not_called_unfinished_beside_a_cut_one() {
     let place = Place::new();
@@ -24,11 +24,11 @@ fn a_whole_log_is_not_called_unfinished_beside_a_cut_one() {
         let done = trabecula(&[&"log", &"diff", words[0], words[1]]);
         assert_eq!(done.code, Some(1), "{}{}", done.out, done.err);
         assert!(!done.out.contains(&format!("the {whole} log:")), "{}", done.out);
-        assert!(done.out.contains(&format!("the {short} log: cut")), "{}", done.out);
+        assert!(done.out.contains(&format!("the {short} log: truncated")), "{}", done.out);
     }
 }
 
-/// The log's end blamed a launcher that was well.
+/// Regression: the log's end blamed the launcher, which had not failed.
 #[test]
 fn a_signal_of_somebody_else_to_the_recorder_blames_nobody() {
     let place = Place::new();
@@ -43,7 +43,8 @@ fn a_signal_of_somebody_else_to_the_recorder_blames_nobody() {
     assert_replays(&ended.folder);
 }
 
-/// Every other command with a LOG takes a folder; this one said that a folder is no regular file.
+/// Regression: every other command with a LOG accepts a folder; this one reported that a folder is not a
+/// regular file.
 #[test]
 fn a_folder_in_place_of_a_file_of_several_runs_is_split() {
     let place = Place::new();
@@ -57,14 +58,14 @@ fn a_folder_in_place_of_a_file_of_several_runs_is_split() {
     assert_replays(&parts.join("run2.mcap"));
 }
 
-/// Exit code 1, "the logs differ", beside "no message is missing".
+/// Regression: exit code 1, "the logs differ", together with "no message is missing".
 #[test]
 fn a_log_that_lacks_only_its_end_does_not_differ() {
     let place = Place::new();
     let log = recorded(&place, &scenes::hold("lockstep", 0.3)).join("run.mcap");
     let bytes = fs::read(&log).unwrap();
     let cut = place.path("cut.mcap");
-    // Behind the data: in the closing magic, in the index, and without an end marker.
+    // Cut after the data: in the closing magic, in the index, and before the end marker.
     let marker = bytes.windows(9).rposition(|bytes| bytes == b"completed").unwrap();
     for length in [bytes.len() - 8, bytes.len() - 60, marker] {
         fs::write(&cut, &bytes[..length]).unwrap();
@@ -76,12 +77,12 @@ fn a_log_that_lacks_only_its_end_does_not_differ() {
                 "{}",
                 done.out
             );
-            assert!(done.out.contains("log: cut after byte"), "{}", done.out);
+            assert!(done.out.contains("log: truncated after byte"), "{}", done.out);
         }
     }
 }
 
-/// Exit code 2, as if another argument could help; the pages say that damage is 1.
+/// Regression: exit code 2, as if another argument could help; the documentation says that damage is 1.
 #[test]
 fn a_log_without_any_state_is_damage_to_every_command() {
     let place = Place::new();
@@ -113,7 +114,7 @@ fn a_log_without_any_state_is_damage_to_every_command() {
     }
 }
 
-/// "part died: launcher", though the launcher was well and had said on the terminal what it was.
+/// Regression: "part died: launcher", although the launcher had not failed and had printed the actual cause.
 #[test]
 fn a_run_folder_that_is_moved_during_the_run_blames_no_part() {
     for whole_folder in [true, false] {
@@ -137,8 +138,8 @@ fn a_run_folder_that_is_moved_during_the_run_blames_no_part() {
     }
 }
 
-/// The pictures, figures and summary of a run replaced what somebody had put under their names, and one picture that could not be
-/// written cost summary and table.
+/// Regression: the pictures, figures and summary of a run replaced existing files of the same names, and one
+/// picture that could not be written cost the summary and the table.
 #[test]
 fn what_others_put_into_a_runs_folder_stays_and_costs_nothing_else() {
     const MINE: &str = "a user's own work";
@@ -147,7 +148,7 @@ fn what_others_put_into_a_runs_folder_stays_and_costs_nothing_else() {
     let client = Client::join(&run.session());
     client.wait_for_state(|state| state.tick >= 200);
     let folder = wait_for("the log", || run.log()).parent().unwrap().to_owned();
-    // A file, a folder, a link to somebody's file, and names that the run uses on its way to its end.
+    // A file, a folder, a link to another file, and names that the run uses while it ends.
     let elsewhere = place.path("elsewhere");
     fs::write(&elsewhere, MINE).unwrap();
     fs::write(folder.join("drr_after.png"), MINE).unwrap();
@@ -176,12 +177,12 @@ fn what_others_put_into_a_runs_folder_stays_and_costs_nothing_else() {
     for name in ["summary.json", "drr_before.png", "tip_path.svg", "timing.png"] {
         assert!(fs::metadata(folder.join(name)).unwrap().len() > 0, "{name}");
     }
-    assert!(ended.out.contains("stopped") && ended.out.contains("replay it"), "{}", ended.out);
+    assert!(ended.out.contains("stopped") && ended.out.contains("\nreplay "), "{}", ended.out);
     assert_eq!(read(&folder).marker.unwrap().reason, EndReason::Stopped);
     assert_replays(&folder);
 }
 
-/// The same of `summary.json` itself: the table is shown all the same.
+/// The same for `summary.json` itself: the table is still shown.
 #[test]
 fn a_summary_that_cannot_be_written_costs_no_picture_and_no_table() {
     let place = Place::new();

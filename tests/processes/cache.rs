@@ -1,4 +1,5 @@
-//! The cache of volumes, through the program: in every environment, by two runs at once, and killed while it is written.
+//! The volume cache, through the program: in every environment, used by two runs at once, and killed while it
+//! is written.
 
 use std::fs::{self, Permissions};
 use std::os::unix::fs::PermissionsExt;
@@ -9,13 +10,13 @@ use test_support::limited::limited_output_of;
 
 use crate::common::program::{LIMIT, Place, wait_for};
 
-/// A coarse femur, which is quick to make but still worth keeping.
+/// A coarse femur, which is quick to build but still worth caching.
 const FEMUR: &str = "name = \"kept\"\n[run]\nmode = \"lockstep\"\nduration_s = 0.01\n[volume]\nphantom = \"femur\"\nspacing_mm = 0.6\n\
                      bone_threshold_hu = 150\n[tool]\nburr_start_mm = [-160.0, 18.2, -49.3]\ndirection = [0.792, -0.212, 0.573]\n\
                      bend_toward = [0.0, 0.0, 1.0]\n[[controller]]\nname = \"holder\"\ndrives = [\"tendon\", \"arm\", \"burr\"]\n\
                      hold = { tension_n = 1.0 }\n";
 
-/// `trabecula` with these environment variables and no others that decide where the cache is.
+/// Runs `trabecula` with these environment variables and no others that affect the cache's location.
 fn start(words: &[&dyn AsRef<std::ffi::OsStr>], environment: &[(&str, &Path)]) -> Child {
     let mut command = Command::new(env!("CARGO_BIN_EXE_trabecula"));
     command.args(words).env_remove("XDG_CACHE_HOME").env_remove("HOME");
@@ -53,7 +54,7 @@ fn a_volume_is_kept_used_shown_and_cleared_and_a_damaged_one_is_said_and_made_an
     damaged[last] ^= 1;
     fs::write(file, damaged).unwrap();
     let output = check(&scene, &environment);
-    assert!(said(&output).contains("its voxels have another checksum; it is made anew"), "{}", said(&output));
+    assert!(said(&output).contains("wrong voxel checksum; rebuilding it"), "{}", said(&output));
     assert_eq!(output.stdout, first.stdout);
     assert!(fs::read(file).unwrap() == whole);
     let run = |words: &[&dyn AsRef<std::ffi::OsStr>]| {
@@ -75,13 +76,18 @@ fn without_a_home_in_a_folder_of_others_or_in_a_file_everything_works_and_nothin
     fs::create_dir_all(open.join("trabecula")).unwrap();
     fs::set_permissions(open.join("trabecula"), Permissions::from_mode(0o777)).unwrap();
     let output = check(&scene, &[("XDG_CACHE_HOME", &open)]);
-    assert_eq!(said(&output).matches("not used as a cache: its mode is 777").count(), 1, "{}", said(&output));
+    assert_eq!(
+        said(&output).matches("unusable as a cache folder: its mode is 777").count(),
+        1,
+        "{}",
+        said(&output)
+    );
     let file = place.path("file");
     fs::write(&file, "mine").unwrap();
     for (name, value) in [("XDG_CACHE_HOME", file.as_path()), ("HOME", &file), ("HOME", Path::new("/proc"))] {
         assert_eq!(check(&scene, &[(name, value)]).stdout, plain.stdout, "{name}");
     }
-    // A relative path is to be ignored.
+    // A relative path must be ignored.
     check(&scene, &[("XDG_CACHE_HOME", Path::new("relative"))]);
     assert!(files(&open.join("trabecula")).is_empty() && !Path::new("relative").exists());
     assert_eq!(fs::read(&file).unwrap(), b"mine");

@@ -1,4 +1,4 @@
-//! `trabecula calibrate`: a sweep from the command line to the files.
+//! `trabecula calibrate`: a sweep, from the command line to the files.
 
 use std::fs;
 
@@ -38,6 +38,6 @@ fn a_sweep_is_written_as_a_table_that_controllers_read_and_as_a_picture() {
     assert!(pixels.iter().any(|pixel| *pixel != first), "an empty picture");
     let svg = fs::read_to_string(folder.join("calibration.svg")).unwrap();
     assert!(svg.starts_with("<svg") && svg.contains("calibration of tendon 0, 9 levels"), "{svg:.300}");
-    // Both directions: at least one mark or line a level.
+    // Both directions: at least one mark or line per level.
     assert!(svg.matches("<circle").count() + svg.matches("<polyline").count() >= 2, "{svg:.300}");
 }

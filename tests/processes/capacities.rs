@@ -1,4 +1,4 @@
-//! A capacity that is reached during a run is said: as an event, in the table at the end, in `summary.json`.
+//! A capacity that is reached during a run is reported: as an event, in the final table, in `summary.json`.
 
 use std::fs;
 
@@ -8,8 +8,8 @@ use serde_json::Value;
 use crate::common::logs::{assert_replays, events};
 use crate::common::program::Place;
 
-/// 39 spheres (32 links) of 6 mm between four walls and in a hole that is no wider: 156 contacts with the walls, and about 300 with the
-/// bone. The planar solver has room for 410.
+/// 39 spheres (32 links) of 6 mm between four walls and in a hole of the same width: 156 contacts with the
+/// walls, and about 300 with the bone. The planar solver has room for 410.
 const CROWDED: &str = "
 name = \"crowded\"
 [run]
@@ -55,14 +55,18 @@ fn a_capacity_that_is_reached_is_an_event_a_warning_and_a_count() {
     let place = Place::new();
     let scene = |walls: usize| CROWDED.to_owned() + &(0..walls).map(wall).collect::<String>();
     let ended = place.complete(&scene(4));
-    let words = "contacts: they do not push";
+    let words = "contacts exert no force";
 
     let said = events(&ended.folder, EventCode::CapacityReached);
-    // At once, then once a second: this run is shorter.
+    // Reported immediately, then once per second; this run is shorter.
     assert!(said.len() == 1 && said[0].0 == 0 && said[0].1.contains(words), "{said:?}");
 
     let last = ended.out.lines().find(|line| line.starts_with("last warning")).unwrap_or_default();
-    assert!(last.contains("tick 0, physics: no room for ") && last.contains(words), "{}", ended.out);
+    assert!(
+        last.contains("tick 0, physics: contact capacity reached: ") && last.contains(words),
+        "{}",
+        ended.out
+    );
     let events = ended.out.lines().find(|line| line.starts_with("events")).unwrap_or_default();
     assert!(events.contains("1 capacity_reached"), "{}", ended.out);
 
@@ -72,7 +76,7 @@ fn a_capacity_that_is_reached_is_an_event_a_warning_and_a_count() {
     assert!(summary["warnings"].to_string().contains(words), "{summary}");
     assert_replays(&ended.folder);
 
-    // With room for all there is no such event.
+    // With enough room there is no such event.
     let other = Place::new();
     let ended = other.complete(&scene(1));
     assert!(!ended.out.contains("capacity_reached"), "{}", ended.out);

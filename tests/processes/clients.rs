@@ -1,4 +1,4 @@
-//! Clients that are not as they should be: each is refused by name, and the run does not notice.
+//! Faulty clients: each is rejected with a specific message, and the run is unaffected.
 
 use std::fs;
 
@@ -23,8 +23,8 @@ fn steered(state: &State) -> Command {
     command
 }
 
-/// Runs the shared scene with `steered`; `disturb` is called once, with the state of tick 150, and returns the state that
-/// is to be answered next.
+/// Runs the shared scene with `steered`; `disturb` is called once, with the state of tick 150, and returns
+/// the state to answer next.
 fn flown(place: &Place, disturb: impl FnOnce(&mut Pilot, State) -> State) -> Ended {
     let run = place.start(&scenes::shared("lockstep", TICKS as f64 * 1e-3));
     let mut pilot = Pilot::join(&run.session(), "pilot");
@@ -40,31 +40,28 @@ fn flown(place: &Place, disturb: impl FnOnce(&mut Pilot, State) -> State) -> End
     ended
 }
 
-/// Both runs made the same ticks from the same commands.
+/// Asserts that both runs computed the same ticks from the same commands.
 fn assert_same_run(disturbed: &Ended, undisturbed: &Ended) {
     let [a, b] = [disturbed, undisturbed].map(|ended| read(&ended.folder).marker.unwrap());
     assert_eq!((a.hash, a.last_tick), (b.hash, Some(Tick(TICKS))));
 }
 
-/// Commands that must be refused, with what the event says.
+/// Commands that must be rejected, with the text of the event.
 fn bad_commands(sequence: u64, tick: u64) -> Vec<(Command, &'static str)> {
     let good = Command { sequence, state_tick: tick, ..steered(&State::zeroed()) };
     let forces = |force_n: f64| [force_n, 0.0, 0.0, 0.0];
     vec![
         (
             Command { tendon_force_n: forces(f64::NAN), ..good },
-            "`tendon_force_n[0]` is NaN, allowed is 0 to 60",
+            "`tendon_force_n[0]` is NaN; allowed: 0 to 60",
         ),
-        (Command { tendon_force_n: forces(61.0), ..good }, "`tendon_force_n[0]` is 61, allowed is 0 to 60"),
-        (Command { tendon_force_n: forces(-0.5), ..good }, "`tendon_force_n[0]` is -0.5, allowed is 0 to 60"),
-        (
-            Command { arm_speed_m_per_s: f64::INFINITY, ..good },
-            "`arm_speed_m_per_s` is inf, allowed is 0 to 1",
-        ),
-        // The lower bound was the smallest positive number, printed with all its 300 digits.
+        (Command { tendon_force_n: forces(61.0), ..good }, "`tendon_force_n[0]` is 61; allowed: 0 to 60"),
+        (Command { tendon_force_n: forces(-0.5), ..good }, "`tendon_force_n[0]` is -0.5; allowed: 0 to 60"),
+        (Command { arm_speed_m_per_s: f64::INFINITY, ..good }, "`arm_speed_m_per_s` is inf; allowed: 0 to 1"),
+        // Regression: the lower bound was the smallest positive number, printed with all its 300 digits.
         (
             Command { arm_mode: ARM_INSERT, arm_axis: [1.0, 0.0, 0.0], arm_speed_m_per_s: 0.0, ..good },
-            "`arm_speed_m_per_s` is 0, allowed is above 0 and at most 1",
+            "`arm_speed_m_per_s` is 0; allowed: above 0 and at most 1",
         ),
         (Command { arm_mode: 9, ..good }, "`arm_mode` is 9, expected 0 none"),
         (Command { tube_mode: 3, ..good }, "`tube_mode` is 3, expected 0 none"),
@@ -108,7 +105,8 @@ fn bad_commands_are_refused_by_field_and_change_nothing() {
     assert_same_run(&disturbed, &flown(&other, |_, state| state));
 }
 
-/// A goal that no arm reaches is only found in the step: it is refused there, and the run goes on and replays.
+/// That no arm reaches a goal is only found in the step: the goal is rejected there, and the run continues
+/// and replays.
 #[test]
 fn an_unreachable_goal_is_refused_with_an_event() {
     let place = Place::new();
@@ -165,7 +163,7 @@ fn a_client_of_another_layout_is_refused_with_both_layouts() {
         assert_ne!(process.code, Some(0));
         let words = ["service `state`", "trabecula_msgs/msg/State", "0123456789abcdef", &ours];
         assert!(words.iter().all(|word| process.err.contains(word)), "{}", process.err);
-        // A program that takes the service for one of another message.
+        // A program that expects another message on the service.
         let refusal = pilot.client.session.subscriber::<Command>(&services::STATE).unwrap_err();
         assert!(matches!(refusal, SessionError::Layout { .. }), "{refusal}");
         state

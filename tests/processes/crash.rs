@@ -1,5 +1,5 @@
-//! What a run leaves when the machine loses its power: on a file system in a file, of which copies are taken as they lie on the
-//! disk; and, without any right, in which order files are brought there.
+//! What a run leaves on disk after a power failure. Uses a file system in a file that is copied as it is on
+//! the disk and, without privileges, the order in which files are synced.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -20,7 +20,7 @@ use crate::common::scenes;
 
 fn tool(name: &str, arguments: &[&dyn AsRef<std::ffi::OsStr>]) -> std::io::Result<Output> {
     let mut command = Command::new(name);
-    // Where these tools lie, which not everybody has in the path.
+    // Some systems keep these tools outside the user's path.
     command.env("PATH", format!("{}:/usr/sbin:/sbin", std::env::var("PATH").unwrap_or_default()));
     arguments.iter().for_each(|argument| {
         command.arg(argument);
@@ -36,7 +36,8 @@ fn done(name: &str, arguments: &[&dyn AsRef<std::ffi::OsStr>]) -> Result<(), Str
     }
 }
 
-/// An ext4 in a file, mounted. Its journal is not committed by itself: only what is asked for is on the disk.
+/// An ext4 file system in a file, mounted. Its journal is not committed periodically: only synced data are on
+/// the disk.
 struct Disk {
     place: Place,
 }
@@ -56,17 +57,17 @@ impl Disk {
         self.place.path("disk")
     }
 
-    /// What lies on the disk in this moment.
+    /// Copies the disk in its current state.
     fn copy(&self) -> PathBuf {
         let copy = self.place.path("copy");
         done("cp", &[&"--sparse=always", &self.place.path("image"), &copy]).unwrap();
         copy
     }
 
-    /// The folder of runs as a machine finds it that comes up with such a disk.
+    /// Returns the folder of runs as found after a reboot with such a disk.
     fn after_a_crash(&self, copy: &Path, name: &str) -> PathBuf {
         let tree = self.place.path(name);
-        // 0: nothing to mend, 1: mended, as by the journal.
+        // 0: nothing to repair; 1: repaired, as by the journal.
         let checked = tool("e2fsck", &[&"-fy", &copy]).unwrap();
         assert!(
             checked.status.code().is_some_and(|code| code < 4),
@@ -85,7 +86,7 @@ impl Drop for Disk {
     }
 }
 
-/// The contents of all files of the only folder in a folder.
+/// Returns the contents of all files in the only folder of a folder.
 fn files(out: &Path) -> BTreeMap<String, Vec<u8>> {
     let Some(folder) = fs::read_dir(out).ok().and_then(|mut all| all.next()) else { return BTreeMap::new() };
     let entries = fs::read_dir(folder.unwrap().path()).unwrap().flatten();
@@ -102,7 +103,7 @@ fn disk() -> Option<Disk> {
     }
 }
 
-/// 0.2 s after "completed" there was no run folder; after 3 s pictures and summary were empty.
+/// Regression: 0.2 s after "completed" there was no run folder; after 3 s pictures and summary were empty.
 #[test]
 fn a_completed_run_survives_a_crash_of_the_machine() {
     let Some(disk) = disk() else { return };
@@ -128,8 +129,8 @@ fn a_completed_run_survives_a_crash_of_the_machine() {
     }
 }
 
-/// What was published before a pause is soon on the disk but for the open chunk, while the run goes on; and in the middle of a chunk what
-/// is there can be read.
+/// Messages published before a pause are soon on the disk, except those of the open chunk, while the run
+/// continues; in the middle of a chunk, everything on the disk can be read.
 #[test]
 fn a_run_under_way_survives_a_crash_of_the_machine() {
     let Some(disk) = disk() else { return };
@@ -141,7 +142,7 @@ fn a_run_under_way_survives_a_crash_of_the_machine() {
     let mut copies = 0;
     let mut ticks_after_a_crash = || {
         copies += 1;
-        // Nothing is written in between: a copy is the disk of one moment.
+        // Nothing is written in between, so the copy is a consistent snapshot.
         signal(recorder, Signal::STOP);
         let copy = disk.copy();
         signal(recorder, Signal::CONT);
@@ -152,11 +153,11 @@ fn a_run_under_way_survives_a_crash_of_the_machine() {
         last.and_then(|tick| tick.parse::<u64>().ok())
     };
     client.wait_for_state(|state| state.tick >= 700);
-    // As much as was synced by then, perhaps nothing yet: but the folder is there.
+    // As much as was synced by then, possibly nothing yet; but the folder exists.
     let early = ticks_after_a_crash();
     let published = client.ask(CONTROL_PAUSE, 0).tick;
     assert!(early.is_none_or(|tick| tick <= published), "{early:?}");
-    // A tick is a millisecond; a chunk that is not full is not written.
+    // A tick is a millisecond; an incomplete chunk is not written.
     wait_for("the last ticks on the disk", || {
         ticks_after_a_crash().is_some_and(|tick| tick + 100 >= published).then_some(())
     });
@@ -167,7 +168,8 @@ fn a_run_under_way_survives_a_crash_of_the_machine() {
     assert_nothing_left(ended.pid);
 }
 
-/// The same without any right: files, their folder and the folders made above are brought to the disk before anything is said.
+/// The same without privileges: files, their folder and newly created parent folders are synced before the
+/// summary is shown.
 #[test]
 fn all_files_and_folders_are_brought_to_the_disk_before_the_summary_is_shown() {
     let library = preload::library("processes/sync_order.c").unwrap();
@@ -202,7 +204,7 @@ fn all_files_and_folders_are_brought_to_the_disk_before_the_summary_is_shown() {
     }
 }
 
-/// Logs, pictures and summary have the mode that the user's umask leaves, however they are written.
+/// Logs, pictures and summary have the mode set by the user's umask, however they are written.
 #[test]
 fn files_of_a_run_have_the_mode_that_the_umask_leaves() {
     let place = Place::new();

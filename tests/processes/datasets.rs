@@ -1,4 +1,5 @@
-//! Data sets of labelled frames: what the command takes, refuses and splits. `clients/python/tests/test_datasets.py` reads them.
+//! Data sets of labelled frames: what the command accepts, rejects and splits.
+//! `clients/python/tests/test_datasets.py` reads them.
 
 use std::fs;
 
@@ -34,13 +35,13 @@ fn a_data_set_takes_an_empty_folder_and_a_threshold_and_refuses_what_it_cannot_m
     refused(&["--dataset", "npz", "--frames"], "cannot be used with");
     refused(&["--bone-from-hu", "200"], "--dataset <FORMAT>");
     refused(&["--dataset", "npz", "--bone-from-hu", "40000"], "40000");
-    refused(&["--dataset", "npz", "--from", "999999"], "no frames for these ticks");
-    refused(&["--dataset", "npz", "--split", "train=0.8,val=0.1"], "the shares make 0.9");
-    refused(&["--dataset", "npz", "--split", "dev=1"], "`dev` is no part");
+    refused(&["--dataset", "npz", "--from", "999999"], "no frames in this range of ticks");
+    refused(&["--dataset", "npz", "--split", "train=0.8,val=0.1"], "the shares add up to 0.9");
+    refused(&["--dataset", "npz", "--split", "dev=1"], "unknown part `dev`");
     refused(&["--split", "train=1"], "--dataset <FORMAT>");
     refused(&["--frames", "--split", "train=1"], "cannot be used with");
     refused(&["--dataset", "npz", "--seed", "1"], "--split <NAME=SHARE,...>");
-    refused(&["--frames", "another"], "another: expected one log; --dataset alone takes several");
+    refused(&["--frames", "another"], "another: expected a single log; only --dataset accepts several");
     let npz = |more: &[&str]| {
         let mut all: Vec<&dyn AsRef<std::ffi::OsStr>> =
             vec![&"log", &"export", &log, &"-o", &output, &"--dataset", &"npz"];
@@ -57,7 +58,7 @@ fn a_data_set_takes_an_empty_folder_and_a_threshold_and_refuses_what_it_cannot_m
     assert!(done.code == Some(2) && done.err.contains("already exists"), "{}", done.err);
 }
 
-/// Runs of two scenes, and one of them again: runs that look alike are in one part, whatever their order.
+/// Runs of two scenes, one of them twice: runs that look alike go to the same part, in any order.
 #[test]
 fn a_data_set_of_several_runs_is_split_by_run() {
     let place = Place::new();
@@ -94,14 +95,14 @@ fn a_data_set_of_several_runs_is_split_by_run() {
     };
     let npz = [&["--dataset", "npz"], &split[..]].concat();
     let (some, all) = (parts_of(&export("abc", "some", &npz)), parts_of(&export("fedcab", "all", &npz)));
-    // Two of three scenes, five of six, each in one part that others do not change.
+    // Two of three scenes, five of six; each stays in its part when others are added.
     assert_eq!((some.len(), all.len()), (2, 5));
     assert!(all.values().all(|parts| parts.len() == 1), "{all:?}");
     assert!(some.iter().all(|(run, part)| all[run] == *part), "{some:?} {all:?}");
     for name in ["train", "val"] {
         assert!(all.values().any(|parts| parts == &[name]), "seed 5 leaves {name} empty: {all:?}");
     }
-    // The same bytes again, with the scene's images of labels and no others.
+    // The same bytes again, with the scene's label images and no others.
     let again = export("fedcab", "again", &npz);
     let file = "dataset.json";
     let bytes = |set: &std::path::Path, file: &str| fs::read(set.join(file)).unwrap();
@@ -112,7 +113,7 @@ fn a_data_set_of_several_runs_is_split_by_run() {
     assert_eq!(archive, bytes(&place.path("all"), first));
     let holds = |name: &[u8]| archive.windows(name.len()).any(|window| window == name);
     assert!(holds(b"bone_m.npy") && !holds(b"tunnel_m.npy"));
-    // A file for each part; COCO's numbers begin anew in each.
+    // One file per part; COCO's numbers restart in each.
     let coco = export("ab", "coco", &[&["--dataset", "coco"], &split[..]].concat());
     for name in ["train", "val"] {
         let text = bytes(&coco, &format!("annotations_{name}.json"));
@@ -130,7 +131,7 @@ fn a_data_set_of_several_runs_is_split_by_run() {
     );
 }
 
-/// A second log that cannot be taken was found only after the first one's files were written.
+/// Regression: a second log that was not accepted was detected only after the first one's files were written.
 #[test]
 fn a_log_that_cannot_be_taken_refuses_the_export_before_its_first_file() {
     let place = recorded();

@@ -1,11 +1,12 @@
-//! Scenes whose tool and arm stand in files of their own.
+//! Scenes with tool and arm in separate files.
 
 use crate::common::logs::{assert_replays, read};
 use crate::common::program::{Place, assert_nothing_left, trabecula};
 use crate::common::scenes;
 use crate::frames::frames_of;
 
-/// Place of each joint in the one before it, mm, and its turn there about x, degrees: the PUMA 560 of `configs/examples/arm_joints.toml`.
+/// Position of each joint in the preceding one, mm, and its rotation there about x, degrees: the PUMA 560 of
+/// `configs/examples/arm_joints.toml`.
 const PUMA: [([f64; 3], f64); 6] = [
     ([0.0, 0.0, 0.0], 0.0),
     ([0.0, 0.0, 0.0], 90.0),
@@ -25,7 +26,7 @@ fn urdf() -> String {
     let joints = PUMA.iter().enumerate().map(|(index, ([x, y, z], turn_deg))| {
         let (x, y, z, turn_rad) = (x / 1e3, y / 1e3, z / 1e3, turn_deg.to_radians());
         let below = index + 1;
-        // A turn as Universal Robots' files round it: a little more than 360 degrees.
+        // An angle as rounded in Universal Robots' files: slightly more than 360 degrees.
         format!(
             "<joint name=\"joint_{below}\" type=\"revolute\"><parent link=\"link_{index}\"/><child link=\"link_{below}\"/>\
              <origin xyz=\"{x} {y} {z}\" rpy=\"{turn_rad} 0 0\"/><axis xyz=\"0 0 1\"/>\
@@ -63,7 +64,8 @@ fn the_log_of_a_scene_with_a_tool_file_and_a_urdf_file_replays_without_them() {
     assert_nothing_left(ended.pid);
 }
 
-/// The PUMA with its meshes in the beam: live, replayed and without them; and a replay that would show another arm says so.
+/// The PUMA with its meshes in the beam: live, replayed and without them; and a replay that would show
+/// another arm reports it.
 #[test]
 fn x_ray_frames_show_the_arm_of_the_run_or_none() {
     let place = Place::new();
@@ -74,7 +76,7 @@ fn x_ray_frames_show_the_arm_of_the_run_or_none() {
     }
     let example =
         include_str!("../../configs/examples/arm_urdf.toml").replace("../arms/", "").replace("4.0", "0.4");
-    // The wrist stands above the block.
+    // The wrist is above the block.
     let drr = "[drr]\nrate_hz = 10.0\nisocentre_mm = [0.0, 0.0, -120.0]\ncolumns = 96\nrows = 96\npixel_pitch_mm = 2.0\nthreads = 1\n";
     let shown = |density: &str| {
         let scene = example.replace("[arm]\n", &format!("[arm]\n{density}\n")) + drr;
@@ -89,7 +91,7 @@ fn x_ray_frames_show_the_arm_of_the_run_or_none() {
     assert!(with_arm.iter().zip(&without).all(|(a, b)| a != b), "the arm is in no frame");
     let replayed = trabecula(&[&"replay", &folder, &"--verify", &"--frames"]);
     assert_eq!(replayed.code, Some(0), "{}{}", replayed.out, replayed.err);
-    // Another mesh under the same name.
+    // Another mesh with the same name.
     let mesh = place.path("puma560/meshes/cube.stl");
     let mut bytes = std::fs::read(&mesh).unwrap();
     bytes[0] ^= 1;
@@ -97,7 +99,7 @@ fn x_ray_frames_show_the_arm_of_the_run_or_none() {
     let refused = trabecula(&[&"replay", &folder, &"--verify", &"--frames"]);
     assert_eq!(refused.code, Some(2), "{}{}", refused.out, refused.err);
     assert!(refused.err.contains("cube.stl") && refused.err.contains("file_xxh3"), "{}", refused.err);
-    // An open mesh is refused before anything starts.
+    // An open mesh is rejected before anything starts.
     std::fs::write(&mesh, "solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\nendfacet\nendsolid a\n")
         .unwrap();
     let scene = example.replace("[arm]\n", "[arm]\nxray_density_g_per_cm3 = 1.5\n") + drr;

@@ -1,4 +1,4 @@
-//! What `trabecula doctor` says, against what the hub does.
+//! The output of `trabecula doctor`, compared with the hub's behaviour.
 
 use std::path::Path;
 
@@ -6,14 +6,14 @@ use crate::common::client::Client;
 use crate::common::program::{Place, parts_of, trabecula, wait_for};
 use crate::common::scenes;
 
-/// Whether a process has memory with a flag (proc_pid_smaps(5)).
+/// Returns whether a process has memory with a flag (proc_pid_smaps(5)).
 fn has_memory(process: u32, flag: &str) -> bool {
     let maps = std::fs::read_to_string(format!("/proc/{process}/smaps")).unwrap_or_default();
     let flags = maps.lines().filter_map(|line| line.strip_prefix("VmFlags:"));
     flags.flat_map(str::split_whitespace).any(|word| word == flag)
 }
 
-/// It said that the hub asks for no huge pages.
+/// Regression: it reported that the hub requests no huge pages.
 #[test]
 fn the_doctor_says_of_huge_pages_what_the_hub_asks_for() {
     if !Path::new("/sys/kernel/mm/transparent_hugepage/enabled").exists() {
@@ -33,9 +33,9 @@ fn the_doctor_says_of_huge_pages_what_the_hub_asks_for() {
         names.sort();
         names
     };
-    // When its first frame is rendered, the X-ray has its copies.
+    // Once its first frame is rendered, the X-ray process has its copies.
     wait_for("huge pages", || (!asked("hg").is_empty()).then_some(()));
-    // Of those that the system grants, and of those that somebody reserves.
+    // Transparent huge pages, and huge pages reserved by an administrator.
     assert_eq!((asked("hg"), asked("ht")), (vec!["drr".to_owned()], Vec::new()));
     let said = trabecula(&[&"doctor"]);
     let line = said.out.lines().find(|line| line.contains("huge pages: ")).unwrap();

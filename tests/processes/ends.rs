@@ -1,4 +1,4 @@
-//! Runs that end before their time: Ctrl-C, parts and programs that die. Every part that is killed in turn: `tests/faults`.
+//! Runs that end early: Ctrl-C, parts and programs that die. Killing every part in turn: `tests/faults`.
 
 use ipc_types::messages::Tick;
 use run_log::EndReason;
@@ -26,11 +26,11 @@ fn ctrl_c_ends_all_cleanly_with_a_valid_log() {
     let said = assert_replays(&ended.folder);
     assert!(said.contains("end marker: interrupted"), "{said}");
     assert!(ended.out.contains("interrupted") && ended.folder.join("summary.json").exists(), "{}", ended.out);
-    // `.end_reason` is how the launcher tells the recorder why the run ends.
+    // Through `.end_reason` the launcher passes the end reason to the recorder.
     assert!(!ended.folder.join(".end_reason").exists());
 }
 
-/// In lockstep the physics waits for the DRR process; it must not go on waiting for a dead one.
+/// In lockstep the physics waits for the DRR process; it must not keep waiting for a dead one.
 #[test]
 fn a_drr_process_killed_in_lockstep_does_not_hang_the_run() {
     let place = Place::new();
@@ -48,7 +48,7 @@ fn a_drr_process_killed_in_lockstep_does_not_hang_the_run() {
     assert_replays(&ended.folder);
 }
 
-/// A program that ends early is a part that died, and what it said is shown.
+/// A program that ends early is reported as a dead part, and its last output is shown.
 #[test]
 fn the_last_words_of_a_controller_program_are_shown() {
     let place = Place::new();

@@ -1,4 +1,4 @@
-//! The gallery `configs/examples`: one scene a feature.
+//! The gallery `configs/examples`: one scene per feature.
 
 use std::fs;
 use std::path::Path;
@@ -8,7 +8,7 @@ use sim::{Drive, SharedScene, Sim};
 use crate::common::logs::assert_replays;
 use crate::common::program::{Place, Run, trabecula};
 
-/// Each scene, and the line by which it shows its feature.
+/// Each scene, and the line that shows its feature.
 const GALLERY: [(&str, &str); 25] = [
     ("arm_compliance.toml", "[arm.compliance]"),
     ("arm_gantry.toml", "model = \"gantry\""),
@@ -65,7 +65,7 @@ fn every_example_is_clean_and_drills() {
     }
 }
 
-/// Those whose feature is a part's own: the X-ray's, and the sensors'.
+/// Examples of features that belong to other parts: the X-ray's, and the sensors'.
 #[test]
 fn examples_of_x_ray_and_sensors_run_and_replay_with_their_frames() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("configs/examples");

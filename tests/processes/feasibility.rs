@@ -1,4 +1,5 @@
-//! Scenes that make no sense: `scene check`, `run` and `plan` say the same of them. What is said of each: `crates/simulation/tests/physics/feasibility/`.
+//! Infeasible scenes: `scene check`, `run` and `plan` report the same. The reports themselves:
+//! `crates/simulation/tests/physics/feasibility/`.
 
 use std::path::Path;
 
@@ -9,7 +10,8 @@ use trabecula::launcher::volume_source::{self, VolumeFiles};
 use crate::common::program::{Place, trabecula};
 use crate::common::scenes;
 
-/// What the three commands say of a scene: exit code and standard error, and for `scene check` also standard output.
+/// Returns the output of the three commands for a scene: exit code and standard error, and for `scene check`
+/// also standard output.
 fn said(place: &Place, text: &str) -> [(Option<i32>, String); 3] {
     let scene = place.scene(text);
     let check = trabecula(&[&"scene", &"check", &scene]);
@@ -22,16 +24,19 @@ fn said(place: &Place, text: &str) -> [(Option<i32>, String); 3] {
 fn an_unlikely_scene_runs_and_every_command_warns_of_it() {
     let place = Place::new();
     let short = scenes::drill("lockstep", 0.1).replace("rate_hz = 10.0", "rate_hz = 30.0");
-    let expected = "warning: PLACE: `drr.rate_hz` is 30; a frame every 33 ticks of 1 ms is 30.303 Hz"
+    let expected = "warning: PLACE: `drr.rate_hz` is 30, but a frame every 33 ticks of 1 ms is 30.303 Hz"
         .replace("PLACE", &place.path("scene.toml").display().to_string());
     for (code, text) in said(&place, &short) {
         assert_eq!(code, Some(0), "{text}");
         assert!(text.contains(&expected), "{text}");
-        assert!(text.contains("`run.duration_s` is 0.1; `controller.curved_drilling` needs 2.5 s"), "{text}");
+        assert!(
+            text.contains("`run.duration_s` is 0.1, but `controller.curved_drilling` needs 2.5 s"),
+            "{text}"
+        );
     }
 }
 
-/// No false alarm: every scene of this repository, with its volume where that is at hand.
+/// No false alarm: every scene of this repository, with its volume if available.
 #[test]
 fn no_scene_of_this_repository_is_warned_of() {
     let mut checked = 0;

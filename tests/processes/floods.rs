@@ -1,4 +1,4 @@
-//! Programs that flood: nobody is held up, and what others ask for is heard.
+//! Programs that flood: other programs are not delayed, and their requests are answered.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -11,8 +11,8 @@ use crate::common::scenes;
 use crate::languages::clients;
 use crate::strays::{answer_here, joined, stopped};
 
-/// While messages came, the limit of a controller and run control were not looked at: a flood of refused commands held a
-/// lockstep run for ever.
+/// Regression: while messages arrived, neither a controller's time limit nor run control was checked: a flood
+/// of rejected commands blocked a lockstep run forever.
 #[test]
 fn a_stop_is_heard_while_a_controller_floods_in_lockstep() {
     let place = Place::new();
@@ -24,7 +24,7 @@ fn a_stop_is_heard_while_a_controller_floods_in_lockstep() {
         scope.spawn(|| {
             let mut pilot = Pilot::join(&session, "pilot");
             let state = pilot.next_state();
-            // The first one is taken, so that the run begins.
+            // The first one is accepted, so that the run begins.
             pilot.answer(&state, Command::zeroed());
             pilot.client.wait_for_state(|state| state.tick > 0);
             let mut refused = Command { tendon_mode: TENDON_SERVO_JF, ..Command::zeroed() };
@@ -47,13 +47,13 @@ fn a_stop_is_heard_while_a_controller_floods_in_lockstep() {
     assert_eq!(ended.code, Some(0), "{}", ended.err);
 }
 
-/// A scene with X-ray frames in lockstep, of which `mine` and `other` may ask for frames.
+/// A scene with X-ray frames in lockstep, of which `mine` and `other` may request frames.
 fn with_frames() -> String {
     let text = std::fs::read_to_string(clients().join("scenes/image_guided.toml")).unwrap();
     format!("{text}\n[[controller]]\nname = \"other\"\ndrives = []\nexternal = true\noptional = true\n")
 }
 
-/// Two clients of one process counted from the same number: each took the other's frame for its own.
+/// Regression: two clients of one process used the same numbers, and each received the other's frame.
 #[test]
 fn two_clients_of_one_process_have_requests_of_their_own() {
     let place = Place::new();
@@ -69,7 +69,8 @@ fn two_clients_of_one_process_have_requests_of_their_own() {
     stopped(run, other, mine);
 }
 
-/// Waiting for a frame, for the volume or for run control went on after the run's end until the caller's own limit.
+/// Regression: waiting for a frame, for the volume or for run control continued after the run's end until the
+/// caller's own limit.
 #[test]
 fn the_end_of_the_run_ends_the_wait_for_a_frame_of_a_future_tick() {
     let place = Place::new();

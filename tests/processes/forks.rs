@@ -1,4 +1,5 @@
-//! Programs that fork: a client stays its maker's, and the end of a child disconnects nobody.
+//! Programs that fork: a client belongs to the process that created it, and the end of a child disconnects
+//! nothing.
 
 use std::process::Command;
 
@@ -8,7 +9,7 @@ use crate::common::logs::{assert_replays, read};
 use crate::common::program::{Place, assert_nothing_left};
 use crate::languages::{clients, compiled_test, output_within_limit};
 
-/// The normal exit of a child ran the clean-up of its parent's client, and so ended the run.
+/// Regression: the normal exit of a child ran the clean-up of its parent's client, and so ended the run.
 #[test]
 fn a_forked_child_that_exits_does_not_disconnect_its_parent_in_c() {
     let place = Place::new();

@@ -50,7 +50,7 @@ fn lockstep_frames_show_the_scheduled_ticks_and_repeat_to_the_pixel() {
     assert!(a == b);
 }
 
-/// Voxels that are gone at a tick, by the log.
+/// Returns the voxels removed up to a tick, according to the log.
 fn removed_until(log: &Whole, tick: u64) -> Vec<u32> {
     log.ticks
         .iter()
@@ -64,7 +64,7 @@ fn drilled_voxels_are_gone_in_the_frames() {
     let place = Place::new();
     let file = place.path("block.nrrd");
     assert_eq!(trabecula(&[&"phantom", &"block", &"-o", &file, &"--spacing-mm", &"0.5"]).code, Some(0));
-    // The block of the file begins at z = -12.25 mm; the burr stands 0.75 mm in front of it.
+    // The block of the file begins at z = -12.25 mm; the burr is 0.75 mm in front of it.
     let text = scenes::drill_in_file("lockstep", 1.2, "block.nrrd")
         .replace("[0.0, 0.0, -34.0]", "[0.0, 0.0, -16.25]")
         .replace("[0.0, 0.0, -20.0]", "[0.0, 0.0, -5.0]");
@@ -98,21 +98,22 @@ fn drilled_voxels_are_gone_in_the_frames() {
                 .unwrap();
         render_job(&mut renderer, &view, &job).unwrap().frame.pixel_hash
     };
-    // A fresh renderer that is told all at once sees what the process saw after many small steps.
+    // A new renderer that receives everything at once sees the same as the process after many small steps.
     let removed = removed_until(&log, state.tick);
     assert_eq!(removed.len() as u64, state.removed_total);
     assert_eq!(rendered(removed), last.frame.pixel_hash);
     assert_ne!(rendered(Vec::new()), last.frame.pixel_hash, "the drilled voxels would be there");
 }
 
-/// The C-arm of the image-guided scene, turned about the patient's long axis.
+/// Rotates the C-arm of the image-guided scene about the patient's long axis.
 fn turned(angle_deg: f64) -> Pose {
     let (s, c) = (0.5 * angle_deg.to_radians()).sin_cos();
     let half = core::f64::consts::FRAC_1_SQRT_2;
     Pose { position_m: [0.0, 0.0, -0.045], orientation_xyzw: [-c * half, -s * half, s * half, c * half] }
 }
 
-/// A batch of poses for one tick is answered in the order of the requests, and the scheduled frames are those of a run without it.
+/// A batch of poses for one tick is answered in the order of the requests, and the scheduled frames equal
+/// those of a run without it.
 #[test]
 fn a_batch_of_poses_is_answered_in_order_and_leaves_the_scheduled_frames_alone() {
     let text = std::fs::read_to_string(clients().join("scenes/image_guided.toml")).unwrap();
@@ -123,7 +124,7 @@ fn a_batch_of_poses_is_answered_in_order_and_leaves_the_scheduled_frames_alone()
         let mut client = joined(&run, "mine");
         for step in 0..45 {
             let tick = client.wait_state(LIMIT).unwrap().tick;
-            // In the middle between two scheduled frames, and at one.
+            // Halfway between two scheduled frames, and at one.
             if step == 5 || step == 20 {
                 let poses = (0..batch).map(|i| turned(12.0 * f64::from(i)));
                 let asked: Vec<u64> =
@@ -132,7 +133,7 @@ fn a_batch_of_poses_is_answered_in_order_and_leaves_the_scheduled_frames_alone()
                 for (request, i) in asked.into_iter().zip(0..) {
                     let frame = client.wait_frame(request, LIMIT).unwrap().frame;
                     assert!(frame.tick == tick && frame.sequence > last);
-                    // Frontal is the source on +y.
+                    // Frontal means that the source is on +y.
                     let angle = f64::atan2(-frame.geometry.source_m[0], frame.geometry.source_m[1]);
                     assert!((angle.to_degrees() - 12.0 * f64::from(i)).abs() < 1e-9, "{angle}");
                     last = frame.sequence;
@@ -150,7 +151,7 @@ fn a_batch_of_poses_is_answered_in_order_and_leaves_the_scheduled_frames_alone()
     assert_eq!(scheduled[0], scheduled[1]);
 }
 
-/// Writes the timing lane again with these requests and nothing else.
+/// Rewrites the timing lane with these requests and nothing else.
 fn write_requests(timing: &Path, requests: impl Iterator<Item = DrrRequest>) {
     let stream = MessageStream::open(&LogFile::at(timing), ReadOptions::default()).unwrap();
     let header = stream.header().clone();
@@ -162,7 +163,8 @@ fn write_requests(timing: &Path, requests: impl Iterator<Item = DrrRequest>) {
     log.finish(EndReason::Completed, &BTreeMap::new()).unwrap();
 }
 
-/// A replay compared the first 65,536 requests with their frames and later ones, without a word, with their own replies.
+/// Regression: a replay compared the first 65,536 requests with their frames and silently compared later ones
+/// with their own replies.
 #[test]
 fn a_request_behind_a_hundred_thousand_others_is_compared_with_its_frame() {
     let place = Place::new();
@@ -199,5 +201,5 @@ fn a_request_behind_a_hundred_thousand_others_is_compared_with_its_frame() {
     write_requests(&timing, std::iter::empty());
     let done = replayed();
     assert!(done.code == Some(0), "{}{}", done.out, done.err);
-    assert!(done.out.contains("1 requested frames: no request in timing.mcap"), "{}", done.out);
+    assert!(done.out.contains("1 on-demand frames have no request in timing.mcap"), "{}", done.out);
 }

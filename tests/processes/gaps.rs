@@ -1,4 +1,4 @@
-//! Logs that are not whole, asked by every command: a gap, a damage, a reply that lies; and what a replay never does.
+//! Incomplete logs, read by every command: a gap, damage, an incorrect reply; and a replay's guarantees.
 
 use std::fs;
 use std::path::Path;
@@ -16,7 +16,7 @@ fn said(done: &Done, code: i32, words: &[&str]) {
     words.iter().for_each(|word| assert!(text.contains(word), "`{word}` in: {text}"));
 }
 
-/// A recorder that stands still for longer than its queues loses ticks in the middle; all that follows is whole.
+/// A recorder that stops for longer than its queues loses ticks in the middle; everything after is complete.
 fn with_gap(from: &Path, to: &Path, ticks: std::ops::Range<u64>) {
     edited(from, to, |topic, body| match topic {
         "/latched" => !ticks.contains(&Latched::read_from_bytes(body).unwrap().tick),
@@ -32,13 +32,13 @@ fn a_gap_costs_the_ticks_up_to_the_next_keyframe_and_is_named_by_every_command()
     let whole = place.complete(&scene).folder.join("run.mcap");
     let log = place.path("gap.mcap");
     with_gap(&whole, &log, 230..275);
-    let lost = "gap: missing from the log are 45 of /latched, 45 of /state";
+    let lost = "gap: missing messages: 45 of /latched, 45 of /state";
     let stretch = "ticks 230 to 275: 45 of /latched, 45 of /state";
     let passed = "not replayed: ticks 230 to 300; continued at the keyframe of tick 300";
     let verified = trabecula(&[&"replay", &log, &"--verify", &"--frames"]);
     said(&verified, 3, &["replayed 729 ticks, all identical; last tick 800", passed, lost, stretch]);
-    // The bone behind the gap is that of the keyframe.
-    said(&verified, 3, &["frames again on"]);
+    // The bone after the gap is that of the keyframe.
+    said(&verified, 3, &["re-rendered "]);
     said(&trabecula(&[&"replay", &log]), 3, &["replayed 729 ticks", passed, lost]);
     let behind = trabecula(&[&"replay", &log, &"--verify", &"--from", &"0.45s"]);
     said(&behind, 3, &["replayed 400 ticks from the keyframe of tick 400, all identical", lost]);
@@ -49,7 +49,7 @@ fn a_gap_costs_the_ticks_up_to_the_next_keyframe_and_is_named_by_every_command()
     let repaired = place.path("repaired.mcap");
     let done = trabecula(&[&"log", &"repair", &log, &"-o", &repaired]);
     said(&done, 3, &[lost]);
-    assert!(!done.out.contains("nothing was wrong"), "{}", done.out);
+    assert!(!done.out.contains("the log was intact"), "{}", done.out);
     said(&verify(&repaired), 3, &["replayed 729 ticks, all identical", lost]);
     said(&trabecula(&[&"log", &"cat", &log, &"--topic", &"/removed"]), 3, &[lost]);
     said(&trabecula(&[&"log", &"export", &log, &"-o", &place.path("t.csv")]), 3, &[lost]);
@@ -64,7 +64,7 @@ fn a_gap_costs_the_ticks_up_to_the_next_keyframe_and_is_named_by_every_command()
     assert!(!place.path("again").join("run.mcap").exists());
 }
 
-/// `log info` ended with 0 on 188 of 215 damaged logs.
+/// Regression: `log info` ended with 0 on 188 of 215 damaged logs.
 #[test]
 fn every_command_names_a_flipped_bit_and_does_not_end_with_0() {
     let place = Place::new();
@@ -91,7 +91,8 @@ fn every_command_names_a_flipped_bit_and_does_not_end_with_0() {
     }
 }
 
-/// The reply says which tick a frame shows and from where; a frame's own geometry was compared with itself.
+/// Regression: a frame's geometry was compared with itself, not with the reply, which gives the frame's tick
+/// and pose.
 #[test]
 fn replies_and_the_geometry_of_frames_take_part_in_a_check_of_frames() {
     let place = Place::new();
@@ -99,7 +100,7 @@ fn replies_and_the_geometry_of_frames_take_part_in_a_check_of_frames() {
     let changed = place.path("changed.mcap");
     let frames = |log: &Path| trabecula(&[&"replay", &log, &"--verify", &"--frames"]);
     edited(&log, &changed, |_, _| true);
-    said(&frames(&changed), 0, &["frames again on"]);
+    said(&frames(&changed), 0, &["re-rendered "]);
     let reply = |edit: &dyn Fn(&mut DrrReply)| {
         edited(&log, &changed, |topic, body| {
             if topic == "/drr/reply" {
@@ -117,7 +118,7 @@ fn replies_and_the_geometry_of_frames_take_part_in_a_check_of_frames() {
     said(&reply(&|reply| reply.requester = 1), 1, &["frame 2: ", "/drr/reply", "requester: "]);
     said(&reply(&|reply| reply.geometry.source_m[0] += 1e-3), 1, &["frame 2: ", "geometry.source_m[0]: "]);
     said(&reply(&|reply| reply.frame_sequence = 1), 1, &["frame 2: ", "/drr/reply has no reply for it"]);
-    // Frame and reply agree on a C-arm that is not the scene's.
+    // Frame and reply agree on a C-arm other than the scene's.
     edited(&log, &changed, |topic, body| {
         match topic {
             "/drr/reply" => {
@@ -161,7 +162,7 @@ fn a_replay_starts_none_of_a_logs_programs() {
     said(&trabecula(&[&"scene", &"check", &scene]), 0, &[]);
     said(&trabecula(&[&"plan", &"--list", &scene]), 0, &[]);
     assert!(!fs::exists(&trace).unwrap(), "the log's program was started");
-    // A run does start it: that is what leaves the trace.
+    // A run does start it, which leaves the trace.
     let _ = trabecula(&[&"run", &scene, &"--output", &place.path("out"), &"--quiet"]);
     assert!(fs::exists(&trace).unwrap());
 }

@@ -1,12 +1,12 @@
-//! The closed loop on the X-ray: the reference controller steers by the frames of the DRR process.
+//! The closed loop on X-ray images: the reference controller steers by the frames of the DRR process.
 
 use std::path::Path;
 
 use crate::common::logs::{assert_replays, read};
 use crate::common::program::Place;
 
-/// The target of the scene with shape feedback, reached by what the frames show. The published system's claim is a tip
-/// within 3 mm; half of it is asked for, as of the measured shape.
+/// The target of the scene with shape feedback, reached using the frames. The published system claims a tip
+/// within 3 mm; here half of that is required, as with the measured shape.
 #[test]
 fn image_feedback_in_lockstep_ends_near_its_target() {
     let configs = Path::new(env!("CARGO_MANIFEST_DIR")).join("configs");

@@ -1,5 +1,5 @@
-/* Kills a part of a run between making a file and giving it its size, for tests/processes/half_made.rs: the part KILLED_PART
-   at its KILLED_AT-th ftruncate. The part `launcher` is the program that runs the scene. */
+/* Kills a part of a run between creating a file and setting its size, for tests/processes/half_made.rs: the part
+   KILLED_PART at its KILLED_AT-th ftruncate. The part `launcher` is the program that runs the scene. */
 #define _GNU_SOURCE
 #include <dlfcn.h>
 #include <signal.h>

@@ -1,4 +1,4 @@
-//! Processes that are killed between making a segment of shared memory and giving it its size.
+//! Processes that are killed between creating a shared-memory segment and setting its size.
 
 use std::path::Path;
 use std::process::Command;
@@ -9,8 +9,8 @@ use crate::common::program::{
 };
 use crate::common::scenes;
 
-/// Kills a part at one of its first segments, and sees that the run ends for it. Returns whether it was killed: how many segments it makes
-/// depends on who connects when.
+/// Kills a part at one of its first segments, and checks that the run ends. Returns whether it was killed:
+/// the number of segments depends on the order of connections.
 fn ends_when_killed(library: &Path, part: &str, killed_at: usize) -> bool {
     let place = Place::new();
     let scene = place.scene(&scenes::hold("lockstep", 0.2));
@@ -28,7 +28,7 @@ fn ends_when_killed(library: &Path, part: &str, killed_at: usize) -> bool {
     true
 }
 
-/// The launcher, which opened the segment of the dead part to clean up after it, waited for its size for ever.
+/// Regression: the launcher opened the dead part's segment to clean up, and waited for its size forever.
 #[test]
 fn a_part_that_is_killed_while_it_makes_a_segment_hangs_no_run() {
     let library = match library("processes/half_made.c") {
@@ -38,7 +38,7 @@ fn a_part_that_is_killed_while_it_makes_a_segment_hangs_no_run() {
             return;
         }
     };
-    // Those that hung, and one more of the controller, whose first segments may come after the end.
+    // The cases that hung, and one more of the controller, whose first segments may come after the end.
     let places = [("physics", &[2, 4, 16][..]), ("recorder", &[1, 2]), ("controller", &[2, 4])];
     for (part, places) in places {
         let killed = places.iter().filter(|killed_at| ends_when_killed(&library, part, **killed_at)).count();
@@ -47,8 +47,8 @@ fn a_part_that_is_killed_while_it_makes_a_segment_hangs_no_run() {
     std::fs::remove_file(library).unwrap();
 }
 
-/// Kills the launcher of a run without a recorder at one of its segments, and sees that every part ends for it. Returns whether it was
-/// killed.
+/// Kills the launcher of a run without a recorder at one of its segments, and checks that every part ends.
+/// Returns whether it was killed.
 fn parts_end_when_the_launcher_is_killed(library: &Path, killed_at: usize) -> bool {
     let place = Place::new();
     let scene = place.scene(&scenes::hold("lockstep", 0.2));
@@ -58,13 +58,13 @@ fn parts_end_when_the_launcher_is_killed(library: &Path, killed_at: usize) -> bo
     let ended = Run::of(command, place.path("out")).end();
     let session = session_folder(ended.pid);
     wait_for("the end of all parts", || parts_of(&session).is_empty().then_some(()));
-    // The next host wipes the session.
+    // The next host removes the session.
     place.complete(&scenes::hold("lockstep", 0.05));
     assert!(!session.exists() && shared_memory_of(ended.pid).is_empty());
     ended.code.is_none()
 }
 
-/// Without a recorder no part removed the segment, and each of them waited for its size for ever.
+/// Regression: without a recorder no part removed the segment, and every part waited for its size forever.
 #[test]
 fn a_launcher_that_is_killed_while_it_makes_a_segment_hangs_no_part() {
     let library = match library("processes/half_made.c") {

@@ -1,4 +1,5 @@
-//! Misses of a physics that was stopped, frozen or throttled have that cause, and are not called stolen.
+//! Misses of a physics that was stopped, frozen or throttled are attributed to that cause, not to stolen
+//! time.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -15,7 +16,7 @@ use crate::common::scenes;
 
 const HELD: Duration = Duration::from_millis(600);
 
-/// Disturbs a run that is under way, and returns what its summary says of the misses.
+/// Disturbs a running run, and returns the misses of its summary.
 fn misses(run: Run, disturb: impl FnOnce(&Run, &Client)) -> Value {
     let client = Client::join(&run.session());
     client.wait_for_state(|state| state.tick >= 300);
@@ -35,13 +36,14 @@ fn lost_ms(misses: &Value, cause: &str) -> f64 {
     misses["lost_ms"][cause].as_f64().unwrap_or(0.0)
 }
 
-/// However busy the machine is, the gap itself has its name, and no more is stolen than the counter shows.
+/// However busy the machine is, the gap itself is attributed correctly, and stolen time does not exceed the
+/// counter.
 fn assert_named(misses: &Value, cause: &str) {
     assert!(lost_ms(misses, cause) >= 0.8 * HELD.as_secs_f64() * 1e3, "{misses:#}");
     assert!(lost_ms(misses, "stolen") <= misses["steal_counter_ms"].as_f64().unwrap() + 1e-6, "{misses:#}");
 }
 
-/// 600 ms of SIGSTOP became 652 ms "stolen" beside a counter of 0.
+/// Regression: 600 ms of SIGSTOP became 652 ms "stolen" with a counter of 0.
 #[test]
 fn a_stopped_physics_is_called_stopped_and_not_stolen() {
     let place = Place::new();
@@ -55,11 +57,11 @@ fn a_stopped_physics_is_called_stopped_and_not_stolen() {
     assert_named(&misses, "stopped");
 }
 
-/// A control group that a test makes, empty when it is dropped.
+/// A control group created by a test, empty when dropped.
 struct Group(PathBuf);
 
 impl Group {
-    /// Below a mounted hierarchy that has a file of this name in its groups.
+    /// Creates a group below a mounted hierarchy whose groups have a file of this name.
     fn make(needed: &str) -> Result<Group, String> {
         let mounts = fs::read_to_string("/proc/self/mounts").unwrap();
         let mut causes = Vec::new();
@@ -87,7 +89,7 @@ impl Group {
         fs::write(self.0.join(name), text).unwrap();
     }
 
-    /// A command line that runs in the group.
+    /// Returns a command that runs in the group.
     fn command(&self, program: &str) -> Command {
         let mut command = Command::new("sh");
         let enter = format!("echo $$ > {}/cgroup.procs && exec \"$@\"", self.0.display());
@@ -105,7 +107,7 @@ impl Group {
 
 impl Drop for Group {
     fn drop(&mut self) {
-        // A test that failed may have left it so; then its processes could not even be killed.
+        // A failed test may have left it frozen; then its processes could not even be killed.
         let _ = fs::write(self.0.join("cgroup.freeze"), "0");
         for _ in 0..200 {
             if fs::remove_dir(&self.0).is_ok() {
@@ -122,7 +124,7 @@ fn group(needed: &str) -> Option<Group> {
 
 #[test]
 fn a_frozen_physics_is_called_stopped_and_not_stolen() {
-    // Kernels before 6.18 do not say how long a group was frozen.
+    // Kernels before 6.18 do not report how long a group was frozen.
     let Some(group) = group("cgroup.stat.local") else { return };
     if !fs::read_to_string(group.0.join("cgroup.stat.local")).unwrap().contains("frozen_usec") {
         eprintln!("SKIPPED: this kernel does not say how long a control group was frozen");
@@ -148,13 +150,14 @@ fn a_physics_whose_group_has_used_up_its_quota_is_called_throttled_and_not_stole
         }
     };
     let place = Place::new();
-    // A quota that a busy machine leaves to the group all the same, used up at once however little the run itself needs.
+    // A quota that even a busy machine leaves to the group, used up immediately however little the run itself
+    // needs.
     let mut busy = group.command("sh").args(["-c", "while :; do :; done"]).spawn().unwrap();
     let run = group.start(&place);
     let misses = misses(run, |_, client| {
         limit.iter().for_each(|(name, text)| group.write(name, text));
         let now = client.wait_for_state(|_| true).tick;
-        // At 1 kHz and 5 % of a core dozens of periods, of each of which most is lost.
+        // At 1 kHz and 5 % of a core there are dozens of periods, most of each of which is lost.
         client.wait_for_state(|state| state.tick >= now + 400);
         let free = if limit.len() > 1 { ("cpu.cfs_quota_us", "-1") } else { ("cpu.max", "max") };
         group.write(free.0, free.1);

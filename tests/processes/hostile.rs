@@ -1,5 +1,5 @@
-//! Hostile and odd files, each given to the command that reads it: the verdict, the time and the peak memory. And what the largest volumes
-//! cost in the smallest files.
+//! Hostile and unusual files, each passed to the command that reads it: the verdict, the time and the peak
+//! memory. Also the cost of the largest volumes in the smallest files.
 //!
 //! `WRITE_TABLE=1 cargo test --release --test processes -- hostile` writes `docs/hostile_files.md`.
 
@@ -15,11 +15,11 @@ use crate::common::program::{Place, wait_for};
 use crate::dicom_bytes::{DicomSlice, JPEG_2000_SYNTAXES, LOSSLESS_JPEG, jpeg_2000, write_series};
 
 const PAGE: &str = "docs/hostile_files.md";
-/// Most address space that a refusal may take, KiB, set as a limit: the program, its threads' stacks, 16 MiB that compressed data may grow
-/// by before the ratio counts, and the syntax tree of a large text.
+/// Limit on the address space of a rejection, KiB: the program, its threads' stacks, 16 MiB that compressed
+/// data may grow by before the ratio counts, and the syntax tree of a large text.
 const MOST_KIB: u64 = 512 << 10;
 
-/// What is wrong with a file, the command that reads it, and the file.
+/// A file with a description of its fault, and the command that reads it.
 struct Case {
     what: String,
     words: Vec<OsString>,
@@ -39,7 +39,7 @@ impl Cases {
         self.all.push(Case { what: what.to_owned(), words, bytes });
     }
 
-    /// A file of its own folder, so that the same name serves for many.
+    /// Returns a path in the case's own folder, so that several cases can use the same name.
     fn path(&self, name: &str) -> PathBuf {
         let folder = self.place.path(&format!("{}", self.all.len()));
         fs::create_dir_all(&folder).unwrap();
@@ -79,7 +79,8 @@ fn gzip_zeros(bytes: usize) -> Vec<u8> {
     encoder.finish().unwrap()
 }
 
-/// A label map as one zlib stream: of `slices` slices of 800 x 800 bytes, every hundredth has a square of labels.
+/// A label map as one zlib stream: `slices` slices of 800 x 800 bytes, of which every hundredth has a square
+/// of labels.
 fn zlib_labels(slices: usize) -> Vec<u8> {
     let mut encoder = flate2::write::ZlibEncoder::new(Vec::new(), flate2::Compression::best());
     for slice in 0..slices {
@@ -102,7 +103,7 @@ fn nrrd(lines: &str, data: &[u8]) -> Vec<u8> {
     [format!("NRRD0005\n{lines}\n").as_bytes(), data].concat()
 }
 
-/// The usual lines of an NRRD header, with these sizes and encoding.
+/// Returns the usual lines of an NRRD header, with these sizes and encoding.
 fn usual(sizes: &str, encoding: &str) -> String {
     format!(
         "type: short\ndimension: 3\nspace: left-posterior-superior\nsizes: {sizes}\nspace directions: (1,0,0) (0,1,0) (0,0,1)\n\
@@ -117,7 +118,7 @@ fn mhd(dimensions: &str, more: &str) -> Vec<u8> {
     .into_bytes()
 }
 
-/// A NIfTI-1 header: 348 bytes, int16, data behind it.
+/// Returns a NIfTI-1 file: a header of 348 bytes, int16, followed by data.
 fn nifti(dims: [i16; 3], change: impl Fn(&mut [u8])) -> Vec<u8> {
     let mut header = vec![0; 352];
     header[0..4].copy_from_slice(&348_i32.to_le_bytes());
@@ -328,7 +329,7 @@ fn texts_and_logs(cases: &mut Cases) {
     log("a footer that points nowhere", &[&record(2, 20, &[0xff; 20])[..], magic].concat());
 }
 
-/// How a command ended: its exit code, what it said first, its peak memory and its time.
+/// How a command ended: its exit code, its first line of output, its peak memory and its time.
 struct Verdict {
     code: Option<i32>,
     said: String,
@@ -349,7 +350,7 @@ fn judge(case: &Case, place: &Place, most_kib: Option<u64>) -> Verdict {
     let status_file = format!("/proc/{}/status", child.id());
     let mut peak_bytes = 0;
     let status = wait_for(&format!("the end of {}", case.what), || {
-        // The kernel's own peak, looked at until shortly before the end.
+        // The kernel's own peak, polled until shortly before the end.
         for _ in 0..4096 {
             let text = fs::read_to_string(&status_file).unwrap_or_default();
             let line = text.lines().find_map(|line| line.strip_prefix("VmHWM:"));
@@ -373,7 +374,7 @@ fn judge(case: &Case, place: &Place, most_kib: Option<u64>) -> Verdict {
 const COLUMNS: &str =
     "| file | bytes | command | exit code | ms | peak, MB | what it says |\n|---|---|---|---|---|---|---|\n";
 
-/// The page: both tables with what, size, command, exit code, time, memory, and what is said of the file.
+/// Returns the page: both tables with case, size, command, exit code, time, memory, and message.
 fn page(refused: &[(Case, Verdict)], read: &[(Case, Verdict)], place: &Place) -> String {
     let head = "# Hostile files\n\nFiles that are not what they say, each given to the command that reads it. Every one is refused, by a message and an exit \
         code, in bounded\nmemory. The table is written by `WRITE_TABLE=1 cargo test --release --test processes -- hostile`; the test without \
@@ -440,7 +441,7 @@ fn every_hostile_file_is_refused_in_bounded_memory() {
     }
     for (case, verdict) in &rows {
         let (what, said) = (&case.what, &verdict.said);
-        // A log says what is wrong with it by 1 (damaged) or 3 (cut); every other file is bad input.
+        // For a log, 1 means damaged and 3 truncated; every other file is bad input.
         let is_log = case.words[0] == "log";
         let refused = verdict.code == Some(2) || (is_log && [Some(1), Some(3)].contains(&verdict.code));
         assert!(refused, "{what}: {:?}, {said}", verdict.code);

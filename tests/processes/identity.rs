@@ -1,4 +1,5 @@
-//! Whose a message is: programs of the same user that speak for a part of the hub, or go on writing what they have sent.
+//! Origin of messages: programs of the same user that impersonate a part of the hub, or keep writing to what
+//! they have sent.
 
 use std::fs::{self, File};
 use std::os::unix::fs::FileExt;
@@ -24,8 +25,8 @@ fn progress(tick: u64) -> Progress {
     Progress { tick, lost_messages: 0, consumer: SENDER_RECORDER, reserved: 0 }
 }
 
-/// Every client could report for the recorder: that it had taken what it had not, and the ticks ran away from it; or that it
-/// stood still, and so did they.
+/// Regression: every client could report progress for the recorder: that it had received messages that it had
+/// not, so that the ticks ran ahead of it; or that it was stuck, so that they stopped.
 #[test]
 fn progress_from_a_foreign_program_neither_lifts_nor_stalls_lockstep() {
     let place = Place::new();
@@ -51,7 +52,8 @@ fn progress_from_a_foreign_program_neither_lifts_nor_stalls_lockstep() {
         }
         newest
     };
-    // It runs a while ahead of the stopped recorder, and then waits for it: quiet for longer than a busy machine explains.
+    // It runs ahead of the stopped recorder for a while, and then waits for it: quiet for longer than a busy
+    // machine explains.
     let mut quiet_looks = 0;
     wait_for("the wait for the recorder", || {
         std::thread::sleep(Duration::from_millis(200));
@@ -68,9 +70,9 @@ fn progress_from_a_foreign_program_neither_lifts_nor_stalls_lockstep() {
     }
     assert_eq!(newest(), None, "nobody else lifts the wait at tick {last}");
     signal(recorder, Signal::CONT);
-    // The physics says so as soon as it goes on.
+    // The physics reports this as soon as it continues.
     await_event(&mut observer, EVENT_REQUEST_REFUSED, "neither the DRR process nor the recorder");
-    // What would hold it back for ever does not.
+    // Reports that would block it forever have no effect.
     wait_for("3000 ticks beside the stranger's reports", || {
         send_bare(&port, progress(0).as_bytes());
         newest().filter(|tick| *tick >= last + 3000)
@@ -81,7 +83,8 @@ fn progress_from_a_foreign_program_neither_lifts_nor_stalls_lockstep() {
     assert_replays(&ended.folder);
 }
 
-/// Without X-ray and keyframes the ports of their services are free; seven bytes over one of them ended the recorder.
+/// Regression: without X-ray and keyframes the ports of their services are free; seven bytes over one of them
+/// ended the recorder.
 #[test]
 fn a_foreign_program_on_a_free_port_of_a_part_does_not_end_the_recorder() {
     let place = Place::new();
@@ -106,12 +109,12 @@ fn a_foreign_program_on_a_free_port_of_a_part_does_not_end_the_recorder() {
     assert_replays(&ended.folder);
 }
 
-/// A program that goes on writing into a command that it has sent, while the physics decides on it: what is latched is what
-/// was checked.
+/// A program keeps writing to a command that it has sent, while the physics decides on it: the latched
+/// command is the one that was checked.
 #[test]
 fn a_writer_that_keeps_writing_changes_no_decision() {
     const HONEST_N: f64 = 2.718_043_917_265;
-    /// More than any tendon bears.
+    /// More than any tendon can bear.
     const FORGED_N: f64 = 9.876_543_21e6;
     let place = Place::new();
     let run = place.start(&scenes::shared("realtime", 60.0));
@@ -162,7 +165,7 @@ fn a_writer_that_keeps_writing_changes_no_decision() {
     assert_replays(&ended.folder);
 }
 
-/// The segment of this process's commands: the one of a session's in which the force stands.
+/// Returns the segment of this process's commands: the one of a session's that contains the force.
 fn command_memory(session: &std::path::Path, force_n: f64) -> PathBuf {
     let prefix = SessionId::of(session).unwrap().shared_memory_prefix();
     wait_for("the command in shared memory", || {
@@ -177,7 +180,7 @@ fn command_memory(session: &std::path::Path, force_n: f64) -> PathBuf {
     })
 }
 
-/// Where a number stands in some bytes.
+/// Returns the offsets of a number in some bytes.
 fn places_of(bytes: &[u8], number: f64) -> impl Iterator<Item = u64> + '_ {
     let pattern = number.to_le_bytes();
     bytes.windows(8).enumerate().filter(move |(_, window)| *window == pattern).map(|(place, _)| place as u64)

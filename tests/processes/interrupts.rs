@@ -1,4 +1,4 @@
-//! Ctrl-C, SIGTERM and SIGHUP at any moment of a run: answered at once, obeyed soon, and nothing is left.
+//! Ctrl-C, SIGTERM and SIGHUP at any moment of a run: acknowledged at once, obeyed soon, and nothing is left.
 
 use std::io::{BufRead, BufReader};
 use std::path::Path;
@@ -20,14 +20,14 @@ use crate::common::program::{
 use crate::common::scenes;
 use crate::common::terminal::{Act, Terminal};
 
-/// Time between two looks at a run that is to end.
+/// Interval between two checks of a run that should end.
 const LOOK: Duration = Duration::from_millis(5);
-/// Looks of three seconds, twice: here the machine is shared with other tests.
+/// Twice three seconds of checks: here the machine is shared with other tests.
 const LOOKS: usize = 1200;
 /// Two signals within 0.3 s count as one.
 const ANOTHER: Duration = Duration::from_millis(500);
 
-/// Waits for the end of a run that has been told to.
+/// Waits for the end of a run that has received a signal.
 fn obeyed(mut run: Run, after: &str) -> Ended {
     let looks = (0..LOOKS).take_while(|_| {
         std::thread::sleep(LOOK);
@@ -46,7 +46,8 @@ fn name(signal: Signal) -> &'static str {
     }
 }
 
-/// Whether SIGHUP is ignored here, as below `nohup`: every program that a test starts inherits that, and must keep it. Says so.
+/// Returns whether SIGHUP is ignored here, as under `nohup`, and prints that. Every program that a test
+/// starts inherits this, and must keep it.
 fn hangup_is_ignored() -> bool {
     let status = std::fs::read_to_string("/proc/self/status").unwrap();
     let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:")).unwrap().trim();
@@ -57,11 +58,11 @@ fn hangup_is_ignored() -> bool {
     is_ignored
 }
 
-/// A run that a signal has ended: it said so, nothing is left, and what was recorded is whole.
+/// Asserts that a run was ended by a signal: it said so, nothing is left, and the recording is complete.
 fn assert_interrupted(place: &Place, ended: &Ended, sent: Signal, after: &str) {
     assert_nothing_left(ended.pid);
     if ended.code.is_none() {
-        // Before the program was heard of at all.
+        // Before the program printed anything.
         assert_eq!(ended.err, "", "{after}");
     } else {
         assert_eq!(ended.code, Some(130), "{after}: {}", ended.err);
@@ -78,8 +79,9 @@ fn assert_interrupted(place: &Place, ended: &Ended, sent: Signal, after: &str) {
     assert_replays(&ended.folder);
 }
 
-/// The launcher asked a physics that did not listen yet, and then waited two minutes for its end; without a volume all
-/// ticks were made first, and beside an awaited controller nothing happened for 45 s.
+/// Regression: the launcher signalled a physics that did not listen yet, and then waited two minutes for its
+/// end; without a volume all ticks were completed first, and while a controller was awaited nothing happened
+/// for 45 s.
 #[test]
 fn a_signal_at_any_moment_of_the_start_is_answered_and_obeyed() {
     let default_scene = Path::new(env!("CARGO_MANIFEST_DIR")).join("configs/femur_curved_drilling.toml");
@@ -110,7 +112,7 @@ fn a_signal_at_any_moment_of_the_start_is_answered_and_obeyed() {
     }
 }
 
-/// Waits until a run has made some ticks.
+/// Waits until a run has completed some ticks.
 fn under_way(run: &Run) {
     Client::join(&run.session()).wait_for_state(|state| state.tick >= 100);
 }
@@ -135,7 +137,7 @@ fn a_second_signal_ends_everything_at_once() {
     assert_replays(&ended.folder);
 }
 
-/// `timeout -s INT` signals the program and then its group, and so the program twice.
+/// `timeout -s INT` signals the program and then its group, so the program receives two signals.
 #[test]
 fn two_signals_at_the_same_moment_are_one() {
     let place = Place::new();
@@ -149,7 +151,8 @@ fn two_signals_at_the_same_moment_are_one() {
     assert_interrupted(&place, &ended, Signal::INT, "three signals");
 }
 
-/// A controller's program that watches neither run nor signals was waited for, whatever one typed.
+/// Regression: a controller program that watches neither run nor signals was waited for, regardless of
+/// signals.
 #[test]
 fn a_signal_while_the_end_is_under_way_is_obeyed() {
     let place = Place::new();
@@ -168,7 +171,7 @@ fn a_signal_while_the_end_is_under_way_is_obeyed() {
     assert_eq!(read(&ended.folder).ticks.len(), 1000);
 }
 
-/// Pictures and summary of a long log take a while, in which no signal was looked at.
+/// Regression: pictures and summary of a long log take a while, during which signals were ignored.
 #[test]
 fn a_signal_while_the_report_is_made_is_obeyed_and_the_logs_are_whole() {
     let place = Place::new();
@@ -181,14 +184,14 @@ fn a_signal_while_the_report_is_made_is_obeyed_and_the_logs_are_whole() {
     let ended = obeyed(run, "SIGINT during the report");
     assert_nothing_left(ended.pid);
     match ended.code {
-        Some(130) => assert!(ended.err.contains("SIGINT: the logs are whole"), "{}", ended.err),
+        Some(130) => assert!(ended.err.contains("SIGINT: the logs are complete"), "{}", ended.err),
         code => assert!(code == Some(0) && ended.folder.join("summary.json").exists(), "{}", ended.err),
     }
     let log = read(&ended.folder);
     assert_eq!((log.ticks.len(), log.marker.unwrap().reason), (15_000, EndReason::Completed));
 }
 
-/// SIGHUP was not handled: no summary, and session and memory stayed.
+/// Regression: SIGHUP was not handled: no summary, and session and memory stayed.
 #[test]
 fn a_closed_terminal_ends_the_run_as_sigterm_does() {
     if hangup_is_ignored() {
@@ -229,7 +232,7 @@ fn an_ignored_sighup_stays_ignored() {
     assert_interrupted(&place, &ended, Signal::TERM, "SIGTERM behind an ignored SIGHUP");
 }
 
-/// A viewer of its own ends with its terminal, too.
+/// A separate viewer ends with its terminal, too.
 #[test]
 fn a_viewer_ends_with_its_terminal() {
     if hangup_is_ignored() {

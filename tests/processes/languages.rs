@@ -1,7 +1,7 @@
-//! The clients of every language: the numbered examples, run as their README says, against a run of their own.
+//! The clients of every language: the numbered examples, run as their README says, each with its own run.
 //!
-//! `02_follow_curve` does the same arithmetic in the same order in every language, so a lockstep run ends with the same
-//! hash whoever commands it; all examples print the same lines.
+//! `02_follow_curve` does the same arithmetic in the same order in every language, so a lockstep run ends
+//! with the same hash in each; all examples print the same lines.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -20,26 +20,27 @@ const EXAMPLES: [(&str, &str); 3] = [
     ("02_follow_curve", "free_space.toml"),
     ("03_image_guided", "image_guided.toml"),
 ];
-/// A whole compiler as a Python package.
+/// A complete compiler as a Python package.
 const ZIG: &str = "ziglang==0.14.1";
 
 pub fn clients() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("clients")
 }
 
-/// Where cargo has put what it built.
+/// Returns the folder of cargo's build output.
 pub fn built() -> PathBuf {
     Path::new(env!("CARGO_BIN_EXE_trabecula")).parent().unwrap().to_owned()
 }
 
-/// The library, which cargo builds as a dependency of this package's tests.
+/// Returns the library, which cargo builds as a dependency of this package's tests.
 pub fn library() -> PathBuf {
     let path = built().join("deps/libtrabecula_client.so");
     assert!(path.exists(), "{}: not built", path.display());
     path
 }
 
-/// Runs a program to its end and returns what it printed; anything on standard error or another exit code fails.
+/// Runs a program to its end and returns what it printed; anything on standard error or another exit code
+/// fails.
 pub fn output_of(command: &mut Command) -> String {
     let output = command.limited_output().unwrap_or_else(|cause| panic!("{command:?}: {cause}"));
     let error = String::from_utf8_lossy(&output.stderr);
@@ -47,7 +48,7 @@ pub fn output_of(command: &mut Command) -> String {
     String::from_utf8(output.stdout).unwrap()
 }
 
-/// The line of a README that begins with these words, as words of its own.
+/// Returns the line of a README that begins with these words, split into words.
 fn line_of(readme: &str, begin: &str) -> Vec<String> {
     let text = fs::read_to_string(clients().join(readme)).unwrap();
     let line = text.lines().find(|line| line.starts_with(begin));
@@ -55,7 +56,7 @@ fn line_of(readme: &str, begin: &str) -> Vec<String> {
     line.split_whitespace().map(str::to_owned).collect()
 }
 
-/// The same of a program that a defect may make hang: at [`LIMIT`] it is killed.
+/// The same for a program that a defect may hang: it is killed at [`LIMIT`].
 pub fn output_within_limit(command: &mut Command) -> String {
     let output = command.output_within(LIMIT).unwrap_or_else(|cause| panic!("{command:?}: {cause}"));
     let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
@@ -64,7 +65,7 @@ pub fn output_within_limit(command: &mut Command) -> String {
     said
 }
 
-/// Compiles an example by the compiler's line of the README, with only its folders and its output exchanged.
+/// Compiles an example with the compiler line of the README, in which only folders and output are replaced.
 fn compiled(language: &str, compiler: &str, name: &str, place: &Place) -> PathBuf {
     compiled_source(language, compiler, &format!("examples/{name}"), place)
 }
@@ -91,12 +92,12 @@ fn compiled_source(language: &str, compiler: &str, source: &str, place: &Place) 
     program
 }
 
-/// A Python that has the Zig compiler.
+/// Returns a Python that has the Zig compiler.
 pub fn zig() -> Option<PathBuf> {
     or_skip(&ZIG.replace("==", "-"), &[ZIG], "ziglang")
 }
 
-/// The program of an example in a language, if the language is there.
+/// Returns the program of an example in a language, if the language is available.
 fn program_of(language: &str, name: &str, place: &Place) -> Option<Command> {
     match language {
         "rust" => {
@@ -117,7 +118,7 @@ fn program_of(language: &str, name: &str, place: &Place) -> Option<Command> {
     }
 }
 
-/// Compiles an example by the compiler's line of the README; the compiler keeps what it has built before.
+/// Compiles an example with the compiler line of the README; the compiler caches its output.
 fn compiled_by_zig(python: &Path, name: &str, place: &Place) -> PathBuf {
     let program = place.path(&format!("zig_{name}"));
     let folder = library().parent().unwrap().to_str().unwrap().to_owned();
@@ -135,7 +136,7 @@ fn compiled_by_zig(python: &Path, name: &str, place: &Place) -> PathBuf {
     program
 }
 
-/// What an example printed, and the hash of the run's last tick.
+/// Runs an example; returns its output and the hash of the run's last tick.
 fn run_example(command: &mut Command, scene: &str, place: &Place) -> (String, [u64; 2]) {
     let output = place.path(&format!("out_{}", fs::read_dir(place.path("")).unwrap().count()));
     let run = Run::start(&clients().join("scenes").join(scene), output, &[]);

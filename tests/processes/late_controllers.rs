@@ -27,13 +27,13 @@ fn a_silent_controller_in_lockstep_ends_the_run_and_is_named() {
     assert!(ended.err.contains("controller `reference` did not answer tick"), "{}", ended.err);
     assert!(ended.err.contains("within 2000 ms (`run.controller_limit_ms`)"), "{}", ended.err);
     assert!(
-        ended.err.contains("waiting for controller `reference`: its answer, at most 2 s"),
+        ended.err.contains("waiting for controller `reference`: no answer yet (limit 2 s)"),
         "{}",
         ended.err
     );
     assert_nothing_left(ended.pid);
     let log = read(&ended.folder);
-    // The physics was blamed, which had done what it should.
+    // Regression: the physics was blamed, which had worked correctly.
     assert!(!ended.err.contains("died"), "{}", ended.err);
     assert!(ended.out.contains("drill (lockstep), controller_late: controller `reference`"), "{}", ended.out);
     assert_eq!(log.marker.unwrap().reason, EndReason::ControllerLate("reference".to_owned()));
@@ -41,7 +41,7 @@ fn a_silent_controller_in_lockstep_ends_the_run_and_is_named() {
     assert_replays(&ended.folder);
 }
 
-/// It was told that it "did not connect", though its command had come and was refused.
+/// Regression: it was reported that it "did not connect", although its command had arrived and was rejected.
 #[test]
 fn a_controller_whose_first_command_is_refused_is_told_why_when_its_time_is_up() {
     for (connect_limit_s, tick) in [(2.0, 0), (60.0, 1)] {
@@ -59,7 +59,7 @@ fn a_controller_whose_first_command_is_refused_is_told_why_when_its_time_is_up()
             0 => ("sent no valid command within 2 s", 1),
             _ => ("did not answer tick 1 within 2000 ms", 2),
         };
-        let why = format!("refused: command {number}: `tendon_force_n[0]` is 61, allowed is 0 to 60");
+        let why = format!("refused: command {number}: `tendon_force_n[0]` is 61; allowed: 0 to 60");
         assert!(ended.err.contains(missed) && ended.err.contains(&why), "{}", ended.err);
         assert!(ended.out.contains("controller_late: controller `pilot`"), "{}", ended.out);
         assert!(!ended.err.contains("it is external"), "{}", ended.err);
@@ -75,7 +75,7 @@ fn a_stopped_controller_in_realtime_is_held_then_safe_and_drives_again() {
     let client = Client::join(&run.session());
     let drives = |state: &State| state.burr_speed_rad_per_s > 0.0 && state.applied[0].source == SOURCE_FRESH;
     client.wait_for_state(|state| state.tick > 200 && drives(state));
-    // Whoever has been late in the second before is not said to be so again.
+    // A controller that was late in the preceding second is not reported again.
     let mut events = client.events();
     let controller = run.part("controller");
     signal(controller, Signal::STOP);
@@ -94,7 +94,7 @@ fn a_stopped_controller_in_realtime_is_held_then_safe_and_drives_again() {
     assert!(has(EVENT_COMMAND_HELD, "controller `reference` is late"), "{events:?}");
     assert!(has(EVENT_SAFE_COMMAND, "burr off"), "{events:?}");
 
-    // In the log: fresh, then held for no more than `hold_ticks`, then safe at an age above it, in every tick.
+    // In the log, at every tick: fresh, then held for at most `hold_ticks`, then safe at a larger age.
     let log = read(&ended.folder);
     assert!(log.ticks.iter().any(|tick| tick.latched.commands[0].source == SOURCE_HELD));
     for tick in &log.ticks {

@@ -1,4 +1,5 @@
-//! The viewer as Lichtblick sees it: a WebSocket client in Python, Foxglove's published schema, and the layout that is shipped.
+//! The viewer as seen by Lichtblick: a WebSocket client in Python, Foxglove's published schema, and the
+//! shipped layout.
 
 use std::path::Path;
 use std::process::Command;
@@ -39,7 +40,8 @@ fn the_layout_shows_what_is_advertised_and_the_scene_has_foxgloves_schema() {
     view.stop();
 }
 
-/// A run's own log opened as a file has no 3D scene: its topics are the exchange of the parts, nothing that a 3D panel knows.
+/// A run's own log opened as a file has no 3D scene: its topics are the messages between the parts, which no
+/// 3D panel knows.
 #[test]
 fn an_exported_file_fills_the_layouts_panels_and_its_poses_are_the_states() {
     let modules = "foxglove_schemas_protobuf, mcap_ros2, websockets";
@@ -60,7 +62,7 @@ fn an_exported_file_fills_the_layouts_panels_and_its_poses_are_the_states() {
     let said = String::from_utf8_lossy(&output.stdout).into_owned();
     assert!(output.status.success(), "{said}{}", String::from_utf8_lossy(&output.stderr));
     assert!(said.contains("ok 51 states"), "{said}");
-    // It is no log of a run, and nobody takes it for one.
+    // It is not the log of a run, and no command mistakes it for one.
     let info = trabecula(&[&"log", &"info", &file]);
     assert!(info.code != Some(0) && info.err.contains("view.mcap"), "{}{}", info.out, info.err);
     for (words, said) in [

@@ -1,4 +1,5 @@
-//! Calls of a client from signal handlers. What it hands out to Python: `clients/python/tests/test_lifetimes.py`.
+//! Client calls from signal handlers. Lifetimes of what the client returns to Python:
+//! `clients/python/tests/test_lifetimes.py`.
 
 use std::process::Command;
 
@@ -7,7 +8,7 @@ use ipc_types::session::{CONTROLLER_VARIABLE, SESSION_VARIABLE};
 use crate::common::program::{Place, assert_nothing_left};
 use crate::languages::{clients, compiled_test, output_within_limit};
 
-/// A call in the middle of another panicked inside the handler.
+/// Regression: a call in the middle of another panicked inside the handler.
 #[test]
 fn a_call_from_a_signal_handler_in_the_middle_of_another_is_refused_in_c() {
     let place = Place::new();

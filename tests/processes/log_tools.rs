@@ -57,7 +57,7 @@ fn logs_are_packed_joined_split_and_exported() {
     };
     let packed = path("packed.mcap");
     let said = run(&[&"log", &"compress", &folder, &"-o", &packed, &"--method", &"zstd", &"--level", &"3"]);
-    assert!(said.contains("the same messages"), "{said}");
+    assert!(said.contains("messages unchanged"), "{said}");
     assert_replays(&packed);
     assert!(run(&[&"log", &"diff", &folder, &packed]).contains("identical"));
 
@@ -68,13 +68,13 @@ fn logs_are_packed_joined_split_and_exported() {
     let done = trabecula(&[&"log", &"info", &path("both.mcap")]);
     assert!(done.code == Some(2) && done.err.contains("holds 2 runs"), "{}", done.err);
     let done = trabecula(&[&"log", &"split", &folder, &"-o", &path("runs of one")]);
-    assert!(done.code == Some(2) && done.err.contains("is the log of one run; expected"), "{}", done.err);
+    assert!(done.code == Some(2) && done.err.contains("contains a single run; expected"), "{}", done.err);
     assert!(!path("runs of one").exists());
 
     let field: [&str; 2] = ["--field", "t_world_tip.position_m"];
     let said = run(&[&"log", &"export", &folder, &"-o", &path("tip.csv"), &field[0], &field[1]]);
     assert!(said.contains("401 rows and 5 columns of /state"), "{said}");
-    // A range beyond the log's end is told apart from one within it.
+    // A range beyond the log's end is distinguished from one within it.
     let said = run(&[&"log", &"export", &folder, &"-o", &path("none.csv"), &"--from", &"401"]);
     assert!(said.contains(": 0 rows"), "{said}");
     assert_eq!(fs::read_to_string(path("tip.csv")).unwrap().lines().count(), 402);
@@ -100,11 +100,11 @@ fn logs_are_packed_joined_split_and_exported() {
     let lines =
         run(&[&"log", &"cat", &folder, &"--topic", &"/state", &"--from-s", &"0.1", &"--to-s", &"0.105"]);
     assert_eq!(lines.lines().count(), 6);
-    // A range beyond the end printed nothing, as if the run had no states.
+    // Regression: a range beyond the end printed nothing, as if the run had no states.
     let beyond = trabecula(&[&"log", &"cat", &folder, &"--topic", &"/state", &"--from", &"90000"]);
     assert_eq!((beyond.code, beyond.out.as_str()), (Some(0), ""));
     assert!(
-        beyond.err.contains("no message is in this range; the last one of these topics is of tick"),
+        beyond.err.contains("no messages in this range; the last message on these topics is at tick"),
         "{}",
         beyond.err
     );
@@ -171,7 +171,7 @@ fn the_drilled_ct_is_written_while_the_run_goes_on() {
     signal(run.pid(), Signal::INT);
     let ended = run.end();
     assert_eq!(ended.code, Some(130), "{}", ended.err);
-    // No file is written over.
+    // No file is overwritten.
     let before = fs::read(&file).unwrap();
     let done = drilled(&[], &ended.folder);
     assert!(done.code == Some(2) && done.err.contains("drilled.nrrd: already exists"), "{}", done.err);

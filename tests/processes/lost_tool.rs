@@ -9,7 +9,7 @@ use crate::common::program::{BusyLoops, LIMIT, Place, assert_nothing_left, trabe
 use crate::common::scenes;
 use crate::strays::joined;
 
-/// Pulls the tendon as hard as may be; how the session ends.
+/// Pulls the tendon as hard as permitted; returns how the session ends.
 fn pull_until_it_ends(client: &mut Client) -> ClientError {
     loop {
         match client.wait_state(LIMIT) {
@@ -26,7 +26,8 @@ fn pull_until_it_ends(client: &mut Client) -> ClientError {
     }
 }
 
-/// Both values are within their ranges. The tip came to 1e110 mm, and the run was "completed" with exit code 0.
+/// Regression: both values are within their ranges. The tip reached 1e110 mm, and the run was "completed"
+/// with exit code 0.
 #[test]
 fn a_lost_tool_ends_the_run_with_its_own_outcome_and_replays_to_the_same_end() {
     let place = Place::new();
@@ -52,15 +53,16 @@ fn a_lost_tool_ends_the_run_with_its_own_outcome_and_replays_to_the_same_end() {
     assert!(summary.contains(&format!("simulation_failed: {reason}")), "{summary}");
 
     let out = assert_replays(&ended.folder);
-    assert!(out.contains(&format!("then the simulation fails as it did in the run: {reason}")), "{out}");
+    assert!(out.contains(&format!("then the simulation fails as in the run: {reason}")), "{out}");
     let again = place.path("again");
     let recorded = trabecula(&[&"replay", &ended.folder, &"--output", &again]);
     assert_eq!(recorded.code, Some(0), "{}{}", recorded.out, recorded.err);
     assert_eq!(verify(&again).code, Some(0));
 }
 
-/// The recorder looks every two milliseconds, and a tool may be lost within one: of a physics process that was gone by then it could read no
-/// commands, in 10 of 120 runs beside three busy programs.
+/// Regression: the recorder polls every two milliseconds, and a tool may be lost within one. It could not
+/// read the commands of a physics process that had ended by then, in 10 of 120 runs next to three busy
+/// programs.
 #[test]
 fn a_log_is_whole_however_soon_the_simulation_fails() {
     let busy = BusyLoops::start(3);

@@ -1,6 +1,6 @@
 //! The whole program, process by process: runs, replays, ends, bad input, foreign clients.
 //!
-//! Every test starts the built `trabecula` in a folder of its own with a scene that it writes itself. Nothing here
+//! Every test starts the built `trabecula` in its own folder with a scene that it writes itself. No test
 //! asserts a wall-clock time; limits only keep a broken run from hanging the tests.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, missing_docs)]
 

@@ -1,4 +1,5 @@
-//! A model that is not valid during a run says so once: as an event, in the table at the end, in `summary.json`.
+//! A model that becomes invalid during a run is reported once: as an event, in the final table, in
+//! `summary.json`.
 
 use std::fs;
 
@@ -8,7 +9,8 @@ use serde_json::Value;
 use crate::common::logs::{assert_replays, events, read};
 use crate::common::program::Place;
 
-/// The standard tool in moment modes, held at a tension. Its softest flexure reaches its stop at 10.7 N.
+/// The standard tool with the moment modes, held at a tension. Its softest flexure reaches its stop at 10.7
+/// N.
 fn held(tension_n: f64) -> String {
     format!(
         "name = \"held\"\n[run]\nmode = \"lockstep\"\nduration_s = 0.4\nseed = 7\n[manipulator]\nmodel = \"modal\"\n\
@@ -33,7 +35,7 @@ fn modes_on_stops_are_one_event_a_warning_and_a_count() {
     let bends = first.joint_position_rad.iter().map(|q| q.abs()).enumerate();
     let (farthest, _) = bends.max_by(|a, b| a.1.total_cmp(&b.1)).unwrap();
     let which = format!(
-        "flexure {} from the base is, by {:.3} degrees",
+        "flexure {} from the base is {:.3} degrees past it",
         farthest + 1,
         first.stop_excess_rad.to_degrees()
     );

@@ -1,4 +1,4 @@
-//! CTs whose axes are not quite perpendicular, or which lie on no grid that a volume may have.
+//! CTs whose axes are not quite perpendicular, or whose grid no volume may have.
 
 use std::fs;
 
@@ -15,7 +15,7 @@ fn write_ct(place: &Place, geometry: &str) {
     fs::write(place.path("ct.nrrd"), bytes).unwrap();
 }
 
-/// What each command that reads a CT says of it; they must agree.
+/// Returns whether the commands that read a CT accept it; they must agree.
 fn all_take_it(geometry: &str) -> bool {
     let place = Place::new();
     write_ct(&place, geometry);
@@ -42,7 +42,8 @@ fn all_take_it(geometry: &str) -> bool {
     is_taken
 }
 
-/// From 1e-5 to 1e-4 `volume info`, `scene check` and `drr` took it, and `run` died when its folder was made and its parts were there.
+/// Regression: from 1e-5 to 1e-4 `volume info`, `scene check` and `drr` accepted it, and `run` died once its
+/// folder and its parts existed.
 #[test]
 fn a_ct_is_taken_or_refused_by_every_command_alike_however_far_its_axes_are_off() {
     for (cosine, taken) in [(1e-6, true), (2e-5, true), (9.9e-5, true), (1.01e-4, false), (1e-2, false)] {
@@ -52,7 +53,8 @@ fn a_ct_is_taken_or_refused_by_every_command_alike_however_far_its_axes_are_off(
     }
 }
 
-/// So it was with voxels of 0.2 m or 0.5 µm, and with a CT 200 m away: the X-ray refused what the readers took.
+/// Regression: the same with voxels of 0.2 m or 0.5 µm, and with a CT 200 m away: the X-ray rejected what the
+/// readers accepted.
 #[test]
 fn a_ct_of_absurd_voxels_or_far_away_is_refused_by_every_command_alike() {
     let directions = |mm: f64| format!("({mm:?},0,0) (0,{mm:?},0) (0,0,{mm:?})");

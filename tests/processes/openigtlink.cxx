@@ -1,6 +1,6 @@
-// A program of the operating room, with the OpenIGTLink project's own C++ library, which knows nothing of Trabecula: it checks every
-// message's CRC, notes the newest of each kind, shows its token, pauses, resumes and stops the run, and asks for something that nobody
-// understands. Arguments: port, token. Prints what it saw as JSON.
+// A program as in an operating room, independent of Trabecula, with the OpenIGTLink project's own C++ library: it checks every
+// message's CRC, records the newest of each kind, sends its token, pauses, resumes and stops the run, and sends an unknown
+// command. Arguments: port, token. Prints its results as JSON.
 
 #include <chrono>
 #include <cstdint>
@@ -165,7 +165,7 @@ void Peer::see_image(igtl::ImageMessage::Pointer message) {
   message->GetSpacing(spacing);
   message->GetMatrix(matrix);
   if (message->GetScalarType() != igtl::ImageMessage::TYPE_UINT16 || message->GetNumComponents() != 1) fail("an image not of uint16");
-  // FNV-1a over the bytes as they were sent.
+  // FNV-1a over the bytes as sent.
   uint64_t hash = 0xcbf29ce484222325u;
   const unsigned char *bytes = static_cast<const unsigned char *>(message->GetScalarPointer());
   for (int i = 0; i < message->GetImageSize(); ++i) hash = (hash ^ bytes[i]) * 0x100000001b3u;
@@ -224,7 +224,7 @@ void Peer::see_path(igtl::PolyDataMessage::Pointer message) {
 
 void Peer::see_text(const std::string &device, const std::string &text, const std::string &time) {
   strings[device] = text;
-  // A line of figures and a pose with the same time are of the same state.
+  // A line of figures and a pose with the same time belong to the same state.
   const auto burr = poses.find("BurrToRAS");
   if (device == "State" && burr != poses.end() && burr->second.time == time)
     state_pair = "{\"state\":" + quoted(text) + ",\"burr\":" + burr->second.matrix + "}";
@@ -266,9 +266,9 @@ int main(int argc, char **argv) {
   peer.say("Command", "pause");
   peer.until("refusal without the token", [&] { return heard("send the control token first"); });
   peer.say("Token", argv[2]);
-  peer.until("permission", [&] { return heard("this connection may control"); });
+  peer.until("permission", [&] { return heard("control granted to this connection"); });
   peer.say("Command", "jump");
-  peer.until("refusal of an unknown command", [&] { return heard("jump is none of pause, resume, stop, halt"); });
+  peer.until("refusal of an unknown command", [&] { return heard("unknown command jump; expected pause, resume, stop or halt"); });
   peer.say("Command", "pause");
   peer.until("pause", [&] { return phase("paused"); });
   peer.say("Command", "resume");

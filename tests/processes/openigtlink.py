@@ -1,5 +1,6 @@
-"""A program of Slicer's side, with the PyPI package `pyigtl`, which knows nothing of Trabecula: it watches the tip, sends a plan, takes
-an X-ray, pauses, resumes and stops the run. Arguments: port, token, target in RAS and mm. Prints what it saw as JSON."""
+"""A program on Slicer's side, independent of Trabecula, with the PyPI package `pyigtl`: it follows the tip, sends a plan,
+takes an X-ray, pauses, resumes and stops the run. Arguments: port, token, target in RAS and mm. Prints its results as
+JSON."""
 
 import json
 import sys
@@ -60,7 +61,7 @@ client.send_message(pyigtl.PointMessage([list(target_mm)], names=["Target"], dev
 arrived_mm = until("arrival", lambda: tip_mm() if np.linalg.norm(tip_mm() - target_mm) < 0.3 else None)
 seen["arrived_mm"] = [float(v) for v in arrived_mm]
 
-# From the side: +z to the source along +x of RAS, rows down.
+# Lateral: +z toward the source along +x of RAS, rows down.
 c_arm = np.array([[0.0, 0.0, 1.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, -20.0], [0.0, 0.0, 0.0, 1.0]])
 client.send_message(pyigtl.TransformMessage(c_arm, device_name="CArmToRAS"))
 

@@ -1,4 +1,4 @@
-//! `trabecula bridge igtl`, with peers that are not ours.
+//! `trabecula bridge igtl`, with independent peers.
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
@@ -30,7 +30,7 @@ pixel_pitch_mm = 1.5
 threads = 1
 ";
 
-/// A bridge that has said where it listens.
+/// A bridge that has announced its port.
 struct Bridge {
     process: Guarded,
     port: u16,
@@ -56,12 +56,12 @@ impl Bridge {
         stream
     }
 
-    /// Its exit code, once its session is over.
+    /// Returns its exit code, once its session is over.
     fn end(self) -> Option<i32> {
         self.end_and_words().0
     }
 
-    /// The same, and what it said last.
+    /// The same, with its last output.
     fn end_and_words(mut self) -> (Option<i32>, String) {
         let code = wait_for("the bridge's end", || self.process.0.try_wait().unwrap()).code();
         let mut said = String::new();
@@ -87,7 +87,8 @@ fn a_slicer_program_plans_drills_looks_pauses_and_stops_and_the_log_replays() {
     let file = token.to_str().unwrap();
     let drive = ["--controller", "pilot", "--control-token-file", file, "--feed", "5", "--burr", "8000"];
     let bridge = Bridge::start(&run.session(), &drive);
-    // The tip starts at (0, 0, -30.75) mm, bone begins at z = -27.5 mm; RAS differs from LPS in the signs of x and y.
+    // The tip starts at (0, 0, -30.75) mm, bone begins at z = -27.5 mm; RAS differs from LPS in the signs of
+    // x and y.
     let target_mm = ["0", "0", "-25"];
     let mut peer = Command::new(python);
     peer.arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/processes/openigtlink.py"));
@@ -126,7 +127,7 @@ fn reference_peer(place: &Place) -> Option<Command> {
     Some(peer)
 }
 
-/// FNV-1a, as the peer computes it of the bytes of an image.
+/// FNV-1a, as computed by the peer from the bytes of an image.
 fn fnv1a(bytes: &[u8]) -> u64 {
     let step = |hash: u64, byte: &u8| (hash ^ u64::from(*byte)).wrapping_mul(0x100_0000_01b3);
     bytes.iter().fold(0xcbf2_9ce4_8422_2325, step)
@@ -136,7 +137,7 @@ fn floats(value: &Value) -> Vec<f64> {
     value.as_array().unwrap().iter().map(|one| one.as_f64().unwrap()).collect()
 }
 
-/// Compares what came by wire, in single precision, with what should have come.
+/// Compares received numbers, in single precision, with the expected ones.
 fn assert_close(what: &str, got: &Value, wanted: &[f64]) {
     let got = floats(got);
     let off = |(a, b): (&f64, &f64)| (a - b).abs() > 1e-6 * b.abs().max(1.0);
@@ -144,7 +145,8 @@ fn assert_close(what: &str, got: &Value, wanted: &[f64]) {
     assert!(!got.iter().zip(wanted).any(off), "{what}: {got:?}, expected {wanted:?}");
 }
 
-/// The library takes an image's last column as its centre, in millimetres of the axes that the message names: RAS.
+/// The library takes an image's last column as its centre, in millimetres along the axes named by the
+/// message: RAS.
 fn assert_image(image: &Value, records: &[FrameRecord]) {
     let wanted = image["fnv1a"].as_str().unwrap();
     let record = records.iter().find(|record| fnv1a(&record.pixels).to_string() == wanted);
@@ -178,7 +180,7 @@ fn the_projects_own_cpp_library_reads_every_message_and_is_obeyed() {
     let seen: Value = serde_json::from_str(&output_within_limit(&mut peer)).unwrap();
     let (code, said) = bridge.end_and_words();
     assert_eq!(code, Some(0));
-    assert!(said.contains("2 of peers refused"), "one without the token, one unknown: {said}");
+    assert!(said.contains("2 incoming messages rejected"), "one without the token, one unknown: {said}");
     let ended = run.end();
     assert_eq!(ended.code, Some(0), "{}", ended.err);
 
@@ -194,7 +196,7 @@ fn the_projects_own_cpp_library_reads_every_message_and_is_obeyed() {
         (&Value::from(360), &Value::from(348))
     );
     assert_eq!(seen["surface"]["valid"], true);
-    // 20 mm straight on from the start, a point every 0.25 mm, all in one line.
+    // 20 mm straight ahead from the start, a point every 0.25 mm, all in one line.
     assert_eq!((&seen["path"]["points"], &seen["path"]["of_line"]), (&Value::from(81), &Value::from(81)));
     assert_close("the planned path's start", &seen["path"]["first_mm"], &[0.0, 0.0, -34.0]);
     assert_close("the planned path's end", &seen["path"]["last_mm"], &[0.0, 0.0, -14.0]);
@@ -233,9 +235,9 @@ fn what_a_peer_must_not_do_is_refused_and_counted_and_the_run_goes_on() {
     huge.write_all(&announced).unwrap();
     let _ = huge.read_to_end(&mut rest);
 
-    // Reads nothing of some MB a second: its messages are replaced, and nobody waits for it.
+    // Reads nothing of several MB per second: its messages are replaced, and no other peer waits for it.
     let deaf = bridge.peer();
-    // Never ends what it begins, and costs no more than its thread.
+    // Never completes a message, and costs only its thread.
     let mut dawdler = bridge.peer();
     dawdler.write_all(&bytes()[..60]).unwrap();
     let mut watcher = bridge.peer();
@@ -255,14 +257,12 @@ fn what_a_peer_must_not_do_is_refused_and_counted_and_the_run_goes_on() {
     assert_eq!(code, Some(0));
     drop((deaf, dawdler));
     let told = String::from_utf8_lossy(&heard);
-    for refusal in
-        ["this bridge only shows the run", "CRC-64", "not the token of this bridge", "jump is none of"]
-    {
+    for refusal in ["this bridge is read-only", "CRC-64", "Token: wrong token", "unknown command jump"] {
         assert!(told.contains(refusal), "`{refusal}` was not said");
     }
     // Garbage, a huge body, a wrong CRC, a command and a token without permission, an unknown command.
-    assert!(said.contains("5 peers; ") && said.contains(" 6 of peers refused"), "{said}");
-    assert!(!said.contains("; 0 messages replaced"), "{said}");
+    assert!(said.contains("5 peers; ") && said.contains(" 6 incoming messages rejected"), "{said}");
+    assert!(!said.contains("; 0 outgoing messages superseded"), "{said}");
     assert_nothing_left(ended.pid);
 }
 

@@ -1,4 +1,4 @@
-//! What a launcher that is killed leaves: nothing that runs, and a log that holds everything.
+//! A killed launcher leaves nothing running, and a complete log.
 
 use std::os::fd::OwnedFd;
 use std::os::unix::net::UnixStream;
@@ -15,12 +15,12 @@ use crate::common::logs::{assert_replays, read};
 use crate::common::program::{Place, parts_of, session_folder, shared_memory_of, signal, wait_for};
 use crate::common::scenes;
 
-/// A number of seconds that no other process sleeps.
+/// Returns a number of seconds that no other process sleeps.
 fn unmistakable(kind: u32) -> String {
     format!("8{kind}{:05}.{:03}", std::process::id() % 100_000, fastrand::u32(..1000))
 }
 
-/// Processes that have one of these words in their command line.
+/// Returns the processes that have one of these words in their command line.
 fn processes_with(words: &[String]) -> Vec<String> {
     let line = |entry: std::fs::DirEntry| {
         let line = std::fs::read(entry.path().join("cmdline")).ok()?;
@@ -30,7 +30,8 @@ fn processes_with(words: &[String]) -> Vec<String> {
     std::fs::read_dir("/proc").unwrap().flatten().filter_map(line).collect()
 }
 
-/// A program that starts others in every way that leaves its group, its session, its parent or its environment.
+/// A program that starts others in every way that leaves its group, its session, its parent or its
+/// environment.
 fn with_descendants(mode: &str, times: &[String; 4]) -> String {
     let [child, daemon, bare, own] = times;
     let script = format!(
@@ -42,7 +43,7 @@ fn with_descendants(mode: &str, times: &[String; 4]) -> String {
     scenes::hold(mode, 600.0) + &program
 }
 
-/// A parent-death signal reaches one generation: a controller's own children stayed.
+/// Regression: a parent-death signal reaches one generation; a controller's own children stayed.
 fn descendants_end(end: impl Fn(&crate::common::program::Run)) {
     let times = [0, 1, 2, 3].map(unmistakable);
     let place = Place::new();
@@ -72,7 +73,7 @@ fn a_grandchild_ends_with_an_interrupted_run() {
     descendants_end(|run| signal(run.pid(), Signal::INT));
 }
 
-/// It counted as init's, and stayed for ever.
+/// Regression: it was reparented to init, and stayed forever.
 #[test]
 fn a_grandchild_ends_with_a_killed_keeper_and_the_run_goes_on() {
     let times = [0, 1, 2, 3].map(unmistakable);
@@ -102,7 +103,7 @@ fn a_grandchild_ends_with_a_killed_keeper_and_the_run_goes_on() {
         }
     }
     let left = all();
-    // A test that fails leaves nothing, either.
+    // A failing test leaves nothing, either.
     left.iter().for_each(|pid| signal(*pid, Signal::KILL));
     assert!(left.is_empty(), "{left:?} of the keeper {keeper}");
     let tick = client.wait_for_state(|_| true).tick;
@@ -139,8 +140,8 @@ fn a_grandchild_ends_with_its_program_and_the_run_goes_on() {
     assert!(said.contains("ended (signal: 9 (SIGKILL))"), "{said}");
 }
 
-/// Programs that each start the next and end. A look through `/proc` misses one that was started after the numbers were
-/// listed by one that ended before its entry was read: 6 of 200 such relays ran on.
+/// Programs that each start the next and end. Regression: a scan of `/proc` misses a program that was started
+/// after the listing by one that ended before its entry was read: 6 of 200 such chains kept running.
 #[test]
 fn a_relay_of_programs_ends_with_the_program_that_began_it() {
     let folder = tempfile::tempdir().unwrap();
@@ -164,7 +165,7 @@ fn a_relay_of_programs_ends_with_the_program_that_began_it() {
     }
 }
 
-/// Killed at any line of its start, the launcher leaves nothing that runs, and the next run removes the rest.
+/// Killed at any line of its start, the launcher leaves nothing running, and the next run removes the rest.
 #[test]
 fn a_launcher_that_is_killed_while_it_starts_leaves_nothing() {
     let mut random = Rng::with_seed(9);
@@ -188,7 +189,7 @@ fn a_launcher_that_is_killed_while_it_starts_leaves_nothing() {
     }
 }
 
-/// Stops a process while it computes, and does not wait for anybody: a physics is then most likely in its step. Where the
+/// Stops a process while it computes rather than waits: a physics is then most likely in its step. If the
 /// system does not show that (proc_pid_syscall(5)), at any moment.
 fn stop_at_work(process: u32, random: &mut Rng) {
     for _ in 0..1000 {
@@ -208,7 +209,7 @@ fn stop_at_work(process: u32, random: &mut Rng) {
     }
 }
 
-/// Recorder and physics were ended at the same moment, and the last tick was in no log.
+/// Regression: recorder and physics were ended at the same moment, and the last tick was in no log.
 #[test]
 fn a_killed_launcher_costs_no_published_tick() {
     let mut random = Rng::with_seed(22);

@@ -1,4 +1,4 @@
-//! What commands do with an output that already exists: they refuse it, whatever it is, before their work.
+//! Commands reject an output that already exists, whatever it is, before they do their work.
 
 use std::ffi::OsStr;
 use std::fs;
@@ -7,10 +7,10 @@ use std::path::{Path, PathBuf};
 use crate::common::program::{Place, trabecula};
 use crate::common::scenes;
 
-/// What was in a file before a command.
+/// Content of a file before a command.
 const MINE: &[u8] = b"a user's own work";
 
-/// Names and contents of all that lies below a folder.
+/// Returns names and contents of everything below a folder.
 fn contents(folder: &Path) -> Vec<(PathBuf, Vec<u8>)> {
     let (mut found, mut folders) = (Vec::new(), vec![folder.to_owned()]);
     while let Some(folder) = folders.pop() {
@@ -37,7 +37,7 @@ fn row(place: &Place, words: &str, files: &'static [&'static str]) -> Row {
     Row { words, files }
 }
 
-/// Every command with an output; `src/output.rs` holds this list against the commands that there are.
+/// Every command with an output; `src/output.rs` compares this list with the existing commands.
 fn table(place: &Place) -> Vec<Row> {
     let row = |words: &str, files| row(place, words, files);
     vec![
@@ -84,7 +84,8 @@ fn run(words: &[String]) -> crate::common::program::Done {
     trabecula(&words)
 }
 
-/// `drr` wrote over everything, its own CT too; `calibrate` over what it had written before.
+/// Regression: `drr` overwrote everything, including its own CT; `calibrate` overwrote its own earlier
+/// output.
 #[test]
 fn no_command_writes_over_a_file_that_is_there() {
     let place = Place::new();
@@ -112,7 +113,7 @@ fn no_command_writes_over_a_file_that_is_there() {
         for file in row.files {
             let file = place.path(file);
             fs::create_dir_all(file.parent().unwrap()).unwrap();
-            // A file, and a link that leads nowhere: what would be written through it is elsewhere.
+            // A file, and a dangling link: writing through it would create a file elsewhere.
             for is_link in [false, true] {
                 match is_link {
                     false => fs::write(&file, MINE).unwrap(),
@@ -156,7 +157,8 @@ fn no_command_writes_over_its_own_input() {
     assert_eq!(fs::read(&slice).unwrap(), MINE);
 }
 
-/// The names of exported pictures are known only when they come: those of before stay, and those of this command go.
+/// The names of exported pictures are known only when they are written: existing ones stay, and those of this
+/// command are removed.
 #[test]
 fn exported_pictures_replace_none_and_leave_none_of_a_refused_export() {
     let place = Place::new();

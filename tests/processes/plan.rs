@@ -1,4 +1,4 @@
-//! A scene's tolerance: the choice, the run made with it, and the error that it really made.
+//! A scene's tolerance: the choice, a run with it, and the actual error of the run.
 
 use std::process::Stdio;
 
@@ -33,7 +33,7 @@ fn a_run_within_a_tolerance_is_recorded_as_resolved_and_its_error_is_checked() {
     assert!(checked.out.contains("path error") && checked.out.contains("kept"), "{}", checked.out);
 }
 
-/// The choice stood before the first line of JSON.
+/// Regression: the choice was printed before the first line of JSON.
 #[test]
 fn scripts_read_json_whatever_was_chosen() {
     let place = Place::new();
@@ -53,7 +53,7 @@ fn a_path_that_was_off_by_more_than_the_tolerance_fails_its_check() {
     let named = scenes::hold("lockstep", 0.5) + "[manipulator]\nmodel = \"constant_curvature\"\n";
     let run = place.complete(&with_tolerance(&named, "path_mm = 30.0"));
     let stricter = place.path("stricter.mcap");
-    // The arc starts its swing as the beam does not: it is off by more than a micrometre.
+    // The arc starts its swing differently from the beam: it deviates by more than a micrometre.
     rewrite_as(
         &run.folder.join("run.mcap"),
         &stricter,
@@ -66,8 +66,8 @@ fn a_path_that_was_off_by_more_than_the_tolerance_fails_its_check() {
     assert!(checked.err.contains("`tolerance.path_mm` allows 0.001"), "{}", checked.err);
 }
 
-/// The errors of another tool are measured on first use and kept; a damaged table is said and measured again, and without a cache it is said
-/// that nothing is kept.
+/// The errors of another tool are measured on first use and cached; a damaged table is reported and measured
+/// again, and without a cache it is reported that nothing is kept.
 #[test]
 fn a_tool_of_the_scenes_own_is_measured_once() {
     let place = Place::new();
@@ -94,10 +94,10 @@ fn a_tool_of_the_scenes_own_is_measured_once() {
     let [file] = &files[..] else { panic!("{files:?}") };
     std::fs::write(file, "no table").unwrap();
     let (again, err) = plan(&[], Some(&xdg));
-    assert!(again == first && err.contains("it has another checksum; it is measured again"), "{err}");
+    assert!(again == first && err.contains("wrong checksum; measuring it again"), "{err}");
     let (list, err) = plan(&["--list"], Some(&xdg));
     assert!(list.starts_with("rung,links,") && list.contains("\nplanar,8,hybrid,1,planes,,,,,"), "{list}");
     assert_eq!(err, "");
     let (unkept, err) = plan(&[], None);
-    assert!(unkept == first && err.contains("are not kept: neither XDG_CACHE_HOME nor HOME"), "{err}");
+    assert!(unkept == first && err.contains("cannot be cached: neither XDG_CACHE_HOME nor HOME"), "{err}");
 }

@@ -1,4 +1,4 @@
-//! The page of a scene before its run: places are moved, and a scene is saved, only beside the one that was opened.
+//! The page of a scene before its run: positions are moved, and a scene is saved only under a new name.
 
 use std::fs;
 
@@ -36,7 +36,7 @@ fn a_moved_place_is_told_with_what_follows_and_refused_in_the_words_of_scene_che
     let told = view.subscribe("/view/info");
     let before: Value = serde_json::from_slice(&view.next(told)).unwrap();
     assert_eq!(before["plan"]["places"]["target_mm"], json!([4.0, 0.0, -15.0]));
-    // A circle from (0, 0, -33) along z to 6 mm beside and 18 mm ahead.
+    // A circle from (0, 0, -33) along z to 6 mm to the side and 18 mm ahead.
     assert_eq!(moved(&mut view, json!({"target_mm": [6.0, 0.0, -15.0]})), json!({"ok": true}));
     let after: Value = serde_json::from_slice(&view.next(told)).unwrap();
     assert_eq!(after["plan"]["places"]["target_mm"], json!([6.0, 0.0, -15.0]));
@@ -59,14 +59,14 @@ fn a_moved_place_is_told_with_what_follows_and_refused_in_the_words_of_scene_che
     assert_eq!(of_command.code, Some(2));
     let words = of_page.strip_prefix(file.to_str().unwrap()).unwrap();
     assert!(
-        words.contains("allowed is") && of_command.err.trim_end().ends_with(words),
+        words.contains("allowed:") && of_command.err.trim_end().ends_with(words),
         "{words}\n{}",
         of_command.err
     );
-    assert!(error(&moved(&mut view, json!({"isocentre_mm": [0, 0, 0]}))).contains("no `[drr]`"));
+    assert!(error(&moved(&mut view, json!({"isocentre_mm": [0, 0, 0]}))).contains("missing `[drr]`"));
     assert!(error(&moved(&mut view, json!({"target_mm": [0.0]}))).contains("malformed request"));
 
-    // Observers change nothing.
+    // Observers cannot change anything.
     let token = std::mem::replace(&mut view.token, "0".repeat(32));
     for body in
         [json!({"action": "restore"}), json!({"action": "run"}), json!({"action": "save", "name": "a"})]
@@ -74,7 +74,7 @@ fn a_moved_place_is_told_with_what_follows_and_refused_in_the_words_of_scene_che
         assert!(error(&view.call(PLAN, body)).contains("wrong token"));
     }
     view.token = token;
-    assert!(error(&view.call(PLAN, json!({"action": "run"}))).contains("not saved"));
+    assert!(error(&view.call(PLAN, json!({"action": "run"}))).contains("unsaved changes"));
     assert_eq!(view.call(PLAN, json!({"action": "restore"})), json!({"ok": true}));
     let restored: Value = serde_json::from_slice(&view.next(told)).unwrap();
     assert_eq!(restored["plan"]["places"], before["plan"]["places"]);
@@ -91,7 +91,7 @@ fn a_scene_is_saved_beside_the_one_that_was_opened_and_over_nothing_unasked() {
     let mut view = View::start(&[&file], None);
     assert_eq!(moved(&mut view, json!({"target_mm": [4.5, 0.0, -15.0]})), json!({"ok": true}));
     for name in ["../out.toml", "/tmp/out.toml", ".out.toml", "", "a/b.toml", "a\n.toml"] {
-        assert!(error(&saved(&mut view, name, true)).contains("the name is"), "{name:?}");
+        assert!(error(&saved(&mut view, name, true)).contains("invalid name"), "{name:?}");
     }
     let edited = folder.join("edited.toml");
     assert_eq!(saved(&mut view, "edited", false), json!({"ok": true, "path": edited}));
@@ -103,7 +103,8 @@ fn a_scene_is_saved_beside_the_one_that_was_opened_and_over_nothing_unasked() {
     let checked = trabecula(&[&"scene", &"check", &edited]);
     assert_eq!(checked.code, Some(0), "{}", checked.err);
 
-    // What is there stays until its replacement is confirmed; the original stays anyway, under any of its names.
+    // An existing file stays until its replacement is confirmed; the original stays anyway, under any of its
+    // names.
     let other = place.path("other.toml");
     fs::write(&other, "other").unwrap();
     std::os::unix::fs::symlink(&other, folder.join("link.toml")).unwrap();
@@ -118,7 +119,7 @@ fn a_scene_is_saved_beside_the_one_that_was_opened_and_over_nothing_unasked() {
     }
     assert_eq!(fs::read_to_string(&other).unwrap(), "other", "a link was followed");
     for name in ["scene.toml", "same.toml"] {
-        assert!(error(&saved(&mut view, name, true)).contains("stays as it is"), "{name}");
+        assert!(error(&saved(&mut view, name, true)).contains("never overwritten"), "{name}");
     }
     assert_eq!(fs::read_to_string(&file).unwrap(), SCENE);
     let mut names: Vec<_> = fs::read_dir(&folder).unwrap().map(|entry| entry.unwrap().file_name()).collect();

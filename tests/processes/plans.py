@@ -1,8 +1,8 @@
-"""3D Slicer's side of a plan, with the PyPI packages `slicerio`, `trimesh` and `vtk`, which know nothing of Trabecula.
+"""3D Slicer's side of a plan, independent of Trabecula, with the PyPI packages `slicerio`, `trimesh` and `vtk`.
 
     plans.py plan FOLDER FRAME          curve.mrk.json, line.fcsv, deep.fcsv in FRAME (RAS or LPS); prints the targets in LPS
     plans.py segment CT SEG             CT's bone (150 HU and more) as the segment `hip bone` of the .seg.nrrd SEG
-    plans.py read FOLDER                what a run was exported to; prints figures of it
+    plans.py read FOLDER                reads the exports of a run; prints figures of them
 """
 
 import csv
@@ -13,7 +13,8 @@ from pathlib import Path
 import numpy as np
 import slicerio
 
-# The pilot hole of configs/pelvis_ct.toml, LPS: from the lateral cortex through the neck into the right femoral head.
+# The pilot hole of configs/pelvis_ct.toml, LPS: from the lateral cortex through the neck into the right
+# femoral head.
 ENTRY, BEND = np.array([-150.2, -135.1, 101.5]), np.array([-99.1, -143.6, 116.6])
 
 

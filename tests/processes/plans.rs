@@ -1,4 +1,4 @@
-//! Plans of 3D Slicer in, results out, with peers that are not ours: `slicerio`, `trimesh`, `vtk`, `nibabel`.
+//! Plans from 3D Slicer, and results for independent peers: `slicerio`, `trimesh`, `vtk`, `nibabel`.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -11,7 +11,7 @@ use crate::common::logs::{assert_replays, read};
 use crate::common::program::{Ended, Place, Run, trabecula};
 use crate::languages::output_within_limit;
 
-/// How far from its target a planned drilling may end, mm: what the issue asks for.
+/// Largest distance from its target at which a planned drilling may end, mm, as the issue requires.
 const WITHIN_MM: f64 = 1.0;
 
 fn slicer() -> Option<PathBuf> {
@@ -41,7 +41,7 @@ fn apart(a: [f64; 3], b: [f64; 3]) -> f64 {
     (0..3).map(|axis| (a[axis] - b[axis]).powi(2)).sum::<f64>().sqrt()
 }
 
-/// Makes a scene of a plan, runs it, and returns how far from the target the burr ended, mm.
+/// Creates a scene from a plan, runs it, and returns the distance of the burr's end from the target, mm.
 fn drilled(place: &Place, plan: &str, ct: &Path, target_mm: [f64; 3]) -> (Ended, f64) {
     let scene = place.path("scene.toml");
     let done =
@@ -82,7 +82,7 @@ fn a_plan_of_slicer_is_drilled_to_its_target_and_what_was_made_opens_there() {
     }
 }
 
-/// Where the CT of `configs/pelvis_ct.toml` lies.
+/// Uses the position of the CT of `configs/pelvis_ct.toml`.
 #[test]
 fn a_plan_of_slicer_on_a_real_ct_is_drilled_to_its_target() {
     let data = std::env::var_os("TRABECULA_SHARED_DATA")
@@ -100,7 +100,7 @@ fn a_plan_of_slicer_on_a_real_ct_is_drilled_to_its_target() {
     assert!(off_mm < WITHIN_MM, "{off_mm} mm off the target");
 }
 
-/// Exports everything that a log has, and compares what the peers read.
+/// Exports everything in a log, and compares what the peers read.
 fn assert_exports(python: &Path, place: &Place, log: &Path, target_mm: [f64; 3], off_mm: f64) {
     let folder = place.path("results");
     std::fs::create_dir(&folder).unwrap();
@@ -131,13 +131,13 @@ fn assert_exports(python: &Path, place: &Place, log: &Path, target_mm: [f64; 3],
     let seen = peer(python, &[&"read", &folder]);
     println!("{tunnel}\n{deviation}\n{seen}");
 
-    // The surface rounds off the edges of voxels: in voxels of 1 mm, of a tunnel of 7 mm, by less than 8 %.
+    // The surface rounds off the edges of voxels: for voxels of 1 mm and a tunnel of 7 mm, by less than 8 %.
     let (removed_mm3, surface_mm3) =
         (tunnel["removed_volume_mm3"].as_f64().unwrap(), tunnel["surface_volume_mm3"].as_f64().unwrap());
     assert!((0.92..=1.0).contains(&(surface_mm3 / removed_mm3)), "{surface_mm3} of {removed_mm3} mm³");
     for ending in ["stl", "obj", "vtp"] {
         let theirs = seen[format!("tunnel.{ending}")]["volume_mm3"].as_f64().unwrap();
-        // STL and trimesh hold single precision; vtkMassProperties averages three projections.
+        // STL and trimesh use single precision; vtkMassProperties averages three projections.
         assert!((theirs / surface_mm3 - 1.0).abs() < 1e-3, "{ending}: {theirs} {surface_mm3}");
     }
     let volumes =
@@ -188,7 +188,7 @@ fn a_segment_of_slicer_is_bone_by_its_name() {
     );
     let checked = trabecula(&[&"scene", &"check", &scene]);
     assert_eq!(checked.code, Some(0), "{}", checked.err);
-    // Drilled, too: bone of the segment goes, and the log replays from the same file.
+    // Drilled, too: bone of the segment is removed, and the log replays from the same file.
     let ended = Run::start(&scene, place.path("out"), &["--set", "run.duration_s=3.0"]).end();
     assert_eq!(ended.code, Some(0), "{}", ended.err);
     assert!(read(&ended.folder).ticks.last().unwrap().state.removed_total > 0, "nothing was drilled");

@@ -1,4 +1,4 @@
-//! Controllers that are programs of somebody else: what they print, what they start, how they end.
+//! Controllers that are third-party programs: what they print, what they start, how they end.
 
 use std::io::{BufRead, BufReader};
 use std::path::Path;
@@ -16,7 +16,7 @@ use crate::common::program::{Place, assert_nothing_left, signal, wait_for};
 use crate::common::scenes;
 use crate::strays::{joined, stopped};
 
-/// A run of free space with a program beside its controller.
+/// A run in free space with a program beside its controller.
 fn with_program(duration_s: f64, script: &str) -> String {
     let program = format!(
         "[[controller]]\nname = \"guest\"\ndrives = []\noptional = true\ncommand = [\"sh\", \"-c\", {script:?}]\n"
@@ -24,7 +24,8 @@ fn with_program(duration_s: f64, script: &str) -> String {
     scenes::hold("realtime", duration_s) + &program
 }
 
-/// The listener gave up at the first byte that is no text, and the program's next word ended it.
+/// Regression: the listener gave up at the first byte that is not text, and the program's next output ended
+/// it.
 #[test]
 fn a_program_may_print_bytes_that_are_no_text() {
     let place = Place::new();
@@ -45,7 +46,7 @@ fn a_line_without_an_end_is_taken_in_pieces() {
     stopped(run, client, ());
 }
 
-/// Nobody reads what the launcher says any more (`2>&1 | head -1`): it lost the log's end.
+/// Regression: when standard error was no longer read (`2>&1 | head -1`), the launcher lost the log's end.
 #[test]
 fn a_closed_standard_error_ends_no_run() {
     let place = Place::new();
@@ -64,7 +65,8 @@ fn a_closed_standard_error_ends_no_run() {
     assert_eq!(read(&folder).marker.unwrap().reason, EndReason::Completed);
 }
 
-/// The last frames are missing then, so the run has not succeeded. `until` says when behind the last tick it dies.
+/// The last frames are missing then, so the run has not succeeded. `until` decides when after the last tick
+/// the process dies.
 fn drr_process_dies_behind_the_last_tick(until: impl Fn(u32)) {
     let place = Place::new();
     let run = place.start(&scenes::drill("realtime", 2.0));
@@ -92,8 +94,8 @@ fn a_drr_process_that_dies_behind_the_last_tick_is_named() {
     drr_process_dies_behind_the_last_tick(|_| {});
 }
 
-/// The launcher took the run for completed as soon as a controller had left, and no longer looked after anybody but the physics, which
-/// waited for the dead process for two minutes.
+/// Regression: the launcher considered the run completed as soon as a controller had left, and then monitored
+/// only the physics, which waited for the dead process for two minutes.
 #[test]
 fn a_drr_process_that_dies_when_the_controllers_have_left_is_named() {
     drr_process_dies_behind_the_last_tick(|controller| {
@@ -102,7 +104,7 @@ fn a_drr_process_that_dies_when_the_controllers_have_left_is_named() {
     });
 }
 
-/// Replies to run control in a file that may still grow.
+/// Returns the number of replies to run control in a file that may still grow.
 fn replies_in(folder: &Path) -> Option<usize> {
     let mut stream =
         MessageStream::open(&LogFile::at(folder.join("timing.mcap")), ReadOptions::default()).ok()?;
@@ -113,7 +115,7 @@ fn replies_in(folder: &Path) -> Option<usize> {
     (count > 0).then_some(count)
 }
 
-/// No tick closes a chunk in a pause; a recorder that was killed in it had lost all that people did.
+/// Regression: no tick closes a chunk in a pause; a recorder killed in a pause lost all user actions.
 #[test]
 fn what_is_done_in_a_pause_is_in_the_file() {
     let place = Place::new();
@@ -130,7 +132,7 @@ fn what_is_done_in_a_pause_is_in_the_file() {
     assert!(replies_in(&ended.folder).is_some());
 }
 
-/// A client that never stops writing, not even at the end, keeps the recorder from nothing.
+/// A client that never stops writing, not even at the end, does not impede the recorder.
 #[test]
 fn a_flood_up_to_the_end_costs_the_log_nothing() {
     let place = Place::new();

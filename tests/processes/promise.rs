@@ -1,5 +1,5 @@
-//! The promise of `docs/replay.md`, point by point, with whole processes. Its other points: 1 in `schedules`, 4 and 7 in
-//! `replay`, 5 and 10 besides in `crates/simulation/tests/physics/promise.rs`.
+//! The promise of `docs/replay.md`, point by point, with whole processes. Its other points: 1 in `schedules`,
+//! 4 and 7 in `replay`, 5 and 10 besides in `crates/simulation/tests/physics/promise.rs`.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -40,13 +40,13 @@ fn promise_2_file_identity_recording_a_replay_gives_the_same_file() {
         succeeded(&trabecula(&words), &["recorded 700 ticks", "the files are identical"]);
         let [first, second] = [&folder, &again].map(|folder| fs::read(folder.join("run.mcap")).unwrap());
         assert!(first == second, "{mode}: {} against {} bytes", first.len(), second.len());
-        // Nothing is written over.
+        // Nothing is overwritten.
         failed(&trabecula(&words), 2, &["run.mcap: already exists"]);
         fs::remove_dir_all(place.path("out")).unwrap();
     }
 }
 
-/// The controller of a log's own build as somebody would start it by hand.
+/// Returns the command line of a controller of the log's own build, as one would start it by hand.
 fn by_hand(name: &str) -> String {
     format!("'{PROGRAM}' proc controller --name {name}")
 }
@@ -54,7 +54,7 @@ fn by_hand(name: &str) -> String {
 #[test]
 fn promise_3_closed_loop_a_live_controller_answers_as_in_the_log() {
     let place = Place::new();
-    // With frames, which the controller looks at; and in real time.
+    // With frames, which the controller uses; and in real time.
     let drilled = place.complete(&scenes::drill("lockstep", 0.4)).folder.join("run.mcap");
     let command = by_hand("reference");
     for more in [&["--to", "0.4s"][..], &["--closed-loop"]] {
@@ -95,7 +95,7 @@ fn promise_3_closed_loop_stops_at_the_first_difference_and_names_it() {
         failed(&done, 1, &["first difference: tick 123, controller `holder`", "tendon_force_n[0]"]);
         failed(&done, 1, &bits);
     }
-    // Another controller: the scene that the live one reads asks for 3 N, not 2 N.
+    // Another controller: the scene read by the live one requests 3 N, not 2 N.
     let stronger = |header: &mut run_log::LogHeader| {
         header.scene_toml = header.scene_toml.replace("tension_n = 2.0", "tension_n = 3.0");
     };
@@ -103,7 +103,7 @@ fn promise_3_closed_loop_stops_at_the_first_difference_and_names_it() {
     failed(&live(&[]), 1, &["first difference: tick 0, controller `holder`", "tendon_force_n[0]: 2e0"]);
     failed(&live(&["--closed-loop"]), 1, &["first difference: tick 0", "against 3e0"]);
 
-    // Programs that are no controllers, and names that are none.
+    // Programs that are not controllers, and invalid names.
     let run = |text: &str| trabecula(&[&"replay", &original, &"--controller", &text]);
     failed(&run("false"), 1, &["tick 0: controller `holder` ended"]);
     failed(&run("/no/such/program"), 2, &["no program `/no/such/program`"]);
@@ -128,7 +128,7 @@ fn promise_5_save_and_restore_a_new_process_begins_at_a_keyframe() {
     failed(&trabecula(&[&"replay", &folder, &"--from", &"soon"]), 2, &["seconds such as 1.5s"]);
 }
 
-/// A log with one frame's hash and one image's pixel altered.
+/// Writes a log with one frame's hash and one image's pixel altered.
 fn alter_frames(from: &Path, to: &Path, hash_of: u64, pixel_of: u64) {
     let mut stream = MessageStream::open(&LogFile::at(from), ReadOptions::default()).unwrap();
     let mut log = create_run(to, stream.header()).unwrap();
@@ -163,7 +163,7 @@ fn promise_6_frames_are_rendered_again_bit_for_bit_with_any_number_of_threads() 
     let log = place.complete(&scenes::drill("realtime", 0.6)).folder.join("run.mcap");
     for threads in ["1", "2", "4"] {
         let done = trabecula(&[&"replay", &log, &"--verify", &"--frames", &"--threads", &threads]);
-        succeeded(&done, &[&format!("frames again on {threads} threads, all identical")]);
+        succeeded(&done, &[&format!("frames on {threads} threads, all identical")]);
         assert!(!done.out.contains("rendered 0 frames"), "{}", done.out);
     }
     let changed = place.path("changed.mcap");
@@ -172,7 +172,7 @@ fn promise_6_frames_are_rendered_again_bit_for_bit_with_any_number_of_threads() 
     failed(&done, 1, &["frame 3:", "/drr/frame", "pixel_hash[0]"]);
     alter_frames(&log, &changed, 0, 2);
     let done = trabecula(&[&"replay", &changed, &"--frames"]);
-    failed(&done, 1, &["frame 2:", "/drr/image", "1 pixels differ, first row 5, column 9"]);
+    failed(&done, 1, &["frame 2:", "/drr/image", "1 pixels differ, first at row 5, column 9"]);
 }
 
 #[test]
@@ -202,7 +202,7 @@ fn promise_8_refusal_of_another_build_layout_volume_or_scene() {
     let name = b"layout/TickTiming";
     let at = bytes.windows(name.len()).position(|window| window == name).unwrap() + name.len() + 4;
     bytes[at] = if bytes[at] == b'0' { b'1' } else { b'0' };
-    // Without the record's own checksum, as in a log of an earlier build: this is no damage.
+    // Without the record's own checksum, as in a log of an earlier build: this is not damage.
     let seal = b"\x05\0\0\0crc32";
     let at = bytes.windows(seal.len()).position(|window| window == seal).unwrap();
     bytes[at + 4] = b'x';
@@ -218,7 +218,7 @@ fn promise_8_refusal_of_another_build_layout_volume_or_scene() {
         &["scene:", "other.toml differs from the `drill` that the log was recorded with"],
     );
     succeeded(&in_scene(&place.path("scene.toml")), &["all identical; last"]);
-    // A volume that has moved, and another one in its place.
+    // A volume that was moved, and another one in its place.
     let moved = place.path("moved.nrrd");
     fs::rename(&volume, &moved).unwrap();
     failed(&verify(&log), 2, &["block.nrrd", "give its path with --volume"]);

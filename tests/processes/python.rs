@@ -1,4 +1,5 @@
-//! The Python package: an environment with it, which tests of several languages share, and its own tests, which pytest runs.
+//! The Python package: an environment with it, shared by tests of several languages, and its own tests, run
+//! by pytest.
 
 use std::fs;
 use std::hash::{DefaultHasher, Hash, Hasher};
@@ -13,12 +14,13 @@ use test_support::python::{or_skip, pip};
 
 use crate::languages::{built, clients, library};
 
-/// What the tests in `clients/python/tests` use, and with them every test here that needs the package.
+/// Required by the tests in `clients/python/tests`, and by every test here that needs the package.
 const REQUIREMENTS: &str = include_str!("../../clients/python/tests/requirements.txt");
-/// All tests of the package, one after the other; only a hang reaches it.
+/// For all tests of the package in sequence; only a hang reaches it.
 const LIMIT: Duration = Duration::from_secs(1800);
 
-/// The Python of an environment with the wheel, made once a test run: libraries and program as they are built for these tests.
+/// Returns the Python of an environment with the wheel, created once per test run, with the libraries and the
+/// program built for these tests.
 pub fn python() -> Option<PathBuf> {
     static PYTHON: OnceLock<Option<PathBuf>> = OnceLock::new();
     PYTHON.get_or_init(make_python).clone()
@@ -47,8 +49,8 @@ fn native() -> PathBuf {
     native
 }
 
-/// Installs the package into an environment as the README says, but with libraries and program that are built already.
-/// What is there already and the same stays: another test, which may be another process, may be about to import it.
+/// Installs the package into an environment as the README says, but with prebuilt libraries and program.
+/// Unchanged files stay: another test, possibly in another process, may be about to import them.
 fn install_package(python: &Path, binaries: &[(&str, &Path)]) {
     let folder = python.ancestors().nth(2).unwrap();
     let lock = fs::File::create(folder.join("package.lock")).unwrap();
@@ -66,7 +68,7 @@ fn install_package(python: &Path, binaries: &[(&str, &Path)]) {
     fs::write(installed, wanted).unwrap();
 }
 
-/// Of the package's sources and of what cargo has built that goes into it.
+/// Returns a fingerprint of the package's sources and of the build outputs that it contains.
 fn fingerprint(binaries: &[(&str, &Path)]) -> String {
     let package = clients().join("python");
     let mut sources: Vec<PathBuf> = [package.clone(), package.join("trabecula")]

@@ -1,7 +1,7 @@
-//! The shell lines in the READMEs of the clients do what they say, as far as the machine has their tools.
+//! The shell lines in the READMEs of the clients work, as far as the machine has the required tools.
 //!
-//! What takes minutes and is done already is replaced: `cargo build` by what cargo has built for these tests, `pip install`
-//! of the package by the environment that the tests of languages share.
+//! Steps that take minutes and are already done are replaced: `cargo build` by the output of cargo for these
+//! tests, `pip install` of the package by the environment that the tests of languages share.
 
 use std::fs;
 use std::path::Path;
@@ -15,7 +15,7 @@ use crate::common::program::{LIMIT, Place};
 use crate::languages::{built, clients, library, zig};
 use crate::python::python;
 
-/// The first block of shell lines of a README.
+/// Returns the first block of shell lines of a README.
 fn shell_lines(language: &str) -> Vec<String> {
     let text = fs::read_to_string(clients().join(language).join("README.md")).unwrap();
     let (_, rest) = text.split_once("```sh\n").unwrap_or_else(|| panic!("{language}: no shell lines"));
@@ -23,7 +23,8 @@ fn shell_lines(language: &str) -> Vec<String> {
     block.lines().map(str::to_owned).collect()
 }
 
-/// A checkout in which `target/release` holds what is built: links, so that nothing is copied and nothing is written.
+/// Creates a checkout in which `target/release` contains the build output: links, so that nothing is copied
+/// and nothing is written.
 fn checkout() -> Place {
     let place = Place::new();
     let link = |from: &std::path::Path, to: &str| std::os::unix::fs::symlink(from, place.path(to)).unwrap();
@@ -35,7 +36,7 @@ fn checkout() -> Place {
     place
 }
 
-/// Runs the lines in one shell, as a user would paste them, if their tools are here.
+/// Runs the lines in one shell, as a user would paste them, if their tools are available.
 fn pasted(language: &str) -> Option<String> {
     let python = match language {
         "python" => Some(python()?),
@@ -48,7 +49,7 @@ fn pasted(language: &str) -> Option<String> {
         match line.as_str() {
             line if line.starts_with("cargo build --release") || line.starts_with("pip install ") => {}
             line => {
-                // Its session is told to the client, because other tests run theirs at the same time.
+                // The client gets its session explicitly, because other tests run theirs at the same time.
                 let line = line.replace("free_space.toml &", "free_space.toml > said 2>&1 &\nRUN=$!");
                 script += &format!("{line}\n");
                 if line.contains("RUN=$!") {
@@ -86,7 +87,8 @@ fn the_shell_lines_of_every_readme_lead_to_a_running_controller() {
     assert!(first.is_some());
 }
 
-/// The page as one script: shell lines as they are, Python blocks as programs; and the lines that it shows as answers.
+/// Returns the page as one script (shell lines unchanged, Python blocks as programs), and the lines that it
+/// shows as output.
 fn script_of(page: &str) -> (String, Vec<String>) {
     let (mut script, mut shown) = (String::from("set -e\n"), Vec::new());
     for block in page.split("```").skip(1).step_by(2) {
@@ -105,7 +107,7 @@ fn script_of(page: &str) -> (String, Vec<String>) {
     (script, shown)
 }
 
-/// A guide whose lines nobody runs is wrong by the next change of a name. Wall-clock times are none of the answers.
+/// A guide that is never executed becomes wrong with the next renaming. Wall-clock times are not compared.
 #[test]
 fn the_first_hour_goes_as_its_page_says() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));

@@ -1,4 +1,4 @@
-//! The file that leads a browser to the viewer's page.
+//! The file that redirects a browser to the viewer's page.
 
 use std::os::unix::fs::PermissionsExt;
 use std::path::PathBuf;
@@ -8,7 +8,7 @@ use crate::common::logs::recorded;
 use crate::common::program::{Place, Run, wait_for};
 use crate::common::scenes;
 
-/// A viewer that is killed when this is dropped: it clears up nothing.
+/// A viewer that is killed when this is dropped, so that it does not clean up.
 struct Killed(Child);
 
 impl Drop for Killed {
@@ -18,7 +18,7 @@ impl Drop for Killed {
     }
 }
 
-/// A killed viewer's file, with a token in it, stayed for ever.
+/// Regression: a killed viewer's file, which contains a token, stayed forever.
 #[test]
 fn the_file_that_a_killed_viewer_leaves_goes_with_the_next_viewer_or_run() {
     let place = Place::new();
@@ -43,7 +43,7 @@ fn the_file_that_a_killed_viewer_leaves_goes_with_the_next_viewer_or_run() {
         entries.filter(is_page).filter(holds_something).collect()
     };
     let first = viewer();
-    // Until the opener runs, it too may have the file open, and so its lock.
+    // Until the opener runs, it too may have the file open, and thereby its lock.
     wait_for("the opener", || place.path("opened").exists().then_some(()));
     let left = pages().pop().unwrap();
     drop(first);
@@ -51,7 +51,7 @@ fn the_file_that_a_killed_viewer_leaves_goes_with_the_next_viewer_or_run() {
     let mut second = Some(viewer());
     let page = wait_for("the next viewer's file", || pages().into_iter().find(|page| *page != left));
     assert_eq!(pages(), std::slice::from_ref(&page));
-    // A run leaves that of a living viewer alone, and takes that of a dead one.
+    // A run leaves the file of a living viewer alone, and removes that of a dead one.
     for is_alive in [true, false] {
         let mut command = Command::new(env!("CARGO_BIN_EXE_trabecula"));
         let (scene, output) = (place.path("scene.toml"), place.path(&format!("out-{is_alive}")));

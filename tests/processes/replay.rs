@@ -1,4 +1,4 @@
-//! Logs that are altered, cut, of something else, or no logs.
+//! Logs that are altered, truncated, from something else, or not logs at all.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -22,7 +22,8 @@ fn assert_differs(log: &Path, words: &[&str]) {
     assert!(!done.out.contains("identical"), "{}", done.out);
 }
 
-/// `--verify --frames` and several `--controller` wrote a JSON object each: no script reads the second one.
+/// Regression: `--verify --frames` and several `--controller` wrote a JSON object each; scripts read only
+/// one.
 #[test]
 fn figures_of_a_replay_are_one_document() {
     let figures = |words: &[&dyn AsRef<std::ffi::OsStr>]| -> Value {
@@ -40,7 +41,7 @@ fn figures_of_a_replay_are_one_document() {
     {
         let figures = figures(more);
         assert_eq!((&figures["ticks"], &figures["hash"]), (&verified["ticks"], &verified["hash"]));
-        // 10 Hz for 0.4 s, and the one of the start.
+        // 10 Hz for 0.4 s, and the initial one.
         let frames = ["identical", "in_gaps", "without_request"].map(|name| &figures["frames"][name]);
         assert_eq!(frames, [&json!(5), &json!(0), &json!(0)], "{figures}");
     }
@@ -80,7 +81,7 @@ fn promise_4_divergence_report_names_the_tick_and_field_of_one_altered_bit() {
     rewrite(&original, &changed, |_| {}, |state| state.hash[1] ^= u64::from(state.tick == 90));
     assert_differs(&changed, &["90", "hash"]);
 
-    // A command that the recorded states do not follow from.
+    // A command from which the recorded states do not follow.
     rewrite(
         &original,
         &changed,
@@ -107,7 +108,8 @@ fn a_bit_flipped_in_the_file_itself_is_found_by_its_checksum() {
     assert!(done.err.contains("cannot be read beyond tick"), "{}", done.err);
 }
 
-/// On several threads a replay that compares nothing says what it says on one, whatever is wrong with the log.
+/// On several threads, a replay that compares nothing gives the same output as on one, whatever is wrong with
+/// the log.
 #[test]
 fn a_replay_without_comparison_says_the_same_on_any_number_of_threads() {
     let place = Place::new();
@@ -121,7 +123,7 @@ fn a_replay_without_comparison_says_the_same_on_any_number_of_threads() {
     let faster = |latched: &mut ipc_types::messages::Latched| {
         latched.commands[0].command.burr_speed_rad_per_s += if latched.tick == 150 { 1.0 } else { 0.0 };
     };
-    // The states behind tick 150 and the keyframes do not follow from its commands any more.
+    // The states after tick 150 and the keyframes no longer follow from its commands.
     rewrite(&original, &altered, faster, |_| {});
     let mut hashes = Vec::new();
     for (log, code) in [(&original, 0), (&cut, 3), (&flipped, 1), (&altered, 0)] {
@@ -129,7 +131,7 @@ fn a_replay_without_comparison_says_the_same_on_any_number_of_threads() {
             let said = ["1", "2", "5"].map(|threads| {
                 let words = [&[&"replay" as &dyn AsRef<std::ffi::OsStr>, log, &"--threads", &threads], more];
                 let done = trabecula(&words.concat());
-                // The wall's time.
+                // The wall-clock time.
                 let out = done.out.split(" simulated in ").next().unwrap_or_default().to_owned();
                 let rest = done.out.split_once('\n').unwrap_or_default().1.to_owned();
                 (done.code, out, rest, done.err)
@@ -163,10 +165,10 @@ fn promise_7_truncation_a_cut_log_replays_to_its_last_complete_tick_and_says_so(
         let ticks: usize = said.split(' ').nth(1).unwrap().parse().unwrap();
         assert!(said.contains(&format!("last tick {ticks},")), "{said}");
         assert!(
-            said.contains("no end marker") || said.contains("end marker: completed; cut after"),
+            said.contains("no end marker") || said.contains("end marker: completed; truncated after"),
             "{said}"
         );
-        // Chunks are closed every 100 ticks: no more than that (and the index at the end) is lost.
+        // Chunks are closed every 100 ticks; only that much (and the index at the end) is lost.
         assert!(
             ticks >= last && ticks + 250 >= 1000 * cut / bytes.len(),
             "cut at {cut} of {}: {said}",
@@ -176,7 +178,7 @@ fn promise_7_truncation_a_cut_log_replays_to_its_last_complete_tick_and_says_so(
     }
 }
 
-/// "All identical" is said of something.
+/// "All identical" requires that something was compared.
 #[test]
 fn a_replay_that_would_compare_nothing_says_so() {
     let place = Place::new();
@@ -187,7 +189,7 @@ fn a_replay_that_would_compare_nothing_says_so() {
     rewrite(&held, &unheard, |latched| latched.commands[0].source = SOURCE_HELD, |_| {});
     let cases: [(&Path, &[&str], &str); 3] = [
         (&held, &["--verify", "--frames"], "the scene has no X-ray"),
-        (&drilled, &["--frames", "--from", "110", "--to", "120"], "no frames for these ticks"),
+        (&drilled, &["--frames", "--from", "110", "--to", "120"], "no frames in this range of ticks"),
         (&unheard, &["--controller", "/bin/true"], "--controller `holder`:"),
     ];
     for (log, more, said) in cases {
@@ -195,7 +197,7 @@ fn a_replay_that_would_compare_nothing_says_so() {
         more.iter().for_each(|word| words.push(word));
         let done = trabecula(&words);
         assert!(done.code == Some(2) && done.err.contains(said), "{more:?}: {}{}", done.out, done.err);
-        assert!(!done.out.contains("frames again"), "{more:?}: {}", done.out);
+        assert!(!done.out.contains("re-rendered"), "{more:?}: {}", done.out);
     }
 }
 
@@ -209,7 +211,7 @@ fn a_recorded_replay_that_differs_leaves_no_file() {
     let done = trabecula(&[&"replay", &changed, &"--output", &again]);
     assert!(done.code == Some(1) && done.err.contains("tick 70"), "{}", done.err);
     assert!(!again.join("run.mcap").exists());
-    // So that it can be said again, of a log that is right.
+    // So that the same name can be used again, with a correct log.
     let done = trabecula(&[&"replay", &original, &"--output", &again]);
     assert_eq!(done.code, Some(0), "{}", done.err);
 }

@@ -1,4 +1,4 @@
-//! Controller programs that end before the run does: started again, done without, or the end of the run.
+//! Controller programs that end before the run: restarted, dispensed with, or ending the run.
 
 use std::time::Duration;
 
@@ -14,8 +14,8 @@ use crate::common::scenes;
 
 const NAME: &str = "short_lived";
 
-/// Not a test by itself: a controller that answers a hundred states and then dies. The launcher starts it from this
-/// test's own file.
+/// Not a test by itself: a controller that answers a hundred states and then dies. The launcher starts it
+/// from this test's own file.
 #[test]
 fn short_lived_program() {
     if std::env::var(CONTROLLER_VARIABLE).as_deref() != Ok(NAME) {
@@ -91,7 +91,8 @@ fn an_optional_controller_program_may_end_and_the_run_goes_on() {
     assert_eq!(ended.code, Some(0), "{}", ended.err);
 }
 
-/// How such a program ends once all ticks are made decides nothing: one that failed at that moment made a whole run fail.
+/// Regression: how such a program ends after all ticks are done must not matter; one that failed at that
+/// moment made the whole run fail.
 #[test]
 fn a_dispensable_controller_program_that_fails_after_the_last_tick_fails_no_run() {
     let place = Place::new();
@@ -108,7 +109,7 @@ fn a_dispensable_controller_program_that_fails_after_the_last_tick_fails_no_run(
         .trim()
         .parse::<u32>()
         .unwrap();
-    // The physics stays until the recorder has everything.
+    // The physics stays until the recorder has received everything.
     let recorder = run.part("recorder");
     signal(recorder, Signal::STOP);
     client.wait_for_state(|state| state.tick == 1000);

@@ -1,4 +1,4 @@
-//! Controllers that come late, are killed, and come back.
+//! Controllers that arrive late, are killed, and return.
 
 use std::process::{Child, Command as Program, Stdio};
 use std::time::Duration;
@@ -18,7 +18,7 @@ use crate::common::scenes;
 use crate::languages::built;
 use crate::strays::{answer, await_event, joined, stopped};
 
-/// A program of a user's own that is the `pilot`.
+/// Starts a user's own program as the `pilot`.
 fn pilot(run: &Run) -> Child {
     let mut program = Program::new(built().join("examples/01_hold_tension"));
     program.env(SESSION_VARIABLE, run.session()).env(CONTROLLER_VARIABLE, "pilot").stdout(Stdio::null());
@@ -30,7 +30,7 @@ fn kill(mut program: Child) {
     end_within(&mut program, LIMIT, "the pilot");
 }
 
-/// Waits until the pilot's command of the newest state is the one that holds.
+/// Waits until the pilot's command is fresh for the newest state.
 fn await_fresh(observer: &mut Client) -> u64 {
     loop {
         let state = observer.wait_state(LIMIT).unwrap();
@@ -40,7 +40,8 @@ fn await_fresh(observer: &mut Client) -> u64 {
     }
 }
 
-/// Only an optional controller that had never commanded could stay away: one that left ended the run.
+/// Regression: only an optional controller that had never commanded could stay away; one that left ended the
+/// run.
 #[test]
 fn an_optional_controller_that_is_killed_ends_no_lockstep_run() {
     let place = Place::new();
@@ -52,7 +53,7 @@ fn an_optional_controller_that_is_killed_ends_no_lockstep_run() {
     observer.next_event().unwrap();
     observer.run_control(CONTROL_PAUSE, 0, LIMIT).unwrap();
     let pilot = pilot(&run);
-    // Tick by tick until it is there.
+    // Tick by tick until it has joined.
     wait_for("the pilot's command", || {
         observer.run_control(CONTROL_STEP, 1, LIMIT).unwrap();
         let state = observer.wait_state(LIMIT).unwrap();
@@ -83,7 +84,7 @@ fn a_killed_controller_returns_to_a_lockstep_run() {
         let begun = await_fresh(&mut observer);
         while observer.wait_state(LIMIT).unwrap().tick < begun + 20 {}
         kill(pilot);
-        // Nobody answers: the run stands.
+        // No controller answers, so the run stands still.
         while observer.wait_state(Duration::from_millis(100)).is_ok() {}
         ticks.push(observer.state().unwrap().tick);
     }
@@ -92,7 +93,7 @@ fn a_killed_controller_returns_to_a_lockstep_run() {
     assert_replays(&ended.folder);
 }
 
-/// A controller that dies holding a command in shared memory gives its name and the memory free.
+/// If a controller dies holding a command in shared memory, its name and the memory become free.
 #[test]
 fn a_controller_that_dies_with_a_loaned_command_can_be_replaced() {
     const VICTIM: &str = "TRABECULA_TEST_DIES_WITH_A_LOAN";
@@ -119,7 +120,7 @@ fn a_controller_that_dies_with_a_loaned_command_can_be_replaced() {
     assert_replays(&ended.folder);
 }
 
-/// A hub that was killed leaves its folder: its clients took it for alive.
+/// Regression: a killed hub leaves its folder, and its clients considered it alive.
 #[test]
 fn a_killed_hub_is_noticed_though_its_folder_is_left() {
     let place = Place::new();
@@ -128,10 +129,10 @@ fn a_killed_hub_is_noticed_though_its_folder_is_left() {
     let mut client = joined(&run, "pilot");
     client.wait_state(LIMIT).unwrap();
     let physics = run.part("physics");
-    // It must not say that the run has ended.
+    // It must not announce the end of the run.
     signal(physics, Signal::STOP);
     signal(run.pid(), Signal::KILL);
-    // From here on the hub of another test may clear its folder up.
+    // From here on the hub of another test may remove its folder.
     let outcome = client.wait_state(LIMIT).map(|state| state.tick);
     signal(physics, Signal::KILL);
     assert!(matches!(outcome, Err(ClientError::HubGone { .. })), "{outcome:?}");

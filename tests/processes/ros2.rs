@@ -1,6 +1,7 @@
-//! `trabecula bridge ros2`, with peers that are not ours: `rclpy` over Fast DDS, and Cyclone DDS.
+//! `trabecula bridge ros2`, with independent peers: `rclpy` over Fast DDS, and Cyclone DDS.
 //!
-//! Every test has a DDS domain of its own, locked on this machine, so that tests that run at once do not hear each other.
+//! Every test has its own DDS domain, locked on this machine, so that concurrent tests do not receive each
+//! other's messages.
 
 use std::fs::File;
 use std::io::{BufRead, BufReader};
@@ -19,7 +20,7 @@ use crate::common::scenes;
 use crate::languages::output_within_limit;
 use crate::strays::{joined, stopped};
 
-/// A whole ROS 2 Jazzy as Python packages.
+/// A complete ROS 2 Jazzy as Python packages.
 const ROS: [&str; 6] = [
     "ros-jazzy-rclpy[fastrtps]==7.1.6",
     "ros-jazzy-sensor-msgs==5.3.6",
@@ -29,16 +30,17 @@ const ROS: [&str; 6] = [
     "numpy==2.3.5",
 ];
 const PROBE: &str = "rclpy, sensor_msgs.msg, geometry_msgs.msg, std_msgs.msg, cyclonedds.domain, numpy";
-/// Keeps Cyclone DDS on loopback.
+/// Restricts Cyclone DDS to loopback.
 const CYCLONE: &str = "<CycloneDDS><Domain><General><Interfaces><NetworkInterface name=\"lo\" multicast=\"true\"/></Interfaces></General></Domain></CycloneDDS>";
-/// Simulated time for any peer, however slowly it starts beside other work; the test ends the run when the peer is done.
+/// Simulated time sufficient for any peer, however slowly it starts under load; the test ends the run when
+/// the peer is done.
 const LONG_S: f64 = 600.0;
 
 fn python() -> Option<PathBuf> {
     or_skip("ros-jazzy-7.1.6", &ROS, PROBE)
 }
 
-/// A DDS domain that no other test of this machine has, until it is dropped.
+/// A DDS domain that no other test on this machine uses, until it is dropped.
 struct Domain {
     number: String,
     _lock: File,
@@ -83,13 +85,13 @@ impl Bridge {
         Bridge { process, said }
     }
 
-    /// Its exit code, once its session is over.
+    /// Returns its exit code, once its session is over.
     fn end(mut self) -> Option<i32> {
         wait_for("the bridge's end", || self.process.0.try_wait().unwrap()).code()
     }
 }
 
-/// The default scene with the controller `ros` in place of the built-in one.
+/// The default scene with the controller `ros` replacing the built-in one.
 fn default_scene(duration_s: f64) -> String {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("configs/femur_curved_drilling.toml");
     let text = std::fs::read_to_string(path).unwrap();
@@ -107,7 +109,7 @@ fn a_crtk_program_that_knows_nothing_of_us_drills_the_default_scene_and_the_log_
     let run = place.start(&default_scene(LONG_S));
     let domain = Domain::new();
     let bridge = Bridge::start(&run.session(), &domain.number, &["--controller", "ros"]);
-    assert!(bridge.said.contains("listens to 10 topics"), "{}", bridge.said);
+    assert!(bridge.said.contains("subscribed to 10 topics"), "{}", bridge.said);
     let client = Client::join(&run.session());
     let mut drilling = peer(&python, "crtk_drilling.py", &domain.number);
     let seen: Value =
@@ -162,7 +164,8 @@ fn a_cyclone_dds_program_pulls_the_tendon_pauses_and_resumes_and_what_is_wrong_i
         assert!(frames.contains(&frame.into()), "{frames:?}");
     }
     let log = read(&ended.folder);
-    // Up the whole chain of frames stands the tip where the log has it at that moment, to a tick: it moves while the tendon slackens.
+    // Along the whole chain of frames, the tip is where the log has it at that time, to a tick: it moves
+    // while the tendon slackens.
     let time_s = seen["tip_time_s"].as_f64().unwrap();
     let states = log.ticks.iter().map(|tick| &tick.state);
     let off_s = |state: &State| (state.sim_time_s - time_s).abs();
@@ -177,7 +180,8 @@ fn a_cyclone_dds_program_pulls_the_tendon_pauses_and_resumes_and_what_is_wrong_i
     assert_replays(&ended.folder);
 }
 
-/// What the bridge promises when the other side dies without a word: velocities run out, the participant's lease too, the tension stays.
+/// The bridge's guarantees when the other side dies without notice: velocities time out, the participant's
+/// lease too, the tension stays.
 #[test]
 fn a_killed_commanding_program_leaves_arm_and_burr_standing_and_the_tension_as_it_was() {
     let Some(python) = python() else { return };
@@ -195,12 +199,13 @@ fn a_killed_commanding_program_leaves_arm_and_burr_standing_and_the_tension_as_i
     let client = Client::join(&run.session());
     let moving = client.wait_for_state(|state| state.burr_speed_rad_per_s > 100.0);
     driving.0.kill().unwrap();
-    // Velocities run out within half a second, long before Cyclone DDS's lease of 10 s.
+    // Velocities time out within half a second, long before Cyclone DDS's lease of 10 s.
     let stopped = client.wait_for_state(|state| state.burr_speed_rad_per_s == 0.0);
     let ticks = stopped.tick - moving.tick;
     assert!(ticks < 5000, "stopped after {ticks} ticks, not before the lease's end");
     wait_for("the lease's end", || {
-        let is_it = |(_, text): &(u32, String)| text.contains("the last publisher of commands has gone");
+        let is_it =
+            |(_, text): &(u32, String)| text.contains("the last publisher of commands has disconnected");
         client.events().iter().any(is_it).then_some(())
     });
     let held = client.next_state_within(LIMIT).expect("a state");
@@ -235,7 +240,7 @@ fn a_ros_bridge_that_only_shows_listens_to_nothing() {
     let run = place.start(&scenes::hold("realtime", LONG_S));
     let domain = Domain::new();
     let bridge = Bridge::start(&run.session(), &domain.number, &[]);
-    assert!(bridge.said.contains("shows the run"), "{}", bridge.said);
+    assert!(bridge.said.contains("publishes only"), "{}", bridge.said);
     let client = joined(&run, "");
     stopped(run, client, ());
     assert_eq!(bridge.end(), Some(0));

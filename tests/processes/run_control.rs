@@ -1,4 +1,4 @@
-//! Pause, step, resume, reset, stop: ticks advance exactly as asked.
+//! Pause, step, resume, reset, stop: ticks advance exactly as requested.
 
 use std::time::Duration;
 
@@ -15,7 +15,8 @@ use crate::common::logs::{assert_replays, read};
 use crate::common::program::{Ended, Place, Run, assert_nothing_left, wait_for};
 use crate::common::scenes;
 
-/// How long nothing must happen. Too short a time on a slow machine can only hide a fault, not report one.
+/// How long nothing may happen. If it is too short on a slow machine, it can only hide a fault, not report
+/// one.
 const SILENCE: Duration = Duration::from_millis(150);
 
 fn rest(_: &State) -> Command {
@@ -40,7 +41,7 @@ fn drilling(start: &State) -> Command {
     command
 }
 
-/// Stops a run, lets go of it, and waits for its end.
+/// Stops a run, releases it, and waits for its end.
 fn stopped(run: Run, pilot: Pilot) -> Ended {
     assert_eq!(pilot.client.ask(CONTROL_STOP, 0).status, CONTROL_DONE);
     drop(pilot);
@@ -49,7 +50,7 @@ fn stopped(run: Run, pilot: Pilot) -> Ended {
     ended
 }
 
-/// Silence, at this tick.
+/// Asserts silence at this tick.
 fn assert_stands(pilot: &Pilot, tick: u64) {
     assert!(pilot.client.next_state_within(SILENCE).is_none(), "a tick was made while paused");
     wait_for("a status that says so", || {
@@ -92,21 +93,21 @@ fn ticks_advance_exactly_as_run_control_asks() {
     let ended = run.end();
     assert_eq!(ended.code, Some(0), "{}", ended.err);
     assert_nothing_left(ended.pid);
-    // It was said to be complete.
+    // Regression: it was reported as complete.
     assert!(ended.out.contains("piloted (lockstep), stopped\n"), "{}", ended.out);
     let marker = read(&ended.folder).marker.unwrap();
     assert_eq!((marker.last_tick, marker.reason), (Some(Tick(80)), EndReason::Stopped));
     assert_replays(&ended.folder);
 }
 
-/// Steps were added up without a bound: with the largest number of them, further ones wrapped round to none. And a
-/// request during the connection was answered with the phase "running".
+/// Regression: steps were added without a bound: at the largest number, further ones wrapped round to zero.
+/// And a request during the connection was answered with the phase "running".
 #[test]
 fn steps_without_end_stay_so_and_a_pause_before_the_start_is_no_start() {
     let place = Place::new();
     let run = place.start(&scenes::piloted("lockstep", 100.0, ""));
     let mut pilot = Pilot::join(&run.session(), "pilot");
-    // The physics is there, and waits for the pilot's first command.
+    // The physics has started, and waits for the pilot's first command.
     let initial = pilot.next_state();
     assert_eq!(pilot.client.ask(CONTROL_PAUSE, 0).status, CONTROL_DONE);
     let status = wait_for("the status", || pilot.client.status.receive_newest().unwrap());
@@ -122,7 +123,8 @@ fn steps_without_end_stay_so_and_a_pause_before_the_start_is_no_start() {
     stopped(run, pilot);
 }
 
-/// A state without what a reset does not set back: tick, time, hash, and the numbers of the commands.
+/// Returns a state without the fields that a reset does not restore: tick, time, hash, and the numbers of the
+/// commands.
 fn without_history(state: &State) -> State {
     let mut state = State { tick: 0, sim_time_s: 0.0, hash: [0; 2], ..*state };
     state.applied.iter_mut().for_each(|applied| applied.sequence = 0);
@@ -146,12 +148,12 @@ fn a_reset_sets_all_back_and_the_run_replays_identically() {
     let state = pilot.client.states.receive().unwrap();
     assert!(state.is_none(), "a reset makes no tick of its own");
     drop(state);
-    // The state of tick 720 is still to be answered: the reset comes before it is acted on.
+    // The state of tick 720 is still to be answered: the reset takes effect before that.
     pilot.sequence += 1;
     pilot.send(&Command { sequence: pilot.sequence, state_tick: 720, ..rest(&start) });
     let again = pilot.drive_to(900, |state| if state.tick < 760 { rest(state) } else { drilling(&start) });
     assert!(again.removed_total < deep.removed_total);
-    // Clients had to look for a reset in the text of an event that says anything about the run.
+    // Regression: clients had to recognize a reset from the text of a general event.
     let told = pilot.client.events().into_iter().filter(|(code, _)| *code == EVENT_RESET);
     let told: Vec<String> = told.map(|(_, text)| text).collect();
     assert_eq!(told, ["reset: tick 720 began from the initial state"]);

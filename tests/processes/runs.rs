@@ -1,4 +1,4 @@
-//! Whole runs that succeed.
+//! Complete, successful runs.
 
 use std::path::{Path, PathBuf};
 use test_support::limited::Limited;
@@ -20,7 +20,7 @@ fn every_scene_in_configs_passes_the_scene_check() {
     assert!(scenes.iter().any(|path| path.ends_with("femur_curved_drilling.toml")), "{scenes:?}");
     for scene in scenes {
         let done = trabecula(&[&"scene", &"check", &scene]);
-        // A scene on a CT of the user's own is right but for the file that only the user has.
+        // A scene on the user's own CT is valid except for the file, which only the user has.
         let only_the_volume_is_missing = done.code == Some(2) && done.err.contains("`volume.path` is");
         let valid = done.code == Some(0) && done.out.contains("is valid");
         assert!(valid || only_the_volume_is_missing, "{}: {}{}", scene.display(), done.out, done.err);
@@ -63,7 +63,7 @@ fn two_lockstep_runs_of_a_scene_are_identical() {
     let diff = trabecula(&[&"log", &"diff", &runs[0].folder, &runs[1].folder]);
     assert_eq!(diff.code, Some(0), "{}{}", diff.out, diff.err);
     assert!(diff.out.contains("identical"), "{}", diff.out);
-    // The files themselves, too: the deterministic lane has no wall-clock fact in it.
+    // The files themselves, too: the deterministic lane contains no wall-clock information.
     let bytes = runs.each_ref().map(|run| std::fs::read(run.folder.join("run.mcap")).unwrap());
     assert!(bytes[0] == bytes[1], "run.mcap differs though its content does not");
 }
@@ -89,8 +89,8 @@ fn a_realtime_run_beside_two_busy_loops_replays_identically() {
     assert!(said.contains("replayed 2500 ticks"), "{said}");
 }
 
-/// The recorder took states as long as there were any; in lockstep there always were, and its other queues overflowed:
-/// commands and timings were lost, and once a frame.
+/// Regression: the recorder read states as long as there were any; in lockstep there always were, and its
+/// other queues overflowed: commands and timings were lost, and once a frame.
 #[test]
 fn a_lockstep_log_misses_no_message_of_any_queue() {
     let place = Place::new();
@@ -100,7 +100,7 @@ fn a_lockstep_log_misses_no_message_of_any_queue() {
     let [run, timing] = ["run.mcap", "timing.mcap"].map(|name| counts(&folder.join(name)));
     assert_eq!((run["/latched"], run["/state"], run["/drr/frame"], run["/drr/reply"]), (3000, 3001, 31, 31));
     assert_eq!((timing["/timing/tick"], timing["/timing/frame"]), (3000, 31));
-    // A last answer may come when the run is over.
+    // A last answer may arrive when the run is over.
     assert!((3000..=3001).contains(&timing["/command/reference"]), "{timing:?}");
 }
 
@@ -121,7 +121,8 @@ fn two_hubs_at_once_do_not_meet() {
     assert_eq!(hashes, [undisturbed.clone(), undisturbed]);
 }
 
-/// The scene in the log named the volume from where the scene file lay, and replay looked for it beside the log.
+/// Regression: the scene in the log named the volume relative to the scene file, and replay searched for it
+/// next to the log.
 #[test]
 fn a_scene_with_its_volume_beside_it_replays_from_anywhere() {
     let place = Place::new();

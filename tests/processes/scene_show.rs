@@ -9,7 +9,7 @@ fn number(value: &Value) -> f64 {
     value.as_f64().unwrap_or_else(|| panic!("{value} is no number"))
 }
 
-/// The ball is 10 mm in radius and lies at the origin; the plan goes from below to its centre.
+/// The ball has a radius of 10 mm, centred on the origin; the plan leads from below to its centre.
 #[test]
 fn the_figures_of_a_plan_in_a_ball_are_the_balls_and_the_picture_shows_hole_tool_and_path() {
     let place = Place::new();

@@ -1,7 +1,8 @@
-//! Real-time runs on a machine that is made to misbehave, each replayed: SIGSTOP and SIGCONT, one core, niceness, busy
-//! neighbours, controllers that are killed and started again.
+//! Real-time runs under adverse scheduling, each replayed: SIGSTOP and SIGCONT, one core, niceness, busy
+//! neighbours, controllers that are killed and restarted.
 //!
-//! Every schedule follows from its seed. The tests run a few; a command runs as many as wanted, and prints a table:
+//! Every schedule follows from its seed. The tests run a few; this command runs any number, and prints a
+//! table:
 //!
 //! ```sh
 //! TRABECULA_SCHEDULES=200 cargo test --release --test processes schedules -- --nocapture
@@ -30,11 +31,11 @@ use crate::common::scenes;
 
 const COUNT_VARIABLE: &str = "TRABECULA_SCHEDULES";
 const PILOT_VARIABLE: &str = "TRABECULA_TEST_PILOT_SEED";
-/// Schedules of an ordinary test run.
+/// Number of schedules in an ordinary test run.
 const FEW: u64 = 4;
 const RUN_S: f64 = 1.0;
 
-/// Drives everything about at random, with answers that are at times late.
+/// Drives everything at random, with answers that are sometimes late.
 struct Erratic(Rng);
 
 impl Controller for Erratic {
@@ -65,7 +66,8 @@ impl Controller for Erratic {
     }
 }
 
-/// Not a test by itself: the program of the external controller, which [`Pilot`] starts from this test's own file.
+/// Not a test by itself: the program of the external controller, which [`Pilot`] starts from this test's own
+/// file.
 #[test]
 fn pilot_program() {
     let Ok(seed) = std::env::var(PILOT_VARIABLE) else { return };
@@ -75,7 +77,7 @@ fn pilot_program() {
     let _ = run_controller(Path::new(&session), "pilot", &mut controller);
 }
 
-/// The external controller in a process of its own.
+/// The external controller in a separate process.
 struct Pilot(Child);
 
 impl Pilot {
@@ -98,7 +100,7 @@ impl Drop for Pilot {
     }
 }
 
-/// What a schedule did and what came of it.
+/// A schedule and its results.
 #[derive(Debug, Default)]
 struct Row {
     neighbours: u64,
@@ -120,7 +122,7 @@ fn every_thread(pid: u32, act: impl Fn(Pid)) {
     ids.filter_map(Pid::from_raw).for_each(act);
 }
 
-/// Makes a run under the schedule of a seed, and replays it.
+/// Runs the schedule of a seed, and replays it.
 fn play(seed: u64) -> Row {
     let mut random = Rng::with_seed(seed);
     let place = Place::new();
@@ -154,7 +156,7 @@ fn play(seed: u64) -> Row {
     row
 }
 
-/// Stops, continues, kills and restarts until the run's time is about over.
+/// Stops, continues, kills and restarts until the run's time is nearly over.
 fn disturb(
     random: &mut Rng,
     run: &Run,
@@ -168,7 +170,7 @@ fn disturb(
         std::thread::sleep(Duration::from_millis(random.u64(..120)));
         let pause = Duration::from_millis(2 + random.u64(..90));
         if random.u64(..3) == 0 {
-            // The physics waits for a controller only at the start: from then on it runs with or without.
+            // The physics waits for a controller only at the start; from then on it runs with or without.
             drop(pilot.take());
             std::thread::sleep(pause);
             *pilot = Some(Pilot::start(session, row.restarts + 1000));
@@ -187,7 +189,7 @@ fn disturb(
     }
 }
 
-/// The log must replay to the identical hash at every tick that it holds without a gap: all, unless the recorder lost some.
+/// The log must replay to the identical hash at every tick without a gap: all, unless the recorder lost some.
 fn check(seed: u64, folder: &Path, row: &mut Row) {
     let mut reader = LogReader::open(&LogFile::at(folder.join("run.mcap"))).unwrap();
     let mut gap = false;
@@ -220,7 +222,8 @@ fn check(seed: u64, folder: &Path, row: &mut Row) {
     );
 }
 
-/// A real-time log of several preempted processes, with late, jittery, killed and restarted controllers, replays.
+/// A real-time log of several preempted processes, with late, jittery, killed and restarted controllers,
+/// replays.
 #[test]
 fn promise_1_replay_of_random_schedules_is_identical_at_every_tick() {
     let count = std::env::var(COUNT_VARIABLE).map_or(FEW, |text| text.parse().unwrap());

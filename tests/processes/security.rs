@@ -1,4 +1,4 @@
-//! Who may read and write what: other users of the machine, and scenes and logs of strangers.
+//! Who can read and write what: other users of the machine, and untrusted scenes and logs.
 
 use std::fs;
 use std::os::unix::fs::MetadataExt;
@@ -14,10 +14,10 @@ use crate::common::logs::{rename_attachments, rewrite_as, verify};
 use crate::common::program::{Place, Run, assert_nothing_left, segments_of, trabecula};
 use crate::common::scenes;
 
-/// A user who is not the one that runs the session.
+/// A user other than the one that runs the session.
 const NOBODY: u32 = 65_534;
 
-/// All files of a session: its folder, what lies in it, and its shared memory.
+/// Returns all files of a session: its folder, its contents, and its shared memory.
 fn files_of(run: &Run) -> Vec<PathBuf> {
     let segments = segments_of(&run.session());
     let mut files: Vec<PathBuf> = segments.iter().map(|name| Path::new("/dev/shm").join(name)).collect();
@@ -36,7 +36,7 @@ fn is_root() -> bool {
     rustix::process::geteuid().is_root()
 }
 
-/// Whether a shell command succeeds for another user.
+/// Returns whether a shell command succeeds for another user.
 fn nobody_can(script: &str, file: &Path) -> bool {
     let mut shell = Command::new("sh");
     shell.args(["-c", script]).arg(file).uid(NOBODY).gid(NOBODY).current_dir("/");
@@ -51,7 +51,7 @@ fn another_user_can_neither_read_nor_write_a_session() {
     client.wait_for_state(|state| state.tick >= 50);
     let files = files_of(&run);
     for file in &files {
-        // A file may lie deeper than others can look.
+        // A file may be deeper than others can look.
         let mode = fs::symlink_metadata(file).unwrap().mode();
         let hidden = file.starts_with(run.session()) && *file != run.session();
         assert!(hidden || mode & 0o077 == 0, "{}: mode {:o}", file.display(), mode & 0o7777);
@@ -66,7 +66,7 @@ fn another_user_can_neither_read_nor_write_a_session() {
     }
     if is_root() {
         println!("another user can open none of the {} files of a session", files.len());
-        // And a session of that user's own is no business of ours: it may run its own.
+        // The second user's own sessions are unaffected.
         assert!(nobody_can("test -r /dev/shm", Path::new("")), "the second user works");
     } else {
         println!(
@@ -92,7 +92,7 @@ impl Socket for PathBuf {
     }
 }
 
-/// Every file below a folder, with its size.
+/// Returns every file below a folder, with its size.
 fn tree(folder: &Path) -> Vec<(PathBuf, u64)> {
     let (mut found, mut folders) = (Vec::new(), vec![folder.to_owned()]);
     while let Some(folder) = folders.pop() {
@@ -108,8 +108,8 @@ fn tree(folder: &Path) -> Vec<(PathBuf, u64)> {
     found
 }
 
-/// Gives a log to every command that reads one; returns the commands' exit codes. What is outside of the folder that they
-/// are told to write to stays as it is.
+/// Passes a log to every command that reads one; returns the commands' exit codes. Everything outside the
+/// output folder must stay unchanged.
 fn read_by_every_command(place: &Place, log: &Path, inside: &Path) -> Vec<i32> {
     fs::create_dir(inside).unwrap();
     let outside = || -> Vec<_> {
@@ -155,7 +155,7 @@ fn deep(place: &Place) -> (PathBuf, PathBuf) {
     (place.path("good.mcap"), place.path("in/deep/folder/evil.mcap"))
 }
 
-/// The log of a stranger: its scene, controllers and names are what the stranger likes.
+/// An untrusted log: its scene, controllers and names are arbitrary.
 #[test]
 fn a_log_whose_names_are_paths_writes_only_where_it_is_told_to() {
     let place = Place::new();
@@ -179,7 +179,7 @@ fn a_log_whose_names_are_paths_writes_only_where_it_is_told_to() {
         let told = |name: &str| inside.join(name);
         let (joined, figure) = (told("joined.mcap"), told("figure"));
         type Words<'a> = Vec<&'a dyn AsRef<std::ffi::OsStr>>;
-        // Of the log whose scene is none, what needs no scene works; a replay refuses it.
+        // For a log with an invalid scene, commands that need no scene work; a replay rejects it.
         let all: [(i32, Words<'_>); 12] = [
             (0, vec![&"log", &"info", &log]),
             (0, vec![&"log", &"cat", &log]),
@@ -212,29 +212,29 @@ fn a_log_whose_names_are_paths_writes_only_where_it_is_told_to() {
         let written = |name: &str| inside.join(name).exists();
         let files = ["r.mcap", "c.mcap", "t.csv", "frames", "runs/run1.mcap", "runs/run2.mcap", "figure.svg"];
         assert!(files.into_iter().all(written) && !written("drilled.nrrd") && !written("again"));
-        // Its scene is not one: it is read and refused, never followed.
+        // Its scene is not one: it is read and rejected, never followed.
         assert_eq!(verify(&log).code, Some(2));
         fs::remove_dir_all(inside).unwrap();
     }
 }
 
-/// Pictures are numbered, tables have the name that they are given: no command takes a name from the log.
+/// Pictures are numbered, tables have the given name: no command takes a file name from the log.
 #[test]
 fn exported_pictures_and_attachments_with_paths_for_names_stay_in_the_folder() {
     let place = Place::new();
     let (good, log) = deep(&place);
-    // As long as `scene.toml` and `calibration.json`; nobody else's file.
+    // As long as `scene.toml` and `calibration.json`; not an existing file.
     let absolute = format!("/tmp/trb{:08x}", std::process::id());
     let names = [("scene.toml", "../../evil"), ("calibration.json", &*absolute)];
     let renamed = rename_attachments(&good, &log, &names);
-    // The header stands in the file twice.
+    // The header is in the file twice.
     assert_eq!(renamed, 4);
     read_by_every_command(&place, &log, &place.path("in/deep/folder/told"));
-    // With names that it knows, the same log is exported whole.
+    // With the usual names, the same log is exported completely.
     assert_eq!(rename_attachments(&log, &place.path("back.mcap"), &[("../../evil", "scene.toml")]), 2);
     let inside = place.path("in/deep/folder/back");
     let codes = read_by_every_command(&place, &place.path("back.mcap"), &inside);
-    // There is nothing to split in a log of one run.
+    // The log of one run cannot be split.
     assert_eq!(codes, [0, 0, 0, 0, 0, 0, 2, 0], "info, cat, repair, compress, export twice, split, replay");
     let pictures = fs::read_dir(inside.join("frames")).unwrap().count();
     assert!(pictures >= 3, "{pictures} pictures");

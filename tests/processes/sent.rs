@@ -1,4 +1,4 @@
-//! What has been sent is what is applied and recorded, whatever its sender writes afterwards.
+//! A sent command is applied and recorded unchanged, whatever its sender writes afterwards.
 
 use std::path::Path;
 use std::process::Command;
@@ -13,7 +13,7 @@ use crate::common::logs::{assert_replays, read};
 use crate::common::program::{Place, Run, assert_nothing_left};
 use crate::languages::{clients, compiled_test, output_within_limit};
 
-/// Tensions of a run's commands, latched and as sent.
+/// Returns the tensions of a run's commands, latched and as sent.
 fn tensions_n(folder: &Path) -> (Vec<[f64; 2]>, Vec<[f64; 2]>) {
     let two = |command: &Message| [command.tendon_force_n[0], command.tendon_force_n[1]];
     let latched = read(folder).ticks.iter().map(|tick| two(&tick.latched.commands[0].command)).collect();
@@ -28,7 +28,7 @@ fn tensions_n(folder: &Path) -> (Vec<[f64; 2]>, Vec<[f64; 2]>) {
     (latched, sent)
 }
 
-/// Runs a controller that sends 3 N and writes 55 N behind its back.
+/// Runs a controller that sends 3 N and then writes 55 N to the sent message.
 fn assert_only_what_was_sent(mut controller: Command) {
     let place = Place::new();
     let run = Run::start(&clients().join("scenes/free_space.toml"), place.path("out"), &[]);
@@ -46,7 +46,7 @@ fn assert_only_what_was_sent(mut controller: Command) {
     assert_replays(&ended.folder);
 }
 
-/// C's pointer was into the message that had been sent: 718 of 1000 ticks latched 55 N where 3 N were sent.
+/// Regression: C's pointer was into the sent message: 718 of 1000 ticks latched 55 N where 3 N were sent.
 #[test]
 fn a_command_that_is_written_after_it_was_sent_is_what_it_was_in_c() {
     let place = Place::new();

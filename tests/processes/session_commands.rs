@@ -1,4 +1,4 @@
-//! `trabecula session`, and what a script learns of a run.
+//! `trabecula session`, and the information that a script gets about a run.
 
 use std::path::Path;
 
@@ -14,7 +14,7 @@ fn name_of(session: &Path) -> String {
     session.file_name().unwrap().to_str().unwrap().to_owned()
 }
 
-/// What a command of `session` prints of a run; it must succeed.
+/// Runs a `session` command, which must succeed; returns its output.
 fn told(words: &[&str], session: &str) -> String {
     let mut all: Vec<&dyn AsRef<std::ffi::OsStr>> = vec![&"session"];
     all.extend(words.iter().map(|word| word as &dyn AsRef<std::ffi::OsStr>));
@@ -61,7 +61,8 @@ fn a_run_is_listed_paused_resumed_and_stopped_from_the_command_line() {
     assert!(gone.err.contains(&format!("no running session `{name}`")), "{}", gone.err);
 }
 
-/// A program that named no session joined the one announced last, somebody else's or a forgotten one.
+/// Regression: a program that named no session joined the one announced last, possibly another user's or a
+/// forgotten one.
 #[test]
 fn of_several_sessions_none_is_taken_unnamed() {
     let places = [Place::new(), Place::new()];
@@ -71,10 +72,10 @@ fn of_several_sessions_none_is_taken_unnamed() {
     let text = refusal.to_string();
     assert!(matches!(refusal, ClientError::Session(_)), "{text}");
     assert!(folders.iter().all(|folder| text.contains(folder.to_str().unwrap())), "{text}");
-    assert!(text.contains("none was named") && text.contains("TRABECULA_SESSION"), "{text}");
+    assert!(text.contains("select one") && text.contains("TRABECULA_SESSION"), "{text}");
     for words in [["session", "stop"], ["view", "--no-open"]] {
         let done = trabecula(&[&words[0], &words[1]]);
-        assert!(done.code == Some(2) && done.err.contains("none was named"), "{words:?}: {}", done.err);
+        assert!(done.code == Some(2) && done.err.contains("select one"), "{words:?}: {}", done.err);
     }
     for run in runs {
         told(&["stop"], &name_of(&run.session()));
@@ -82,7 +83,7 @@ fn of_several_sessions_none_is_taken_unnamed() {
     }
 }
 
-/// Every refusal of a session names it.
+/// Every rejection by a session names it.
 #[test]
 fn a_refusal_names_the_session() {
     let place = Place::new();
@@ -106,7 +107,7 @@ fn lines(ended: &Ended) -> Vec<Value> {
     ended.out.lines().map(|line| serde_json::from_str(line).unwrap()).collect()
 }
 
-/// A script had the folder and the outcome, and had to look for everything else.
+/// Regression: a script had only the folder and the outcome, and had to search for everything else.
 #[test]
 fn a_script_learns_session_outcome_and_figures() {
     let place = Place::new();
@@ -125,7 +126,7 @@ fn a_script_learns_session_outcome_and_figures() {
     let written = std::fs::read_to_string(ended.folder.join("summary.json")).unwrap();
     assert_eq!(last["summary"], serde_json::from_str::<Value>(&written).unwrap());
     assert_eq!(read(&ended.folder).ticks.len(), 300);
-    // And as words.
+    // And as text.
     let quiet = place.start(&scenes::hold("lockstep", 0.3)).end();
     assert!(quiet.out.starts_with("session      /") && quiet.out.contains(", completed\n"), "{}", quiet.out);
     let unrecorded = trabecula(&[&"run", &scene, &"--quiet", &"--no-record"]);

@@ -1,4 +1,4 @@
-//! Where sessions lie, what is removed there and what never is, and a session whose folder goes.
+//! Where sessions are stored, what is removed there and what never is, and a session whose folder is removed.
 
 use std::fs::{self, Permissions};
 use std::os::unix::fs::{PermissionsExt, symlink};
@@ -18,19 +18,19 @@ use crate::strays::joined;
 
 const VARIABLE: &str = "XDG_RUNTIME_DIR";
 
-/// A folder as short as a run-time folder, because sockets lie below it.
+/// A folder with a path as short as a run-time folder's, because sockets are created below it.
 fn short_folder() -> TempDir {
     folder_with(6)
 }
 
-/// One with so many random letters in its name, as a run-time folder is: this user's alone.
+/// A folder with this number of random letters in its name, private like a run-time folder.
 fn folder_with(letters: usize) -> TempDir {
     let folder = tempfile::Builder::new().prefix("t").rand_bytes(letters).tempdir_in("/tmp").unwrap();
     fs::set_permissions(folder.path(), Permissions::from_mode(0o700)).unwrap();
     folder
 }
 
-/// The command of a short run with this run-time folder, started in a folder.
+/// Returns the command of a short run with this run-time folder, started in a folder.
 fn launcher(place: &Place, scene: &str, runtime: &Path) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_trabecula"));
     command.arg("run").arg(place.scene(scene)).arg("--output").arg(place.path("out")).arg("--quiet");
@@ -38,8 +38,9 @@ fn launcher(place: &Place, scene: &str, runtime: &Path) -> Command {
     command
 }
 
-/// What a user has: sources in a clone named `trabecula`, in one named like the folder of sessions, and in folders whose names
-/// are those of sessions; a link to a home; and a session of a dead host, the only thing that may be removed.
+/// A user's files: sources in a clone named `trabecula`, in one named like the folder of sessions, and in
+/// folders with names like sessions; a link to a home; and a session of a dead host, the only thing that may
+/// be removed.
 struct Content {
     files: Vec<PathBuf>,
     dead: PathBuf,
@@ -75,8 +76,8 @@ impl Content {
     }
 }
 
-/// Every folder below that of the sessions was emptied before it was found to be somebody else's: a clone of the sources, and
-/// through a link a home.
+/// Regression: every folder below that of the sessions was emptied before its owner was checked: a clone of
+/// the sources, and through a link a home.
 #[test]
 fn nothing_is_wiped_before_everything_is_checked() {
     let place = Place::new();
@@ -114,7 +115,7 @@ fn nothing_is_wiped_before_everything_is_checked() {
             launcher(&place, &scenes::hold("lockstep", 0.05), runtime.path()).limited_output().unwrap();
         let said = String::from_utf8(output.stderr).unwrap();
         assert_eq!(output.status.code(), Some(1), "{what}: {said}");
-        let words = ["trabecula-hubs", "only this user owns and can enter", VARIABLE];
+        let words = ["trabecula-hubs", "belongs to this user and is closed to others", VARIABLE];
         assert!(words.iter().all(|word| said.contains(word)), "{what}: {said}");
         assert_eq!(fs::read_dir(seen).unwrap().count(), 5, "{what}: {said}");
         if *seen == sessions {
@@ -124,8 +125,8 @@ fn nothing_is_wiped_before_everything_is_checked() {
     }
 }
 
-/// A run-time folder that cannot hold sessions is passed over and left as it is; in one that can, a dead host's session is all
-/// that is removed.
+/// A run-time folder that cannot hold sessions is skipped and left unchanged; in one that can, only a dead
+/// host's session is removed.
 #[test]
 fn a_folder_of_the_users_is_never_wiped_by_a_run() {
     let place = Place::new();
@@ -139,7 +140,7 @@ fn a_folder_of_the_users_is_never_wiped_by_a_run() {
             _ => Some(short_folder()),
         };
         let folder = runtime.as_ref().map_or(relative.as_path(), TempDir::path);
-        // An empty variable made the path relative to where the command was started.
+        // An empty variable made the path relative to the current folder.
         let above = if what == "empty" { place.path("") } else { folder.to_owned() };
         let sessions = above.join("trabecula-hubs");
         fs::create_dir(&sessions).unwrap();
@@ -175,8 +176,8 @@ fn a_folder_of_the_users_is_never_wiped_by_a_run() {
     }
 }
 
-/// The names of a session's sockets fit into the 108 bytes that the system has for them, in the longest run-time folder that
-/// is taken; a longer one is passed over.
+/// The names of a session's sockets fit into the system's limit of 108 bytes in the longest run-time folder
+/// that is accepted; a longer one is skipped.
 #[test]
 fn a_run_works_in_the_longest_run_time_folder() {
     let place = Place::new();
@@ -192,12 +193,12 @@ fn a_run_works_in_the_longest_run_time_folder() {
         let said = String::from_utf8(output.stderr).unwrap();
         assert_eq!(output.status.code(), Some(0), "{said}");
         assert_eq!(runtime.path().join("trabecula-hubs").exists(), is_taken, "{said}");
-        assert_eq!(said.contains("socket paths inside it get too long"), !is_taken, "{said}");
+        assert_eq!(said.contains("socket paths inside it are too long"), !is_taken, "{said}");
     }
 }
 
-/// Two hubs in two containers have the same process number. With one `/dev/shm` they had the same names there, and the one
-/// that ended first took the other's memory away.
+/// Regression: two hubs in two containers can have the same process ID. With one `/dev/shm` they used the
+/// same names there, and the one that ended first removed the other's memory.
 #[test]
 fn two_hubs_in_two_pid_namespaces_do_not_meet() {
     let unshare = ["--user", "--map-root-user", "--pid", "--fork", "--kill-child"];
@@ -231,7 +232,7 @@ fn two_hubs_in_two_pid_namespaces_do_not_meet() {
     let ended = short.end();
     assert_eq!(ended.code, Some(0), "{}", ended.err);
     assert!(memory(&long_session) > 10 && memory(&short_session) == 0);
-    // A third one starts, whose look for dead sessions finds the first one alive.
+    // A third one starts, whose search for dead sessions finds the first one alive.
     let third = start(1, 0.2).end();
     assert_eq!(third.code, Some(0), "{}", third.err);
     assert!(memory(&long_session) > 10);
@@ -242,8 +243,8 @@ fn two_hubs_in_two_pid_namespaces_do_not_meet() {
     assert_replays(&ended.folder);
 }
 
-/// The end of a login, or a cleaner of `/tmp`, removes the session's folder: clients said that the hub was gone, and left a run
-/// that went on.
+/// The end of a login, or a cleaner of `/tmp`, removes the session's folder. Regression: clients reported
+/// that the hub was gone, and left a run that continued.
 #[test]
 fn a_run_whose_session_folder_is_removed_goes_on_with_its_clients() {
     let place = Place::new();
@@ -253,7 +254,8 @@ fn a_run_whose_session_folder_is_removed_goes_on_with_its_clients() {
     let first = client.wait_state(LIMIT).unwrap().tick;
     let session = run.session();
     fs::remove_dir_all(&session).unwrap();
-    // Several looks at whether the hub lives, which a client makes ten times a second while it waits.
+    // Long enough for several checks whether the hub lives, which a waiting client makes ten times per
+    // second.
     while client.wait_state(LIMIT).unwrap().tick < first + 1500 {
         std::thread::sleep(std::time::Duration::from_millis(20));
     }
@@ -283,7 +285,8 @@ fn a_run_whose_session_folder_is_removed_goes_on_with_its_clients() {
     assert_replays(&ended.folder);
 }
 
-/// A run from cron, without the variable, and a viewer on the desktop, with it, did not find each other.
+/// Regression: a run from cron, without the variable, and a viewer on the desktop, with it, did not find each
+/// other.
 #[test]
 fn programs_with_and_without_a_run_time_folder_find_each_other() {
     let place = Place::new();
@@ -299,14 +302,14 @@ fn programs_with_and_without_a_run_time_folder_find_each_other() {
     crate::strays::stopped(run, client, ());
 }
 
-/// A client waited ten seconds, or for whatever its limit was, for `/etc` to become a session.
+/// Regression: a client waited ten seconds, or its limit, for `/etc` to become a session.
 #[test]
 fn a_name_that_can_never_be_a_session_is_refused_at_once() {
     for given in ["/etc", "/nowhere/at-all", "/tmp/", "..", "mine", "AAAAAAAAAA-"] {
         let connection = Connection {
             session: Some(given.to_owned()),
             controller: Some(String::new()),
-            // Nobody could wait for that.
+            // Far too long to wait for.
             limit: std::time::Duration::from_secs(100_000),
         };
         let (sender, receiver) = std::sync::mpsc::channel();

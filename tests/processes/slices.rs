@@ -1,4 +1,4 @@
-//! Slices of the CT from a viewer, beside a run and on logs.
+//! Slices of the CT from a viewer, live and from logs.
 
 use serde_json::{Value, json};
 
@@ -10,15 +10,15 @@ const SLICE: u32 = 6;
 const OUTSIDE: i16 = i16::MIN;
 const DRILLED: i16 = i16::MIN + 1;
 
-/// A request for a plane of x and z about a place, as many pixels as millimetres each way.
+/// Returns a request for a plane of x and z about a point, with one pixel per millimetre.
 fn about(centre_m: [f64; 3], side: u32) -> Value {
     let side_m = f64::from(side) * 1e-3;
     json!({"centre_m": centre_m, "right": [1, 0, 0], "down": [0, 0, -1], "side_m": [side_m, side_m], "columns": side, "rows": side})
 }
 
-/// The number of drilled voxels and the pixels of a slice.
+/// Returns the number of drilled voxels and the pixels of a slice.
 fn slice(view: &mut View, request: Value) -> (u64, Vec<i16>) {
-    // A log is read in the background; until then it says so.
+    // A log is read in the background; until then the viewer reports that.
     let bytes = wait_for("a slice", || {
         let (encoding, bytes) = view.call_raw(SLICE, request.clone());
         let text = String::from_utf8_lossy(&bytes).into_owned();
@@ -65,7 +65,7 @@ fn a_log_is_sliced_as_it_was_at_the_time_that_is_shown() {
     let (_, far) = slice(&mut view, about([0.5, 0.0, 0.0], 80));
     assert_eq!(count(&far, OUTSIDE), far.len(), "a slice beside the volume");
 
-    // What is no slice.
+    // Invalid slices.
     let mut bad = about([0.0; 3], 80);
     bad["right"] = json!([0, 0, 0]);
     assert!(refused(&mut view, bad).contains("perpendicular unit vectors"));
@@ -83,7 +83,7 @@ fn a_running_session_is_sliced_and_one_without_volume_says_so() {
     let mut view = View::start(&[], Some(&run.session()));
     let (_, pixels) = slice(&mut view, about([0.0; 3], 80));
     assert!(count(&pixels, OUTSIDE) > 3000 && pixels.iter().any(|hu| *hu >= 150), "no bone");
-    // As many as fit into the second, and the rest waits: none is lost.
+    // As many as fit into the second are answered, and the rest waits: none is lost.
     for _ in 0..40 {
         let (_, pixels) = slice(&mut view, about([0.0; 3], 512));
         assert_eq!(pixels.len(), 512 * 512);
@@ -115,11 +115,11 @@ fn a_log_whose_volume_is_another_now_is_not_sliced() {
     let mut view = View::start(&[&folder], None);
     let said = notices(&mut view, 1);
     assert!(said[0].contains("SHA-256"), "{said:?}");
-    assert!(refused(&mut view, about([0.0; 3], 80)).contains("the run's volume is not here"));
+    assert!(refused(&mut view, about([0.0; 3], 80)).contains("the run's volume is not available"));
     view.stop();
 }
 
-/// The plan's figures are those of `scene show`; a pilot hole is drilled, and nothing can be steered.
+/// The plan's figures match those of `scene show`; a pilot hole is drilled, and nothing can be controlled.
 #[test]
 fn a_scene_is_shown_before_its_run() {
     let place = Place::new();
@@ -147,23 +147,26 @@ fn a_scene_is_shown_before_its_run() {
         burr_mm.iter().zip([0.0, 0.0, -20.0]).map(|(a, b): (&f64, f64)| (a - b).abs()).fold(0.0, f64::max);
     assert!(state.tick == 0 && off < 1e-6, "{burr_mm:?}");
     let (drilled, pixels) = slice(&mut view, about([0.0; 3], 80));
-    // The hole is 7 mm wide and lies in the block, whose faces are at 27.5 mm and beyond, for 7 mm and more.
+    // The hole is 7 mm wide and lies in the block, whose faces are at 27.5 mm and more, for 7 mm and more.
     assert!(
         drilled > 0 && count(&pixels, DRILLED) > 40,
         "{drilled} voxels, {} pixels",
         count(&pixels, DRILLED)
     );
-    assert!(view.call(1, json!({"action": "pause"}))["error"].as_str().unwrap().contains("nothing runs yet"));
+    assert!(
+        view.call(1, json!({"action": "pause"}))["error"].as_str().unwrap().contains("no run in progress")
+    );
     view.stop();
 
-    // Without a CT there is the tool, and no slice.
+    // Without a CT there is the tool, but no slice.
     let bare = place.path("bare.toml");
     std::fs::write(&bare, scenes::hold("realtime", 1.0)).unwrap();
     let mut view = View::start(&[&bare], None);
     assert!(refused(&mut view, about([0.0; 3], 80)).contains("no `[volume]`"));
     view.stop();
 
-    for (arguments, why) in [(vec![&file, &file], "alone"), (vec![&place.path("none.toml")], "none.toml")] {
+    for (arguments, why) in [(vec![&file, &file], "compared"), (vec![&place.path("none.toml")], "none.toml")]
+    {
         let mut all: Vec<&dyn AsRef<std::ffi::OsStr>> = vec![&"view", &"--no-open", &"--port", &"0"];
         all.extend(arguments.into_iter().map(|path| path as &dyn AsRef<std::ffi::OsStr>));
         let done = trabecula(&all);

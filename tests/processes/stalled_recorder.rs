@@ -1,4 +1,5 @@
-//! A recorder that is held up for longer than its queues hold: the log has a gap and everybody says so, or the physics waits.
+//! A recorder that is stopped for longer than its queues can bridge: the log has a gap and every command
+//! reports it, or the physics waits.
 
 use std::time::Duration;
 
@@ -13,8 +14,8 @@ use crate::common::logs::{assert_replays, read};
 use crate::common::program::{Ended, Place, assert_nothing_left, signal, wait_for};
 use crate::common::scenes;
 
-/// Stops the recorder of a run that is under way, does something, lets it go on until it has told of so many losses and for 300 more
-/// ticks, and ends the run. Returns what it has told.
+/// Stops the recorder of a running run, does something, lets it continue until it has reported this number of
+/// losses and for 300 more ticks, and ends the run. Returns the reports.
 fn with_a_stopped_recorder(
     place: &Place,
     scene: &str,
@@ -47,7 +48,7 @@ fn summary(ended: &Ended) -> Value {
     serde_json::from_str(&text).unwrap()
 }
 
-/// 5.5 s stopped cost the rest of the log, with exit code 0 and "completed".
+/// Regression: a stop of 5.5 s cost the rest of the log, with exit code 0 and "completed".
 #[test]
 fn a_recorder_held_up_beyond_its_queue_says_which_ticks_are_missing_and_ends_with_3() {
     let place = Place::new();
@@ -69,13 +70,13 @@ fn a_recorder_held_up_beyond_its_queue_says_which_ticks_are_missing_and_ends_wit
     let (first, last) = (gap[0].as_u64().unwrap(), gap[1].as_u64().unwrap());
     assert!(first + 200 > stopped_at && last >= first + 500, "{first} to {last}, stopped at {stopped_at}");
     assert!(ended.out.contains(&format!("ticks {first} to {last}")), "{}", ended.out);
-    // Said at once, too, to whoever listens.
+    // Also reported immediately, as an event.
     let at_once = format!("ticks {first} to {last} are missing from the log");
     assert!(told.iter().any(|text| text.contains(&at_once)), "{told:?}");
     assert_nothing_left(ended.pid);
 }
 
-/// Waits until the physics has made no tick for a while; the last one.
+/// Waits until the physics has computed no tick for a while; returns the last one.
 fn stalled(client: &Client) -> u64 {
     let (mut last, mut quiet_looks) = (0, 0);
     wait_for("the physics to wait", || {
@@ -83,7 +84,7 @@ fn stalled(client: &Client) -> u64 {
             Some(state) => (last, quiet_looks) = (state.tick, 0),
             None => quiet_looks += 1,
         }
-        // Longer than a busy machine holds it up.
+        // Longer than a busy machine delays it.
         (quiet_looks == 3).then_some(last)
     })
 }
@@ -94,7 +95,7 @@ fn a_physics_that_may_wait_for_the_recorder_loses_nothing() {
     let place = Place::new();
     let (ended, told) = with_a_stopped_recorder(&place, &scene, 0, |client, tick| {
         let last = stalled(client);
-        // The recorder has taken some more ticks before it stopped.
+        // The recorder received some more ticks before it stopped.
         assert!(last > tick && last < tick + RECORDER_QUEUE_TICKS / 2, "{tick} to {last}");
     });
     assert!(told.is_empty(), "{told:?}");
@@ -103,7 +104,7 @@ fn a_physics_that_may_wait_for_the_recorder_loses_nothing() {
     assert_replays(&ended.folder);
     let summary = summary(&ended);
     assert_eq!(summary["logs"]["missing_ticks"], Value::Array(Vec::new()));
-    // That it waited is a miss with its cause.
+    // The wait is a miss with its cause.
     assert!(summary["timing"]["misses"]["by_cause"]["recorder"].as_u64() >= Some(1), "{summary:#}");
     assert!(summary["timing"]["misses"]["lost_ms"]["recorder"].as_f64() > Some(400.0), "{summary:#}");
 }

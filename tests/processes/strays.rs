@@ -1,4 +1,4 @@
-//! Clients that flood, stop reading, die or come late, through the client library: the run goes on.
+//! Clients that flood, stop reading, die or arrive late, through the client library: the run continues.
 
 use std::process::Command;
 use std::time::Duration;
@@ -29,7 +29,7 @@ pub fn joined(run: &Run, controller: &str) -> Client {
     .unwrap()
 }
 
-/// Stops a run, lets go of it, and waits for its end.
+/// Stops a run, releases it, and waits for its end.
 pub fn stopped<T>(run: Run, mut client: Client, others: T) -> Ended {
     client.run_control(CONTROL_STOP, 0, LIMIT).unwrap();
     drop((client, others));
@@ -47,7 +47,7 @@ pub fn answer(client: &mut Client, tension_n: f64) {
     client.answer(LIMIT, step).unwrap();
 }
 
-/// Takes events until one has these words.
+/// Reads events until one contains this text.
 pub fn await_event(client: &mut Client, code: u32, words: &str) {
     let end = std::time::Instant::now() + LIMIT;
     loop {
@@ -60,7 +60,7 @@ pub fn await_event(client: &mut Client, code: u32, words: &str) {
     }
 }
 
-/// An optional controller joins a lockstep run that has begun without it.
+/// An optional controller joins a lockstep run that began without it.
 #[test]
 fn an_optional_controller_may_join_late() {
     let place = Place::new();
@@ -89,7 +89,7 @@ fn an_optional_controller_may_join_late() {
     assert_replays(&ended.folder);
 }
 
-/// Answers the state that was taken last.
+/// Answers the state received last.
 pub fn answer_here(client: &mut Client) {
     let command = client.command().unwrap();
     command.tendon_mode = TENDON_SERVO_JF;
@@ -97,7 +97,7 @@ pub fn answer_here(client: &mut Client) {
     client.send().unwrap();
 }
 
-/// An external controller that does not come ends the run with a message that says how it could have.
+/// An external controller that never joins ends the run with a message that explains how to connect it.
 #[test]
 fn a_run_that_waits_in_vain_says_for_whom_and_how_to_connect() {
     let place = Place::new();
@@ -112,12 +112,12 @@ fn a_run_that_waits_in_vain_says_for_whom_and_how_to_connect() {
     ];
     assert!(words.iter().all(|word| ended.err.contains(word)), "{}", ended.err);
     assert!(
-        ended.err.contains("waiting for controller `pilot`: the first command, at most 3 s"),
+        ended.err.contains("waiting for controller `pilot`: no first command yet (limit 3 s)"),
         "{}",
         ended.err
     );
     assert!(!ended.err.contains("died"), "the physics was blamed: {}", ended.err);
-    // A table of zeros was printed.
+    // Regression: a table of zeros was printed.
     assert!(ended.out.contains("outcome      controller_missing: controller `pilot`"), "{}", ended.out);
     assert!(!ended.out.contains("ticks") && !ended.out.contains("replay"), "{}", ended.out);
     let marker = read(&ended.folder).marker.unwrap();
@@ -125,7 +125,7 @@ fn a_run_that_waits_in_vain_says_for_whom_and_how_to_connect() {
     assert_nothing_left(ended.pid);
 }
 
-/// A client saw only that the hub was gone.
+/// Regression: a client saw only that the hub was gone.
 #[test]
 fn a_client_hears_why_the_run_has_ended() {
     let place = Place::new();
@@ -135,7 +135,7 @@ fn a_client_hears_why_the_run_has_ended() {
     let mut client = joined(&run, "pilot");
     client.wait_state(LIMIT).unwrap();
     answer_here(&mut client);
-    // It answers no more.
+    // It no longer answers.
     let outcome = loop {
         match client.wait_state(LIMIT) {
             Ok(_) | Err(ClientError::TimedOut(_)) => {}
@@ -150,7 +150,7 @@ fn a_client_hears_why_the_run_has_ended() {
     assert_eq!(run.end().code, Some(1));
 }
 
-/// Only the controller that the scene gives the C-arm may ask for frames from a pose of its own.
+/// Only the controller that drives the C-arm in the scene may request frames from other poses.
 #[test]
 fn a_client_that_does_not_drive_the_c_arm_may_not_move_it() {
     let place = Place::new();
@@ -166,8 +166,8 @@ fn a_client_that_does_not_drive_the_c_arm_may_not_move_it() {
     let stray = other.request_frame(Some(&pose), tick).unwrap();
     let refusal = other.wait_frame(stray, LIMIT).unwrap_err();
     assert!(matches!(refusal, ClientError::FrameRefused { .. }), "{refusal}");
-    await_event(&mut mine, EVENT_REQUEST_REFUSED, "gives the C-arm to another controller");
-    // As it stands, everybody may look; the pose that the scene has anyway gives the same picture.
+    await_event(&mut mine, EVENT_REQUEST_REFUSED, "assigns the C-arm to another controller");
+    // Any client may request the current pose; the pose that the scene has anyway gives the same picture.
     let request = other.request_frame(None, tick).unwrap();
     let standing = other.wait_frame(request, LIMIT).unwrap();
     let request = mine.request_frame(Some(&pose), tick).unwrap();
@@ -182,8 +182,8 @@ fn a_client_that_does_not_drive_the_c_arm_may_not_move_it() {
     assert_replays(&ended.folder);
 }
 
-/// Who asks is what the transport says, not what the request says: an observer that calls itself the C-arm's driver, and
-/// another controller that does, are refused.
+/// The transport identifies the requester, not the request: an observer that claims to be the C-arm's driver,
+/// and another controller that does, are rejected.
 #[test]
 fn a_request_that_names_another_controller_is_refused() {
     let place = Place::new();
@@ -209,7 +209,7 @@ fn a_request_that_names_another_controller_is_refused() {
         await_event(
             &mut mine,
             EVENT_REQUEST_REFUSED,
-            "says that controller 0 asks, but another program sent it",
+            "`requester` is controller 0, but another program sent the request",
         );
     }
     let request = mine.request_frame(None, tick).unwrap();
@@ -219,7 +219,7 @@ fn a_request_that_names_another_controller_is_refused() {
     assert_replays(&ended.folder);
 }
 
-/// The CT volume lies in shared memory once; Rust and Python see the same voxels there.
+/// The CT volume exists once in shared memory; Rust and Python see the same voxels there.
 #[test]
 fn the_volume_is_seen_in_place_by_rust_and_python() {
     let place = Place::new();

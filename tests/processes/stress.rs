@@ -1,4 +1,4 @@
-//! The stress test, its neighbours, what it says; priorities of the parts; the doctor.
+//! The stress test, its neighbours, its output; priorities of the parts; the doctor.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -14,7 +14,7 @@ use crate::common::logs::assert_replays;
 use crate::common::program::{Done, LIMIT, Place, signal, trabecula, wait_for};
 use crate::common::scenes;
 
-/// The report folders of a place, in the order of their names.
+/// Returns the report folders of a place, in the order of their names.
 fn reports(place: &Place) -> Vec<PathBuf> {
     let mut folders: Vec<PathBuf> = fs::read_dir(place.path("out"))
         .map(|entries| entries.flatten().map(|entry| entry.path()).collect())
@@ -34,7 +34,7 @@ fn stress(place: &Place, more: &[&str]) -> Done {
     trabecula(&arguments)
 }
 
-/// Sum of the numbers of a JSON object.
+/// Returns the sum of the numbers of a JSON object.
 fn sum(object: &Value) -> f64 {
     object.as_object().unwrap().values().map(|value| value.as_f64().unwrap()).sum()
 }
@@ -91,7 +91,7 @@ fn a_stress_test_measures_replays_reports_and_compares() {
     assert_eq!(fs::read_dir(&folder).unwrap().count(), 6, "page, JSON, CSV, map, two figures, and no logs");
 }
 
-/// Processes whose command line holds a word.
+/// Returns the number of processes whose command line contains a word.
 fn processes_with(word: &str) -> usize {
     let lines = fs::read_dir("/proc").unwrap().flatten();
     let lines = lines.filter_map(|entry| fs::read(entry.path().join("cmdline")).ok());
@@ -126,11 +126,11 @@ fn an_interrupted_stress_test_keeps_what_is_done_and_leaves_no_neighbour() {
     assert!(kept["planned"] == 8 && !done.is_empty() && done.len() < 8, "{} done", done.len());
     done.iter().for_each(|tested| assert_eq!(tested["measured"]["replays"], true, "{tested:#}"));
     let page = fs::read_to_string(report.join("index.html")).unwrap();
-    assert!(page.contains(&format!("{} of 8 combinations, then interrupted", done.len())));
+    assert!(page.contains(&format!("{} of 8 combinations (interrupted)", done.len())));
     assert_eq!(processes_with(report.to_str().unwrap()), 0);
 }
 
-/// A number in a file of `/proc/PID`, behind a name.
+/// Returns a number in a file of `/proc/PID`, after a name.
 fn number_of(pid: u32, file: &str, name: &str) -> u64 {
     let text = fs::read_to_string(format!("/proc/{pid}/{file}")).unwrap_or_default();
     let line = text.lines().find_map(|line| line.strip_prefix(name));
@@ -145,7 +145,7 @@ fn each_neighbour_does_what_its_name_says_until_its_limit() {
         ("spin", |pid| !processor_time(pid).own.is_zero()),
         ("memory", |pid| number_of(pid, "status", "VmRSS:") >= 64 << 10),
         ("disk", |pid| number_of(pid, "io", "write_bytes:") >= 1 << 20),
-        // That of the processes which it has started.
+        // The processor time of its children.
         ("fork", |pid| !processor_time(pid).children.is_zero()),
     ];
     for (kind, sign) in kinds {
@@ -190,14 +190,14 @@ fn bad_stress_arguments_are_refused_with_what_is_allowed() {
     let before = place.entries();
     let list = place.path("list.json").to_str().unwrap().to_owned();
     let cases: [(&[&str], &str); 11] = [
-        (&["--cores", "0"], "--cores is 0, allowed on this machine is 1 to"),
-        (&["--cores", "1,9999"], "--cores is 9999, allowed on this machine is 1 to"),
-        (&["--load", "burn"], "`burn` is no load; expected `none`, `spin`"),
-        (&["--load", "none,spin:0"], "`spin:0` is no load"),
+        (&["--cores", "0"], "--cores is 0; allowed on this machine: 1 to"),
+        (&["--cores", "1,9999"], "--cores is 9999; allowed on this machine: 1 to"),
+        (&["--load", "burn"], "unknown load `burn`; expected `none`, `spin`"),
+        (&["--load", "none,spin:0"], "unknown load `spin:0`"),
         (&["--policy", "rr"], "[possible values: other, fifo]"),
         (&["--wait", "sleep"], "[possible values: spin, event, hybrid]"),
-        (&["--seconds", "0"], "--seconds is 0, allowed is 0.1 to 3600"),
-        (&["--seconds", "nan"], "--seconds is NaN, allowed is 0.1 to 3600"),
+        (&["--seconds", "0"], "--seconds is 0; allowed: 0.1 to 3600"),
+        (&["--seconds", "nan"], "--seconds is NaN; allowed: 0.1 to 3600"),
         (&["--subset", "0"], "--subset"),
         (&["--compare", "/no/such.json"], "--compare /no/such.json: No such file"),
         (&["--compare", &list], "expected the stress.json of a stress test"),
@@ -215,7 +215,7 @@ fn bad_stress_arguments_are_refused_with_what_is_allowed() {
     assert_eq!(place.entries(), before, "something was written");
 }
 
-/// Under overload a part gives way to those before it: physics, controller, recorder, DRR, launcher.
+/// Under overload a part yields to those before it: physics, controller, recorder, DRR, launcher.
 #[test]
 fn parts_in_real_time_have_priorities_in_their_order_and_misses_have_causes() {
     let place = Place::new();

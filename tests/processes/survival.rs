@@ -1,4 +1,4 @@
-//! What a log survives: killed processes, a full disk, a folder that cannot be written.
+//! Conditions that a log survives: killed processes, a full disk, a folder that cannot be written.
 
 use std::path::{Path, PathBuf};
 
@@ -11,8 +11,8 @@ use crate::common::logs::{assert_replays, read};
 use crate::common::program::{Ended, Place, Run, assert_nothing_left, signal, trabecula, wait_for};
 use crate::common::scenes;
 
-/// Pauses a run behind tick 700, so that the last published tick is known, waits until the recorder has taken it, and
-/// does something. Returns that tick.
+/// Pauses a run after tick 700, so that the last published tick is known, waits until the recorder has
+/// received it, and does something. Returns that tick.
 fn paused(place: &Place, scene: &str, disturb: impl FnOnce(&Run)) -> (u64, Ended) {
     let run = place.start(scene);
     let client = Client::join(&run.session());
@@ -23,7 +23,7 @@ fn paused(place: &Place, scene: &str, disturb: impl FnOnce(&Run)) -> (u64, Ended
         let newest = progress.receive().unwrap().map(|message| *message.message());
         newest.filter(|newest| newest.consumer == SENDER_RECORDER && newest.tick >= published)
     });
-    // What it has taken is soon in the file, but for a chunk of 100 ticks.
+    // What it has received is soon in the file, except for a chunk of 100 ticks.
     let folder = run.log().unwrap().parent().unwrap().to_owned();
     wait_for("what was published in the file", || {
         (read(&folder).ticks.len() as u64 + 100 >= published).then_some(())
@@ -33,7 +33,8 @@ fn paused(place: &Place, scene: &str, disturb: impl FnOnce(&Run)) -> (u64, Ended
     (published, run.end())
 }
 
-/// It once lost what came in the meantime: its queues were too short, and it took one whole before the next.
+/// Regression: it lost what arrived in the meantime: its queues were too short, and it drained one before the
+/// next.
 #[test]
 fn a_recorder_that_is_stopped_for_a_second_loses_nothing() {
     let place = Place::new();
@@ -42,7 +43,7 @@ fn a_recorder_that_is_stopped_for_a_second_loses_nothing() {
     client.wait_for_state(|state| state.tick >= 100);
     let recorder = run.part("recorder");
     signal(recorder, Signal::STOP);
-    // More ticks than the 1024 that it once took for a loss.
+    // More ticks than the 1024 that it once considered a loss.
     let tick = client.wait_for_state(|_| true).tick;
     client.wait_for_state(|state| state.tick >= tick + 1500);
     signal(recorder, Signal::CONT);
@@ -56,7 +57,7 @@ fn a_recorder_that_is_stopped_for_a_second_loses_nothing() {
     assert_replays(&ended.folder);
 }
 
-/// Repairs a log; the result must be whole and replay to the same tick. Returns what the command said.
+/// Repairs a log; the result must be complete and replay to the same tick. Returns the command's output.
 fn assert_repairs(place: &Place, folder: &Path) -> String {
     let before = read(folder).ticks.len();
     let whole = place.path("whole.mcap");
@@ -90,14 +91,15 @@ fn a_killed_recorder_loses_at_most_100_ms_and_its_log_can_be_repaired() {
     assert!(said.contains("no end marker"), "{said}");
 }
 
-/// Bug: the header came with the first ticks, so a recorder that was killed before them left an empty file.
+/// Regression: the header was written with the first ticks, so a recorder killed before them left an empty
+/// file.
 #[test]
 fn a_recorder_that_is_killed_before_the_first_tick_leaves_a_log_that_says_of_what() {
     let place = Place::new();
     // Its controller never joins.
     let run = place.start(&scenes::piloted("lockstep", 4.0, ""));
     let is_begun = |log: PathBuf| std::fs::metadata(log).is_ok_and(|file| file.len() > 0);
-    // The run waits for both headers before its first tick; each is written by a thread of its own.
+    // The run waits for both headers before its first tick; each is written by its own thread.
     let are_begun = |run: PathBuf| is_begun(run.with_file_name("timing.mcap")) && is_begun(run);
     wait_for("the headers of both logs", || run.log().is_some_and(are_begun).then_some(()));
     signal(run.part("recorder"), Signal::KILL);
@@ -109,7 +111,7 @@ fn a_recorder_that_is_killed_before_the_first_tick_leaves_a_log_that_says_of_wha
     }
 }
 
-/// The last write of a log fails: the run said "completed" and ended with exit code 0.
+/// Regression: the last write of a log failed, but the run reported "completed" and ended with exit code 0.
 #[test]
 fn a_log_that_cannot_be_finished_is_told() {
     let place = Place::new();
@@ -117,7 +119,7 @@ fn a_log_that_cannot_be_finished_is_told() {
         let folder = std::fs::read_dir(place.path("out")).unwrap().flatten().next().unwrap().path();
         let bytes = std::fs::metadata(folder.join("run.mcap")).unwrap().len();
         let recorder = Pid::from_raw(run.part("recorder") as i32).unwrap();
-        // What has been published is there; the index and the end marker are not.
+        // Published messages are there; the index and the end marker are not.
         let limit = Rlimit { current: Some(bytes), maximum: Some(bytes) };
         prlimit(Some(recorder), Resource::Fsize, limit).unwrap();
         Client::join(&run.session()).ask(CONTROL_STOP, 0);
@@ -131,7 +133,8 @@ fn a_log_that_cannot_be_finished_is_told() {
     assert_replays(&ended.folder);
 }
 
-/// The run went on into a file without a name, and its last word was that a picture could not be written.
+/// Regression: the run continued into a deleted file, and finally reported only that a picture could not be
+/// written.
 #[test]
 fn a_log_removed_during_a_run_with_or_without_its_folder_ends_it_at_once_and_is_named() {
     for with_folder in [true, false] {

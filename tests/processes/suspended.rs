@@ -1,4 +1,4 @@
-//! A run that is suspended as a whole (Ctrl-Z and `fg`, a container that is frozen) goes on when it is woken.
+//! A run that is suspended as a whole (Ctrl-Z and `fg`, a frozen container) continues when it is resumed.
 
 use std::time::Duration;
 
@@ -12,17 +12,18 @@ use crate::common::scenes;
 /// Longer than the controllers' limit below.
 const STOPPED: Duration = Duration::from_millis(2500);
 
-/// Between two of them.
+/// Interval between two stops.
 const BETWEEN: Duration = Duration::from_millis(30);
 
-/// Stops processes in the middle of a run, wakes them, and waits for the run's end.
+/// Stops processes in the middle of a run, resumes them, and waits for the run's end.
 fn suspended(place: &Place, scene: &str, how: Signal) -> Ended {
     let run: Run = place.start(scene);
     let client = Client::join(&run.session());
     client.wait_for_state(|state| state.tick >= 100);
     let mut all: Vec<u32> = parts_of(&run.session()).into_iter().map(|(_, pid)| pid).collect();
     all.insert(0, run.pid());
-    // The controller, which was started last, is stopped first and woken last: so the physics waits for its answer.
+    // The controller, which was started last, is stopped first and resumed last, so that the physics waits
+    // for its answer.
     for pid in all.iter().rev() {
         signal(*pid, how);
         std::thread::sleep(BETWEEN);
@@ -58,7 +59,8 @@ fn a_suspended_real_time_run_goes_on_and_counts_its_miss() {
     assert_eq!(read(&ended.folder).ticks.len(), 3000);
 }
 
-/// Ctrl-Z stops the launcher; its parts, sessions of their own, go on, and the run is whole when it is woken.
+/// Ctrl-Z stops the launcher; its parts, in their own sessions, continue, and the run is complete when it is
+/// resumed.
 #[test]
 fn a_launcher_stopped_by_ctrl_z_costs_no_tick() {
     let place = Place::new();
@@ -66,7 +68,7 @@ fn a_launcher_stopped_by_ctrl_z_costs_no_tick() {
     assert_eq!(read(&ended.folder).ticks.len(), 4000);
 }
 
-/// The physics took the time in which it had stood still itself for its controller's silence.
+/// Regression: the physics attributed the time of its own suspension to its controller.
 #[test]
 fn a_suspended_lockstep_run_goes_on() {
     let place = Place::new();

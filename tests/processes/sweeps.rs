@@ -1,4 +1,5 @@
-//! `trabecula sweep`: rows against the runs that their commands make, ends in the middle, other machines' engines.
+//! `trabecula sweep`: rows compared with the runs of their commands, interruptions, workflow engines on other
+//! machines.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -12,7 +13,7 @@ use test_support::python::or_skip;
 use crate::common::program::{Done, Guarded, LIMIT, Place, only_entry, signal, trabecula, wait_for};
 use crate::python::python;
 
-/// A tool held by its tendon in a block of bone, for a moment.
+/// A tool held by its tendon in a block of bone, for a short time.
 const SCENE: &str = "name = \"swept\"\n[run]\nmode = \"lockstep\"\nduration_s = 0.2\n[volume]\nphantom = \"block\"\nspacing_mm = 1.0\n\
      bone_threshold_hu = 150\n[tool]\nburr_start_mm = [0.0, 0.0, -80.0]\ndirection = [0.0, 0.0, 1.0]\n\
      bend_toward = [1.0, 0.0, 0.0]\n[[controller]]\nname = \"holder\"\ndrives = [\"tendon\", \"arm\", \"burr\"]\nhold = { tension_n = 1.0 }\n";
@@ -21,7 +22,7 @@ const STUDY: &str = "scene = \"scene.toml\"\ndesign = \"latin_hypercube\"\nsampl
      [[parameter]]\nkey = \"controller.0.hold.tension_n\"\nmin = 0.5\nmax = 6.0\n\
      [[parameter]]\nkey = \"manipulator.tendon_friction\"\nmin = 0.0\nmax = 0.4\n";
 
-/// A study in a folder; each row takes long enough to be interrupted if `slow`.
+/// Creates a study in a folder; each row takes long enough to be interrupted if `slow`.
 fn study(place: &Place, text: &str) -> PathBuf {
     place.scene(SCENE);
     let file = place.path("study.toml");
@@ -45,7 +46,7 @@ fn complete(study: &Path, folder: &Path, more: &[&str]) -> Done {
     done
 }
 
-/// Names and contents of the rows.
+/// Returns names and contents of the rows.
 fn rows(folder: &Path) -> Vec<(String, Value)> {
     let mut rows: Vec<(String, Value)> = fs::read_dir(folder.join("rows"))
         .unwrap()
@@ -59,7 +60,7 @@ fn rows(folder: &Path) -> Vec<(String, Value)> {
     rows
 }
 
-/// The words of a row's command, with this build's program.
+/// Returns the arguments of a row's command, with this build's program.
 fn words_of(row: &Value) -> Vec<String> {
     let words = shlex::split(row["command"].as_str().unwrap()).unwrap();
     assert_eq!(words[..2], ["trabecula", "run"]);
@@ -122,7 +123,7 @@ fn jobs_shards_and_single_points_give_the_rows_of_one_process() {
     assert!(fs::read(&names[0]).unwrap() == fs::read(whole.join("table/shard-0-of-1.parquet")).unwrap());
 }
 
-/// Runs that take seconds each, so that a signal meets one.
+/// Runs that take seconds each, so that a signal arrives during one.
 fn slow(place: &Place) -> PathBuf {
     study(place, &STUDY.replace("seed = 3", "seed = 3\nset = [\"run.duration_s=5.0\"]"))
 }
@@ -162,7 +163,7 @@ fn a_sweep_that_was_interrupted_or_killed_goes_on_and_ends_with_the_same_rows() 
     assert!(tables[0] == tables[1]);
 }
 
-/// The child of a guard, whose place is taken by one that has ended.
+/// Takes the child out of a guard, replacing it by one that has ended.
 fn take(guarded: &mut Guarded) -> Child {
     let ended = Command::new("true").stdout(Stdio::null()).spawn().unwrap();
     std::mem::replace(&mut guarded.0, ended)
@@ -194,10 +195,14 @@ fn controllers_that_are_programs_run_as_sessions_and_others_started_elsewhere_ar
         .unwrap();
     let done = run(&study, &place.path("other"), &[]);
     assert_eq!(done.code, Some(2), "{}", done.err);
-    assert!(done.err.contains("controller `holder` is a program that somebody else starts"), "{}", done.err);
+    assert!(
+        done.err.contains("controller `holder` is external, and a sweep cannot start it"),
+        "{}",
+        done.err
+    );
 }
 
-/// Bug: the page on data sets exported logs of a sweep, and they had no frames.
+/// Regression: the page on data sets exported logs of a sweep, and they had no frames.
 #[test]
 fn a_sweep_that_records_frames_makes_a_data_set() {
     let place = Place::new();
@@ -231,7 +236,7 @@ fn a_report_finds_what_a_figure_depends_on_and_pandas_opens_the_dataset() {
     let report: Value = serde_json::from_str(&done.out).unwrap();
     let parameters = report["figures"][0]["parameters"].as_array().unwrap();
     let total = |place: usize| parameters[place]["sobol"]["total"].as_f64().unwrap();
-    // Bend follows tension; 0.4 of friction takes a few per cent of it.
+    // Bend follows tension; a friction of 0.4 reduces it by a few per cent.
     assert!(total(0) > 0.8 && total(1) < 0.2, "{report}");
     assert!(parameters[0]["rank_correlation"].as_f64().unwrap() > 0.9, "{report}");
     let text = sweep(&[&"report", &folder, &"--of", &"bend_deg"]).out;
@@ -257,14 +262,14 @@ fn engine(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("crates/sweep/engines").join(name)
 }
 
-/// The rows of the single machine, which an engine's must equal.
+/// Returns the rows computed on a single machine, which an engine's must equal.
 fn single(place: &Place, study: &Path) -> Vec<(String, Value)> {
     let whole = place.path("single");
     complete(study, &whole, &[]);
     rows(&whole)
 }
 
-/// A worker of an engine that makes a run: the parent of a process of ours below the engine's.
+/// Returns a worker of an engine that performs a run: the parent of one of our processes below the engine's.
 fn worker_below(root: u32) -> Option<u32> {
     let below = ipc_types::process::descendants(Pid::from_raw(root as i32)?);
     below.into_iter().map(|pid| pid.as_raw_nonzero()).find_map(|pid| {

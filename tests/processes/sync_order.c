@@ -1,4 +1,4 @@
-/* Writes down what a process brings to the disk, and when it says something on standard output, in their order. */
+/* Records, in order, what a process syncs to the disk and when it writes to standard output. */
 #define _GNU_SOURCE
 #include <dlfcn.h>
 #include <fcntl.h>
@@ -44,7 +44,7 @@ int fdatasync(int descriptor) {
 ssize_t write(int descriptor, const void *bytes, size_t count) {
     ssize_t (*real)(int, const void *, size_t) = (ssize_t(*)(int, const void *, size_t))dlsym(RTLD_NEXT, "write");
     struct stat status;
-    /* The launcher's is a file, those of its parts are pipes to it. */
+    /* The launcher's standard output is a file, those of its parts are pipes to it. */
     if (descriptor == 1 && fstat(1, &status) == 0 && S_ISREG(status.st_mode)) note("said\n");
     return real(descriptor, bytes, count);
 }

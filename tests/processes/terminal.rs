@@ -1,4 +1,5 @@
-//! What a run shows while it goes on: a table that is rewritten on a terminal, lines elsewhere, JSON for scripts.
+//! The display of a running run: a table that is updated in place on a terminal, lines elsewhere, JSON for
+//! scripts.
 
 use std::path::Path;
 use std::process::{Command, Stdio};
@@ -7,7 +8,7 @@ use test_support::limited::limited_output_of;
 use crate::common::program::{LIMIT, Place};
 use crate::common::scenes;
 
-/// Runs the command with a terminal of its own (Python's standard library has one), and prints what it wrote there.
+/// Runs the command in its own terminal (with Python's standard library), and prints the output.
 const IN_TERMINAL: &str = "import pty, sys; sys.exit(pty.spawn(sys.argv[1:]) >> 8)";
 
 #[test]
@@ -33,7 +34,7 @@ fn a_terminal_shows_a_table_with_sparklines_a_pipe_lines_and_json_stands_alone()
             (text(&output.stdout), text(&output.stderr))
         });
 
-    // Both streams of the run are the terminal's.
+    // Both streams of the run go to the terminal.
     let (shown, _) = terminal;
     for words in ["\x1b[A", "\x1b[K", "step    p99", "latency p99", "▁"] {
         assert!(shown.contains(words), "{words:?} is not in {shown:?}");

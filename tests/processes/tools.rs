@@ -1,4 +1,5 @@
-//! What the commands have in common for a user: JSON, completions and man pages, errors that lead on, a scene that runs without a CT.
+//! Features common to the commands: JSON, completions and man pages, helpful errors, a scene that runs
+//! without a CT.
 
 use std::ffi::OsStr;
 use std::fs;
@@ -77,7 +78,8 @@ fn completions_and_man_pages_are_written_where_a_system_looks_for_them() {
     assert!(!place.path("usr/share/man/man1/trabecula-proc.1").exists());
 }
 
-/// The scene named a file that nobody outside has, and said no more than that.
+/// Regression: the scene named a file that is not publicly available, and the error did not say where to get
+/// one.
 #[test]
 fn a_scene_whose_ct_is_not_there_says_where_one_is_to_be_had_and_runs_on_the_synthetic_pelvis() {
     let place = Place::new();

@@ -1,4 +1,4 @@
-//! Scenes whose world differs from what plan and controllers take it for.
+//! Scenes whose true world differs from the one that plan and controllers assume.
 
 use std::path::Path;
 
@@ -6,10 +6,12 @@ use sim::{Drive, SharedScene, Sim};
 use trabecula::report::course::Course;
 
 const TARGET_MM: [f64; 3] = [5.0, 0.0, 8.0];
-/// No bone of the block ends here, so that the burr meets the same bone when the block is moved by whole voxels.
+/// The block is uniform within this shift, so that the burr meets the same bone when the block is moved by
+/// whole voxels.
 const SHIFT_MM: [f64; 3] = [-1.0, 2.0, 1.0];
 
-/// The burr's last place and the error that the run's summary gives, mm. No session: a row of a sweep is a run's (`sweeps.rs`).
+/// Returns the burr's final position and the error in the run's summary, mm. No session: a row of a sweep
+/// equals a run (`sweeps.rs`).
 fn end(settings: &[&str]) -> ([f64; 3], f64) {
     let scene = Path::new(env!("CARGO_MANIFEST_DIR")).join("configs/examples/truth.toml");
     let settings: Vec<String> = settings.iter().map(|setting| (*setting).to_owned()).collect();
@@ -28,7 +30,8 @@ fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
     (0..3).map(|axis| (a[axis] - b[axis]).powi(2)).sum::<f64>().sqrt()
 }
 
-/// A controller that drives by the plan drills the same hole wherever the even bone lies, and is judged by the bone's true place.
+/// A controller that follows the plan drills the same hole wherever the uniform bone lies, and is evaluated
+/// against the bone's true position.
 #[test]
 fn a_registration_error_is_felt_in_the_error_and_not_known_to_the_controller() {
     let planned = "truth.registration_error_deg=[0.0, 0.0, 0.0]";
@@ -42,7 +45,7 @@ fn a_registration_error_is_felt_in_the_error_and_not_known_to_the_controller() {
     assert!(moved_error_mm > 1.5, "{moved_error_mm}");
 }
 
-/// Feedback of the shape makes up for a tool that is stiffer than the calibration; the plan alone does not.
+/// Shape feedback compensates for a tool that is stiffer than the calibration; the plan alone does not.
 #[test]
 fn a_stiffer_tool_misses_by_the_plan_alone_and_not_with_feedback() {
     let rest = [

@@ -1,4 +1,4 @@
-//! Runs whose output nobody reads: a terminal that is stopped (Ctrl-S), a pipe that is full.
+//! Runs whose output is not read: a terminal that is stopped (Ctrl-S), a pipe that is full.
 
 use std::fs::File;
 use std::io::{PipeReader, Write, pipe};
@@ -23,7 +23,7 @@ use crate::common::terminal::{Act, Terminal};
 /// Two signals within 0.3 s count as one.
 const ANOTHER: Duration = Duration::from_millis(500);
 
-/// A launcher, ended when the test is over, however that ends.
+/// A launcher, ended when the test ends, in any way.
 struct Launched(Guarded);
 
 impl Launched {
@@ -46,7 +46,7 @@ impl Launched {
     }
 }
 
-/// A pipe that takes nothing more until it is read.
+/// A pipe that accepts nothing more until it is read.
 fn full_pipe() -> (PipeReader, Stdio) {
     let (reader, mut writer) = pipe().unwrap();
     let flags = fcntl_getfl(&writer).unwrap();
@@ -56,7 +56,7 @@ fn full_pipe() -> (PipeReader, Stdio) {
     (reader, Stdio::from(OwnedFd::from(writer)))
 }
 
-/// The launcher stood in a write to the terminal and heard no signal, until somebody typed Ctrl-Q.
+/// Regression: the launcher blocked in a write to the terminal and ignored signals until Ctrl-Q.
 #[test]
 fn a_signal_beside_a_stopped_terminal_is_obeyed() {
     let place = Place::new();
@@ -67,7 +67,7 @@ fn a_signal_beside_a_stopped_terminal_is_obeyed() {
     client.wait_for_state(|state| state.tick >= 100);
     terminal.tell("stop");
     assert_eq!(terminal.next_line(), "stopped");
-    // Some tables later it stands in the write. The run goes on.
+    // Some tables later it blocks in the write. The run continues.
     let stopped_at = client.wait_for_state(|_| true).tick;
     client.wait_for_state(|state| state.tick >= stopped_at + 1000);
     drop(client);
@@ -88,7 +88,7 @@ fn a_signal_beside_full_pipes_is_obeyed() {
         let ((_out, stdout), (_err, stderr)) = (full_pipe(), full_pipe());
         let more: &[&str] = if json { &["--json"] } else { &[] };
         let mut run = Launched::new(&scene, &output, more, stdout, stderr);
-        // Behind the first lines of progress.
+        // After the first lines of progress.
         run.at_tick(2500);
         signal(run.0.0.id(), Signal::TERM);
         assert_eq!(run.end().code(), Some(130));
@@ -116,7 +116,8 @@ fn a_second_signal_ends_everything_at_once_where_nothing_can_be_written() {
     assert_replays(&only_entry(&output));
 }
 
-/// A program that wrote more than a pipe holds stood still, and with it every run that waited for its commands.
+/// Regression: a program that wrote more than a pipe holds blocked, and with it every run that waited for its
+/// commands.
 #[test]
 fn a_controllers_words_that_nobody_reads_hold_up_nobody_and_are_counted() {
     let place = Place::new();
@@ -135,7 +136,7 @@ fn a_controllers_words_that_nobody_reads_hold_up_nobody_and_are_counted() {
     signal(run.0.0.id(), Signal::TERM);
     assert_eq!(run.end().code(), Some(130));
     let text = text_within(&reading, LIMIT, "the pipe");
-    // In one line or several: what the program wrote last may be read after the next word of the launcher's.
+    // In one line or several: the program's last output may be read after the launcher's next line.
     let left_out: usize = text
         .lines()
         .filter_map(|line| line.strip_suffix(" lines dropped because nothing read standard error"))
@@ -146,7 +147,7 @@ fn a_controllers_words_that_nobody_reads_hold_up_nobody_and_are_counted() {
     assert!(text.contains("trabecula: SIGTERM: stopping the run"));
 }
 
-/// What a script asked for waits for the script.
+/// Requested output waits until the script reads it.
 #[test]
 fn json_is_whole_however_late_it_is_read() {
     let place = Place::new();

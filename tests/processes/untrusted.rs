@@ -1,4 +1,4 @@
-//! Files of strangers: what they may make the program read, and what of them reaches the terminal.
+//! Untrusted files: what they can make the program read, and what of them reaches the terminal.
 
 use std::collections::BTreeMap;
 use std::ffi::OsStr;
@@ -15,10 +15,10 @@ use crate::common::program::{Done, Place, wait_for};
 use crate::common::scenes;
 use crate::dicom_bytes::DicomSlice;
 
-/// Clears the screen, sets the title, turns text round, forges a line.
+/// Clears the screen, sets the title, reverses text, forges a line.
 const HOSTILE: &str = "x\x1b[2J\x1b]0;owned\x07\rend marker: completed\u{202e}\u{9b}31m";
 
-/// Runs the program; one that does not end is killed, and fails the test.
+/// Runs the program; if it does not end, it is killed and the test fails.
 fn limited(words: &[&dyn AsRef<OsStr>]) -> Done {
     let place = Place::new();
     let file = |name: &str| File::create(place.path(name)).unwrap();
@@ -43,7 +43,8 @@ impl Drop for Killed {
     }
 }
 
-/// Nothing of what a command has said moves, hides or turns anything; what it says of the stranger's text is visible.
+/// Asserts that a command's output contains no control sequences, and returns it; untrusted text is shown
+/// escaped.
 fn assert_plain(done: &Done, what: &str) -> String {
     let said = format!("{}{}", done.out, done.err);
     let bad = |c: char| (c.is_control() && c != '\n' && c != '\t') || c == '\u{202e}';
@@ -55,7 +56,7 @@ fn assert_plain(done: &Done, what: &str) -> String {
     said
 }
 
-/// A log whose every text is the stranger's.
+/// Writes a log in which every text is hostile.
 fn hostile_log(from: &Path, to: &Path) {
     let mut stream = MessageStream::open(&LogFile::at(from), ReadOptions::default()).unwrap();
     let mut header = stream.header().clone();
@@ -83,7 +84,7 @@ fn texts_of_an_untrusted_log_reach_the_terminal_escaped() {
     let good = recorded(&place, &scenes::drill_unseen("lockstep", 0.1));
     let log = place.path("log.mcap");
     hostile_log(&good.join("run.mcap"), &log);
-    // Cut, so that also the words about damage are seen.
+    // Truncated, so that the messages about damage are seen, too.
     let cut = place.path("cut.mcap");
     fs::write(&cut, &fs::read(&log).unwrap()[..4000]).unwrap();
     let told = |name: &str| place.path(name);
@@ -113,7 +114,7 @@ fn texts_of_an_untrusted_log_reach_the_terminal_escaped() {
         let named: Vec<&OsStr> = words.iter().map(|word| word.as_ref()).collect();
         let done = limited(words);
         let said = assert_plain(&done, &format!("{named:?}"));
-        // An exit code of ours, 3 for what is cut: no signal, no panic.
+        // A regular exit code, 3 for truncated: no signal, no panic.
         assert!(done.code.is_some_and(|code| code <= 3), "{named:?}: {said}");
         assert!(!shows || said.contains("\\u001b[2J"), "{named:?} shows the text: {said}");
         assert!(!said.lines().any(|line| line.starts_with("end         forged")), "{named:?}: {said}");
@@ -123,11 +124,11 @@ fn texts_of_an_untrusted_log_reach_the_terminal_escaped() {
     }
 }
 
-/// The last words of a controller stand on the terminal, in an event, and in what `log cat` prints of it.
+/// The last output of a controller appears on the terminal, in an event, and in the output of `log cat`.
 #[test]
 fn the_last_output_of_a_controller_reaches_the_terminal_escaped() {
     let place = Place::new();
-    // It speaks when the recorder is there, for the event to be in the log.
+    // It prints once the recorder is there, so that the event is in the log.
     let wait = format!(
         "until ls {}/*/timing.mcap; do sleep 0.05; done >/dev/null 2>&1; sleep 0.5",
         place.path("*").display()
@@ -149,7 +150,7 @@ fn the_last_output_of_a_controller_reaches_the_terminal_escaped() {
         fs::remove_dir_all(&output).unwrap();
         let done = limited(&[&"log", &"cat", &timing, &"--topic", &"/event"]);
         assert_plain(&done, "log cat");
-        // The same text, for whoever reads the lines as JSON.
+        // The same text in the JSON lines.
         let texts = done.out.lines().map(|line| serde_json::from_str::<serde_json::Value>(line).unwrap());
         let texts: Vec<String> = texts.map(|line| line["message"]["text"].to_string()).collect();
         if !optional.is_empty() {
@@ -178,7 +179,7 @@ fn texts_of_an_untrusted_volume_or_scene_reach_the_terminal_escaped() {
         ("v.nhdr", nhdr.as_bytes()),
         ("v.mha", mha.as_bytes()),
         ("v.dcm", &dicom),
-        // Of NIfTI nothing is shown but its name.
+        // For NIfTI only the file name is shown.
         ("n\x1b[2J\x07.nii", b"\x5c\x01\0\0 and no more"),
     ];
     for (name, bytes) in own {
@@ -201,7 +202,7 @@ fn texts_of_an_untrusted_volume_or_scene_reach_the_terminal_escaped() {
             let said = assert_plain(&done, name);
             assert_eq!(done.code, Some(2), "{said}");
         }
-        // The type is told in small letters.
+        // The type is shown in lower case.
         assert!(assert_plain(&limited(all[0]), name).to_lowercase().contains("\\u001b[2j"), "{name}");
     }
     for scene in [
@@ -218,7 +219,7 @@ fn texts_of_an_untrusted_volume_or_scene_reach_the_terminal_escaped() {
     }
 }
 
-/// A private file became a picture: NRRD and MetaImage headers may name any file.
+/// Regression: a private file became a picture: NRRD and MetaImage headers may name any file.
 #[test]
 fn a_volume_names_no_file_elsewhere_unless_the_user_allows_it() {
     let place = Place::new();
@@ -227,7 +228,7 @@ fn a_volume_names_no_file_elsewhere_unless_the_user_allows_it() {
     }
     let block = place.path("private/block.nrrd");
     assert_eq!(limited(&[&"phantom", &"block", &"-o", &block, &"--spacing-mm", &"1"]).code, Some(0));
-    // The same volume by a header elsewhere, whose voxels lie behind the lines of that file.
+    // The same volume with a header elsewhere, whose voxels follow the lines of that file.
     let bytes = fs::read(&block).unwrap();
     let end = bytes.windows(2).position(|pair| pair == b"\n\n").unwrap() + 2;
     let header = std::str::from_utf8(&bytes[..end]).unwrap();
@@ -251,13 +252,13 @@ fn a_volume_names_no_file_elsewhere_unless_the_user_allows_it() {
     };
     [info, drr, run].into_iter().for_each(both);
     assert!(picture.exists());
-    // The scene in the log names the same header, and is as little trusted.
+    // The scene in the log names the same header, and is equally untrusted.
     let log = fs::read_dir(&out).unwrap().flatten().next().unwrap().path();
     both(&[&"replay", &log, &"--verify"]);
     both(&[&"volume", &"drilled", &log, &"-o", &place.path("d.nrrd")]);
 }
 
-/// `/dev/zero` filled the memory, a pipe was waited for without end.
+/// Regression: `/dev/zero` filled the memory, and a pipe was waited for forever.
 #[test]
 fn only_text_files_are_accepted_as_scene_pose_or_calibration() {
     let place = Place::new();

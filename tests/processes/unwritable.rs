@@ -1,5 +1,5 @@
-//! Files that commands leave behind: whole under their names, or not there, when the command is killed, when the disk is full, and
-//! when another program takes the name meanwhile.
+//! Output files are complete under their names, or absent, when the command is killed, when the disk is full,
+//! and when another program takes the name in the meantime.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -13,10 +13,10 @@ use test_support::limited::{Limited, end_within, limited_output_of};
 use crate::common::program::{LIMIT, Place, signal, trabecula, wait_for};
 use crate::common::scenes;
 
-/// What was in a file before a command, or comes meanwhile.
+/// Content of a file that exists before a command or appears meanwhile.
 const MINE: &[u8] = b"a user's own work";
 
-/// A log with a volume and frames, a file of two runs, a volume and a sweep, in a folder of their own.
+/// A log with a volume and frames, a file of two runs, a volume and a sweep, in their own folder.
 struct Inputs(Place);
 
 impl Inputs {
@@ -33,7 +33,7 @@ impl Inputs {
         Inputs(place)
     }
 
-    /// A command's words: `@` stands for the inputs, `#` for the outputs.
+    /// Returns a command's arguments: `@` is replaced by the inputs' folder, `#` by the outputs'.
     fn command(&self, words: &str, outputs: &Path) -> Vec<String> {
         let inputs = self.0.path("");
         let place = |word: &str| {
@@ -43,7 +43,7 @@ impl Inputs {
     }
 }
 
-/// Commands that leave files behind, and a name that stands in what they say of one that cannot be written.
+/// Commands that leave files behind, and a name that appears in the error for one that cannot be written.
 const COMMANDS: [(&str, &str); 18] = [
     ("log export @log -o #t.csv", "t.csv"),
     ("log export @log -o #t.parquet", "t.parquet"),
@@ -65,7 +65,7 @@ const COMMANDS: [(&str, &str); 18] = [
     ("calibrate @sweep.toml -o #cal", "calibration.csv"),
 ];
 
-/// Names and contents of all files below a folder.
+/// Returns names and contents of all files below a folder.
 fn files(folder: &Path) -> Vec<(PathBuf, Vec<u8>)> {
     let (mut found, mut folders) = (Vec::new(), vec![folder.to_owned()]);
     while let Some(below) = folders.pop() {
@@ -92,14 +92,16 @@ fn start(words: &[String]) -> Child {
     command.stderr(Stdio::piped()).spawn().unwrap()
 }
 
-/// `log export`, `log compress`, `replay --output`, `drr --animate` and `plot` left a part of a file under its name, or an empty one.
+/// Regression: `log export`, `log compress`, `replay --output`, `drr --animate` and `plot` left an incomplete
+/// or empty file under its name.
 #[test]
 fn a_killed_command_leaves_no_half_file_under_its_name() {
     const KILLS: u64 = 4;
     let inputs = Inputs::new(2.0);
     let mut random = fastrand::Rng::with_seed(17);
     let (mut killed, mut drafts) = (0, 0);
-    // Those of a tenth of a second or more: the others are over before anybody could kill them, and take the same way.
+    // Those that take a tenth of a second or more: the others end before they can be killed, and use the same
+    // code.
     for number in [0, 1, 2, 3, 4, 6, 7, 8, 12, 15] {
         let (words, _) = COMMANDS[number];
         let whole = Place::new();
@@ -135,7 +137,7 @@ fn a_killed_command_leaves_no_half_file_under_its_name() {
     assert!(killed > 0);
 }
 
-/// Outputs on a disk that has nothing left, or in a process that may write no more than half a kilobyte into a file.
+/// Asserts the error for outputs on a full disk, or in a process whose files are limited to half a kilobyte.
 fn assert_told(inputs: &Inputs, outputs: &Path, mut command: impl FnMut() -> Command, cause: &str) {
     let before = files(outputs);
     for (words, name) in COMMANDS {
@@ -148,8 +150,8 @@ fn assert_told(inputs: &Inputs, outputs: &Path, mut command: impl FnMut() -> Com
     }
 }
 
-/// `log export` and `phantom` ended with 2 and named no file; whatever reached the limit of a file's size was ended by the system without
-/// a word.
+/// Regression: `log export` and `phantom` ended with 2 and named no file; any command that reached the file
+/// size limit was killed by the system without a message.
 #[test]
 fn a_file_that_cannot_grow_is_told_by_name_with_1_and_is_not_left() {
     let (inputs, place) = (Inputs::new(0.3), Place::new());
@@ -161,7 +163,7 @@ fn a_file_that_cannot_grow_is_told_by_name_with_1_and_is_not_left() {
     assert_told(&inputs, &place.path(""), limited, "File too large");
 }
 
-/// Bug: with some 130 the run hung, with fewer it blamed a log or `/dev/shm`.
+/// Regression: with some 130 open files the run hung, with fewer it blamed a log or `/dev/shm`.
 #[test]
 fn too_few_open_files_are_raised_where_they_may_be_and_told_otherwise() {
     let place = Place::new();
@@ -178,7 +180,7 @@ fn too_few_open_files_are_raised_where_they_may_be_and_told_otherwise() {
     for most in [64, 132, 255] {
         let (code, said) = run(&format!("ulimit -n {most}"));
         let expected =
-            format!("{most} files may be open, a session needs 256: raise the limit (`ulimit -n 256`)");
+            format!("open file limit is {most}, a session needs 256: raise it with `ulimit -n 256`");
         assert!(code == Some(1) && said.contains(&expected), "{code:?} {said}");
     }
 }
@@ -215,7 +217,7 @@ fn a_full_disk_is_told_by_name_with_1_and_nothing_is_left() {
     assert_told(&inputs, &outputs, whole, "No space left");
 }
 
-/// An empty file held the name; whoever put his own in its place lost it.
+/// Regression: an empty file reserved the name; a file put in its place was lost.
 #[test]
 fn what_another_program_puts_there_meanwhile_stays() {
     let inputs = Inputs::new(4.0);
@@ -230,7 +232,7 @@ fn what_another_program_puts_there_meanwhile_stays() {
             let place = Place::new();
             let (folder, file) = (place.path(""), place.path(name));
             let mut child = start(&inputs.command(words, &folder));
-            // A draft that is open, with or without a name.
+            // An open draft, with or without a name.
             let opened = PathBuf::from(format!("/proc/{}/fd", child.id()));
             let is_writing = || {
                 let mut files = fs::read_dir(&opened).into_iter().flatten().flatten();

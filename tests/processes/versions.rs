@@ -1,4 +1,4 @@
-//! A hub of another version, and more programs than a session has room for.
+//! A hub of another version, and more programs than a session supports.
 
 use std::fs;
 
@@ -11,7 +11,7 @@ use crate::common::program::{LIMIT, Place};
 use crate::common::scenes;
 use crate::strays::{joined, stopped};
 
-/// What another version writes into its files was read first, and its error was one of reading.
+/// Regression: the files of another version were parsed first, and gave a parse error.
 #[test]
 fn a_hub_of_another_version_is_refused_as_such_whatever_its_files_say() {
     let place = Place::new();
@@ -37,7 +37,7 @@ fn a_hub_of_another_version_is_refused_as_such_whatever_its_files_say() {
     stopped(run, observer, ());
 }
 
-/// The ninth program that read the states was refused with the transport's own words.
+/// Regression: the ninth program that read the states was rejected with the transport's own message.
 #[test]
 fn a_session_has_room_for_ten_observers_and_refuses_more_by_name() {
     let place = Place::new();

@@ -1,4 +1,4 @@
-//! The viewer beside a run, and on logs.
+//! The viewer next to a run, and on logs.
 
 use std::io::{BufRead, BufReader, Write};
 use std::net::TcpStream;
@@ -42,7 +42,7 @@ impl View {
         View { child, address: address.to_owned(), token: token.to_owned(), socket, channels }
     }
 
-    /// Subscribes under the channel's own number.
+    /// Subscribes with the channel's number as the id.
     pub fn subscribe(&mut self, topic: &str) -> u32 {
         let channel = self.channels.iter().find(|channel| channel["topic"] == topic).unwrap();
         let id = channel["id"].as_u64().unwrap() as u32;
@@ -72,7 +72,7 @@ impl View {
         serde_json::from_slice(&payload).unwrap()
     }
 
-    /// Encoding and bytes of an answer.
+    /// Returns the encoding and bytes of an answer.
     pub fn call_raw(&mut self, service: u32, mut body: Value) -> (String, Vec<u8>) {
         body["token"] = json!(self.token);
         let mut bytes = vec![2];
@@ -101,7 +101,7 @@ impl View {
     }
 }
 
-/// What a client that comes now is told on a channel.
+/// Returns the message that a new client receives on a channel.
 fn kept(view: &View, topic: &str) -> Value {
     let (mut socket, channels) = connect(&view.address, &view.token);
     let id = &channels.iter().find(|channel| channel["topic"] == topic).unwrap()["id"];
@@ -116,7 +116,7 @@ fn kept(view: &View, topic: &str) -> Value {
     }
 }
 
-/// A client of a viewer, and the channels that it is told of.
+/// Connects a client to a viewer; also returns the advertised channels.
 fn connect(address: &str, token: &str) -> (WebSocket<TcpStream>, Vec<Value>) {
     let stream = TcpStream::connect(address).unwrap();
     stream.set_read_timeout(Some(LIMIT)).unwrap();
@@ -174,11 +174,11 @@ fn a_viewer_shows_a_run_steers_it_and_drives_the_tool() {
     let ended = run.end();
     assert_eq!((ended.code, view.end()), (Some(0), Some(0)), "{}", ended.err);
     assert_nothing_left(ended.pid);
-    // What was driven is in the log, and replays without the viewer.
+    // The driven motion is in the log, and replays without the viewer.
     assert_replays(&ended.folder);
 }
 
-/// A speed below the run's own is held, above all not exceeded, and given up again.
+/// A speed below the run's own is held, in particular not exceeded, and released again.
 #[test]
 fn a_run_is_held_to_a_speed() {
     let place = Place::new();
@@ -186,13 +186,14 @@ fn a_run_is_held_to_a_speed() {
     let mut view = View::start(&[], Some(&run.session()));
     assert_eq!(view.call(1, json!({"action": "speed", "speed": 0.25})), json!({"ok": true}));
     assert_eq!(kept(&view, "/view/pace"), json!({"speed": 0.25}));
-    // Before the client joins: ticks that wait in its queue while this thread is held up took time, too.
+    // Before the client joins: ticks that wait in its queue while this thread is delayed took time, too.
     let began = Instant::now();
     let client = Client::join(&run.session());
     let first = client.wait_for_state(|_| true).tick;
     let last = client.wait_for_state(|state| state.tick > first + 150).tick;
     let wall_ms = began.elapsed().as_millis() as u64;
-    // A slow machine makes fewer ticks, never more; a step of 20 ms may be under way at either end, and one of them may be late.
+    // A slow machine computes fewer ticks, never more; a step of 20 ms may be in progress at either end, and
+    // one of them may be late.
     let most = wall_ms / 4 + 60;
     assert!(last - first <= most, "{} ticks in {wall_ms} ms at a quarter of real time", last - first);
     let refused = view.call(1, json!({"action": "speed", "speed": -1.0}));
@@ -209,7 +210,8 @@ fn a_run_is_held_to_a_speed() {
     assert_replays(&ended.folder);
 }
 
-/// With four controllers, X-ray and a viewer the ninth subscriber of the run's status was refused.
+/// Regression: with four controllers, X-ray and a viewer the ninth subscriber of the run's status was
+/// rejected.
 #[test]
 fn two_viewers_and_other_clients_watch_one_run() {
     let place = Place::new();
@@ -235,7 +237,7 @@ fn hostile_clients_and_a_viewer_that_dies_leave_the_run_alone() {
     let place = Place::new();
     let run = place.start(&scenes::drill("lockstep", 2.0));
     let view = View::start(&[], Some(&run.session()));
-    // One wants everything and never reads, one floods, one is too large, one is none of the protocol.
+    // One subscribes to everything and never reads, one floods, one is too large, one violates the protocol.
     let (mut lazy, channels) = connect(&view.address, &view.token);
     let all: Vec<Value> = channels.iter().map(|c| json!({"id": c["id"], "channelId": c["id"]})).collect();
     lazy.send(Message::text(json!({"op": "subscribe", "subscriptions": all}).to_string())).unwrap();
@@ -280,21 +282,22 @@ fn a_log_is_shown_at_any_time_and_a_port_in_use_is_refused() {
     let unseen =
         trabecula(&[&"run", &place.scene(&scenes::drill("lockstep", 0.1)), &format!("--view={port}")]);
     assert_eq!(unseen.code, Some(2), "{}", unseen.err);
-    assert!(unseen.err.contains(&format!("--view={port}: the port cannot be opened")), "{}", unseen.err);
+    assert!(unseen.err.contains(&format!("--view={port}: cannot listen on the port")), "{}", unseen.err);
     let missing = trabecula(&[&"view", &place.path("none.mcap"), &"--no-open", &"--port", &"0"]);
     assert_eq!(missing.code, Some(2), "{}", missing.err);
     let lone = trabecula(&[&"view", &"--session", &place.path("none"), &"--no-open", &"--port", &"0"]);
     assert_eq!(lone.code, Some(2), "{}", lone.err);
 }
 
-/// Texts of the notices that a log's viewer shows, the first ones.
+/// Returns the texts of the first notices that a log's viewer shows.
 pub fn notices(view: &mut View, count: usize) -> Vec<String> {
     let channel = view.subscribe("/view/notice");
     let text = |bytes: Vec<u8>| serde_json::from_slice::<Value>(&bytes).unwrap()["text"].to_string();
     (0..count).map(|_| text(view.next(channel))).collect()
 }
 
-/// Texts of the time line's marks of a kind. A log is read while it is shown, so they come some time after it.
+/// Returns the texts of the time line's marks of a kind. A log is read while it is shown, so they arrive some
+/// time after it.
 fn marks(view: &mut View, kind: &str) -> Vec<String> {
     let playback = view.subscribe("/view/playback");
     loop {
@@ -321,7 +324,7 @@ fn a_log_without_frames_or_with_a_gap_is_shown_and_says_so() {
     while view.next_state(states).tick != 200 {}
     view.stop();
 
-    // Ticks that are not there: the log of 300 ticks says 500 behind the 150th.
+    // Missing ticks: the log of 300 ticks jumps to 500 after the 150th.
     let gap = place.path("gap.mcap");
     rewrite(
         &whole,
@@ -336,7 +339,7 @@ fn a_log_without_frames_or_with_a_gap_is_shown_and_says_so() {
     while view.next_state(states).tick != 501 {}
     view.stop();
 
-    // A log that was cut has no index.
+    // A truncated log has no index.
     let cut = place.path("cut.mcap");
     let bytes = std::fs::read(&whole).unwrap();
     std::fs::write(&cut, &bytes[..bytes.len() / 2]).unwrap();
@@ -345,7 +348,8 @@ fn a_log_without_frames_or_with_a_gap_is_shown_and_says_so() {
     assert!(done.err.contains("trabecula log repair"), "{}", done.err);
 }
 
-/// Where two logs part is the first state that `trabecula log diff` finds, and what differs first is said.
+/// Two logs diverge at the first differing state that `trabecula log diff` finds; the first differing field
+/// is shown.
 #[test]
 fn two_logs_part_where_log_diff_says() {
     let place = Place::new();
@@ -364,7 +368,7 @@ fn two_logs_part_where_log_diff_says() {
     let text = found.first().unwrap();
     let states = view.subscribe("/state");
     // The command of tick k leads to the state of tick k + 1.
-    assert!(text.starts_with(&format!("the two runs part at tick {};", command_tick + 1)), "{text}");
+    assert!(text.starts_with(&format!("the two runs diverge at tick {};", command_tick + 1)), "{text}");
     assert!(text.contains("/latched: commands[0]") && text.contains("tendon_force_n[0]"), "{text}");
     assert_eq!(view.call(4, json!({"action": "next", "kind": "divergence"})), json!({"ok": true}));
     while view.next_state(states).tick != command_tick + 1 {}
@@ -381,7 +385,7 @@ fn fields_are_plotted_and_completions_and_the_man_page_are_made() {
     let fields = ["tendon_tension_n[0]", "t_world_tip.position_m"];
     let done = trabecula(&[&"plot", &run, &fields[0], &fields[1], &"--output", &figure]);
     assert_eq!(done.code, Some(0), "{}", done.err);
-    // No figure is written over, not even half of one.
+    // No figure is overwritten, not even partly.
     std::fs::remove_file(figure.with_extension("png")).unwrap();
     let before = std::fs::read(figure.with_extension("svg")).unwrap();
     let again = trabecula(&[&"plot", &run, &fields[0], &"--output", &figure]);
@@ -395,7 +399,7 @@ fn fields_are_plotted_and_completions_and_the_man_page_are_made() {
     assert!(png.starts_with(b"\x89PNG"));
     let svg = std::fs::read_to_string(figure.with_extension("svg")).unwrap();
     assert!(fields.iter().all(|field| svg.contains(field)));
-    // It was `named.svg.svg`.
+    // Regression: it was `named.svg.svg`.
     let named = trabecula(&[&"plot", &run, &fields[0], &"--output", &place.path("named.svg")]);
     assert_eq!(named.code, Some(0), "{}", named.err);
     assert!(place.path("named.svg").exists() && place.path("named.png").exists());
@@ -410,7 +414,8 @@ fn fields_are_plotted_and_completions_and_the_man_page_are_made() {
     assert!(man.contains(".TH") && man.contains("bind"), "{man}");
 }
 
-/// The address with the token stood in every user's process list, and the program that opens browsers was never waited for.
+/// Regression: the address with the token was visible in the process list to every user, and the program that
+/// opens browsers was never waited for.
 #[test]
 fn the_token_is_in_no_process_list_and_the_opener_is_reaped() {
     use std::os::unix::fs::{MetadataExt, PermissionsExt};
@@ -419,7 +424,7 @@ fn the_token_is_in_no_process_list_and_the_opener_is_reaped() {
     let tools = place.path("tools");
     let runtime = place.path("runtime");
     [&tools, &runtime].into_iter().for_each(|folder| std::fs::create_dir(folder).unwrap());
-    // In the place of the desktop's: notes what it was given.
+    // Replaces the desktop's opener, and records its argument.
     let opener = tools.join("xdg-open");
     let script = format!(
         "#!/bin/sh\nprintf '%s\\n' \"$@\" >{0}/new && mv {0}/new {0}/given\n",
@@ -443,7 +448,7 @@ fn the_token_is_in_no_process_list_and_the_opener_is_reaped() {
     assert_eq!(std::fs::metadata(file).unwrap().mode() & 0o777, 0o600);
     let text = std::fs::read_to_string(file).unwrap();
     assert!(text.contains(&format!("url={url}\"")), "{text}");
-    // The opener has ended, and nobody's child is left of it.
+    // The opener has ended, and no child is left of it.
     let children = format!("/proc/{0}/task/{0}/children", child.id());
     let is_alone = || {
         let tasks = std::fs::read_dir(format!("/proc/{}/task", child.id())).unwrap().flatten();

@@ -1,4 +1,4 @@
-//! The source distribution: what one builds without a checkout of git.
+//! The source distribution, as built without a git checkout.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -8,7 +8,7 @@ use std::process::Command;
 use crate::common::program::Place;
 use crate::languages::output_of;
 
-/// The source distribution of some sources, made by their backend and unpacked in a folder.
+/// Creates the source distribution of some sources with their backend, and unpacks it in a folder.
 fn sdist(sources: &Path, folder: &Path) -> PathBuf {
     let script = "import sys, tarfile, build_backend as backend
 name = backend.build_sdist(sys.argv[1])
@@ -20,7 +20,7 @@ print(name.removesuffix('.tar.gz'))";
     folder.join(output_of(command.env("PYTHONDONTWRITEBYTECODE", "1")).trim())
 }
 
-/// Every file below a folder.
+/// Returns every file below a folder.
 fn files(folder: &Path) -> BTreeSet<PathBuf> {
     let (mut found, mut folders) = (BTreeSet::new(), vec![folder.to_owned()]);
     while let Some(next) = folders.pop() {
@@ -49,12 +49,12 @@ fn a_source_distribution_is_the_workspace_and_makes_itself_again() {
     for file in ["Cargo.lock", "PKG-INFO", "LICENSE-MIT", "configs/femur_curved_drilling.toml", ".ci/run"] {
         assert!(first.contains(Path::new(file)), "no {file}");
     }
-    // Cargo agrees that every package is there.
+    // Cargo agrees that every package is present.
     let mut cargo = Command::new(env!("CARGO"));
     cargo.args(["metadata", "--offline", "--no-deps", "--format-version", "1"]);
     let metadata: serde_json::Value = serde_json::from_str(&output_of(cargo.current_dir(&sources))).unwrap();
     assert!(metadata["packages"].as_array().unwrap().len() > 25, "{metadata}");
-    // Without git it makes itself.
+    // It can build itself again without git.
     let again = Place::new();
     assert_eq!(files(&sdist(&sources, &again.path(""))), first);
 }

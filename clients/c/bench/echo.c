@@ -13,8 +13,9 @@ int main(int argc, char **argv) {
     const trb_state *state;
     for (long left = atol(argv[2]); left > 0; left--) {
         int status;
-        while ((status = spin ? trb_poll_state(client, &state) : trb_wait_state(client, 30.0, &state)) == TRB_TIMEOUT) {
-        }
+        do {
+            status = spin ? trb_poll_state(client, &state) : trb_wait_state(client, 30.0, &state);
+        } while (status == TRB_TIMEOUT);
         if (checked(status) == TRB_ENDED) {
             return 1;
         }

@@ -1,15 +1,15 @@
-/* Asks for an X-ray frame every 0.1 s, finds the tip in it, and steers it sideways to a target.
+/* Requests an X-ray frame every 0.1 s, finds the tip in it, and steers the tip sideways to a target.
  *
- * The tip is where the tool's metal ends: of the dark pixels, the one that lies farthest along the tool; then the middle of
- * the dark pixels of the last 3 mm. Its place in the picture, brought back to the plane of the tool, gives the sideways
- * error, and the error the tension. */
+ * The tip is the end of the tool's metal: the dark pixel farthest along the tool, refined to the mean of the
+ * dark pixels of the last 3 mm. Projected back to the plane of the tool, it gives the sideways error, which
+ * drives the tension. */
 #include "example.h"
 
 static const double FRAME_LIMIT_S = 30.0;
 static const uint64_t TICKS_BETWEEN_FRAMES = 100;
-/* Below this share of full scale a pixel shows metal. */
+/* Pixels darker than this show metal (full scale: 65535). */
 static const uint16_t DARK = 8000;
-/* Where the burr is to go, sideways from where it started (world x). */
+/* Target of the burr: sideways offset from its start (world x). */
 static const double TARGET_M = 0.006;
 static const double GAIN_N_PER_M = 350.0;
 static const double END_LENGTH_M = 0.003;
@@ -18,11 +18,11 @@ static double dot(const double *a, const double *b) {
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 }
 
-/* Column and row of the tool's end; 0 if there is no metal in the picture. */
+/* Finds column and row of the tool's end; returns 0 if there is no metal in the image. */
 static int find_tip(const trb_frame_view *view, double *column, double *row) {
     const trb_c_arm_geometry *geometry = &view->frame->geometry;
     uint64_t columns = geometry->columns;
-    /* +z of the burr in the picture: the last column of the rotation matrix, seen along rows and columns. */
+    /* +z of the burr in the image: last column of the rotation matrix, projected on rows and columns. */
     const double *q = view->frame->t_world_burr.orientation_xyzw;
     double x = q[0], y = q[1], z = q[2], w = q[3];
     double axis[3] = {2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)};
@@ -54,8 +54,8 @@ static int find_tip(const trb_frame_view *view, double *column, double *row) {
     return 1;
 }
 
-/* World x of a column, in the plane of the isocentre: the picture is magnified by source-detector over source-isocentre
- * distance, 1000 to 700 mm. */
+/* Returns the world x of a column, in the plane of the isocentre: the image is magnified by the ratio of
+ * source-detector to source-isocentre distance, 1000 to 700 mm. */
 static double sideways_m(const trb_frame_view *view, double column) {
     const trb_c_arm_geometry *geometry = &view->frame->geometry;
     return (column - 0.5 * ((double)geometry->columns - 1.0)) * geometry->pixel_pitch_m[0] * 0.7;

@@ -26,7 +26,8 @@ pub enum ClientError {
     },
     /// The program's declaration of a message differs from this library's.
     #[error(
-        "{message}: this program was built with layout {given}, libtrabecula_client {version} has {ours}; build both from the same version"
+        "{message}: layout mismatch: this program was built with {given}, libtrabecula_client {version} has \
+         {ours}; build both from the same version"
     )]
     Layout {
         /// Message.
@@ -38,18 +39,16 @@ pub enum ClientError {
         /// Version of the library.
         version: &'static str,
     },
-    /// The session was found, and cannot be joined in this way.
+    /// The session was found but cannot be joined in this way.
     #[error("session {folder}: {cause}")]
     Joining {
         /// Session folder.
         folder: PathBuf,
-        /// Why.
+        /// Cause.
         cause: Box<ClientError>,
     },
-    /// The scene does not determine which controller is meant.
-    #[error(
-        "no controller given, and the scene has {external} external ones; choose one of its controllers: {known}"
-    )]
+    /// The scene does not determine which controller to use.
+    #[error("no controller given, and the scene has {external} external ones; choose one of: {known}")]
     WhichController {
         /// Number of external controllers.
         external: usize,
@@ -79,7 +78,7 @@ pub enum ClientError {
         /// The action.
         action: u32,
     },
-    /// The text of an event is not UTF-8, or there is no command to send.
+    /// The text of an event is not UTF-8, there is no command to send, or a message is malformed.
     #[error("{0}")]
     Misuse(&'static str),
     /// A number is invalid.
@@ -89,13 +88,13 @@ pub enum ClientError {
         name: &'static str,
         /// Its value.
         value: f64,
-        /// What is allowed.
+        /// Allowed values.
         expected: &'static str,
     },
     /// A `fork` child uses its parent's client.
     #[error(
-        "this client belongs to the parent of this forked process; connect a new one here (Python's `multiprocessing`: start \
-         method `spawn`, or connect in the child)"
+        "this client belongs to the parent of this forked process; connect a new one here \
+         (Python's `multiprocessing`: start method `spawn`, or connect in the child)"
     )]
     Forked,
     /// The run is over.
@@ -108,12 +107,13 @@ pub enum ClientError {
         folder: PathBuf,
     },
     /// Nothing arrived in time.
-    #[error("nothing arrived within {:.3} s", .0.as_secs_f64())]
+    #[error("timed out: nothing arrived within {:.3} s", .0.as_secs_f64())]
     TimedOut(Duration),
 }
 
 impl ClientError {
-    /// Names the session in an error that does not name it. A session that is cleared away while it is joined counts as not found.
+    /// Adds the session to an error that does not name it. A session that is removed while it is being joined
+    /// counts as not found.
     pub(crate) fn of(self, folder: &Path) -> ClientError {
         match self {
             ClientError::Session(SessionError::Transported { .. }) if !host_is_alive(folder) => {
@@ -144,7 +144,7 @@ impl From<SessionError> for ClientError {
 mod tests {
     use super::*;
 
-    /// It said that a service cannot be opened (`DoesNotExist`).
+    /// Such an error must not be reported as a service that cannot be opened (`DoesNotExist`).
     #[test]
     fn a_session_that_is_cleared_away_while_it_is_joined_is_no_session() {
         let cause = SessionError::Transported {

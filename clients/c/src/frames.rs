@@ -17,10 +17,10 @@ use crate::error::ClientError;
 
 /// Poll interval while waiting for the volume.
 const RETRY_TIME: Duration = Duration::from_millis(2);
-/// How long after the end of a run its last frames may arrive.
+/// Time after the end of a run within which its last frames may arrive.
 const LAST_FRAMES: Duration = Duration::from_secs(1);
 
-const NO_PICTURE: ClientError = ClientError::Misuse("a frame came whose pixels are not those it announces");
+const NO_PICTURE: ClientError = ClientError::Misuse("malformed frame: its pixels do not match its header");
 
 /// A frame in shared memory.
 #[derive(Debug, Clone, Copy)]
@@ -41,12 +41,13 @@ pub struct VolumeView<'a> {
 }
 
 impl Client {
-    /// Requests a frame and returns the request's number. `t_world_c_arm` is the pose of the C-arm: its origin is the isocentre, +x runs
-    /// along the image rows to the right, +y along the columns down, +z to the source; distances, pixels and pitch are the scene's. `None`
-    /// uses the scene's C-arm unchanged. The frame shows the state of `tick`, or the newest one if that has passed.
+    /// Requests a frame and returns the request's id. `t_world_c_arm` is the pose of the C-arm: its origin is
+    /// the isocentre, +x runs along the image rows to the right, +y along the columns down, +z to the source;
+    /// distances, pixels and pitch are the scene's. `None` uses the scene's C-arm unchanged. The frame shows
+    /// the state of `tick`, or the newest one if that has passed.
     ///
     /// # Errors
-    /// [`ClientError::NoDrr`], [`ClientError::BadArgument`] for an invalid pose; the transport's.
+    /// [`ClientError::NoDrr`], [`ClientError::BadArgument`] for an invalid pose; or a transport error.
     pub fn request_frame(&mut self, t_world_c_arm: Option<&Pose>, tick: u64) -> Result<u64, ClientError> {
         self.check_process()?;
         self.open_frames()?;
@@ -75,12 +76,13 @@ impl Client {
         Ok(request_id)
     }
 
-    /// Waits for a frame: that of a request, or with 0 the next one of any kind. Frames are queued from this client's first call of this or
-    /// [`Client::request_frame`] on, at most 64. The frame stays in shared memory, unchanged, until the next one is returned.
+    /// Waits for the frame of a request, or for the next frame of any kind if `request_id` is 0. Frames are
+    /// queued from this client's first call of this function or [`Client::request_frame`] on, at most 64. The
+    /// frame stays in shared memory, unchanged, until the next one is returned.
     ///
     /// # Errors
-    /// [`ClientError::NoDrr`], [`ClientError::FrameRefused`], [`ClientError::TimedOut`], [`ClientError::Ended`] when the run is over and no
-    /// frame is being rendered; the transport's.
+    /// [`ClientError::NoDrr`], [`ClientError::FrameRefused`], [`ClientError::TimedOut`],
+    /// [`ClientError::Ended`] when the run is over and no frame is being rendered; or a transport error.
     pub fn wait_frame(&mut self, request_id: u64, limit: Duration) -> Result<FrameView<'_>, ClientError> {
         self.check_process()?;
         self.open_frames()?;
@@ -108,7 +110,7 @@ impl Client {
         self.frame.as_ref().and_then(frame_view).ok_or(NO_PICTURE)
     }
 
-    /// Fails if the run has ended and no frame is being rendered, so none will come.
+    /// Fails if the run has ended and no frame is being rendered, so that no more frames will arrive.
     fn check_frames_come(&mut self, request_id: u64) -> Result<(), ClientError> {
         let ended = self.has_ended()? && self.ended.is_some_and(|since| since.elapsed() >= LAST_FRAMES);
         let accepted = self.requests.as_ref().map_or(0, |requests| requests.accepted);
@@ -121,7 +123,7 @@ impl Client {
             return Err(ClientError::NoDrr);
         }
         if self.frames.is_none() {
-            // Frames that others request must not push out one that this client waits for.
+            // Frames requested by others must not evict one that this client waits for.
             self.frames = Some(self.session.lossless_subscriber(&services::FRAME)?);
         }
         Ok(())
@@ -137,12 +139,12 @@ impl Client {
             }
             match reply.status() {
                 Ok(DrrStatus::Accepted) => requests.accepted = request_id,
-                Ok(DrrStatus::Busy) => refused = Some("turned away: too many wait"),
+                Ok(DrrStatus::Busy) => refused = Some("rejected: too many requests are waiting"),
                 _ => refused = Some("refused"),
             }
         }
         let Some(how) = refused else { return Ok(()) };
-        // What waits when the run ends is refused for that reason alone.
+        // Requests still waiting when the run ends are refused for that reason alone.
         if self.has_ended()? {
             Err(ClientError::Ended)
         } else {
@@ -150,10 +152,10 @@ impl Client {
         }
     }
 
-    /// The CT volume as at the start of the run, in place. It stays mapped as long as the client lives.
+    /// Returns the CT volume at the start of the run, in place. It stays mapped as long as the client lives.
     ///
     /// # Errors
-    /// [`ClientError::NoVolume`], [`ClientError::TimedOut`], [`ClientError::Ended`]; the transport's.
+    /// [`ClientError::NoVolume`], [`ClientError::TimedOut`], [`ClientError::Ended`]; or a transport error.
     pub fn volume(&mut self, limit: Duration) -> Result<VolumeView<'_>, ClientError> {
         self.check_process()?;
         if self.scene.volume.is_none() {
@@ -176,13 +178,13 @@ impl Client {
             }
         }
         let volume = self.volume.as_ref().ok_or(ClientError::TimedOut(limit))?;
-        let wrong = ClientError::Misuse("the volume's voxels are not those it announces");
+        let wrong = ClientError::Misuse("malformed volume: its voxels do not match its header");
         let hu = <[i16]>::ref_from_bytes(volume.tail()).map_err(|_| wrong)?;
         Ok(VolumeView { volume: volume.message(), hu })
     }
 }
 
-/// A frame's pixels in place. Its writer is another process, so an invalid image gives `None`.
+/// Returns a frame's pixels in place, or `None` if the image is invalid: its writer is another process.
 pub(crate) fn frame_view(received: &Received<Frame>) -> Option<FrameView<'_>> {
     let frame = received.message();
     let data = received.tail().get(ImagePrefix::DESCRIPTION.size..)?;
@@ -191,7 +193,7 @@ pub(crate) fn frame_view(received: &Received<Frame>) -> Option<FrameView<'_>> {
     (pixels.len() as u64 == expected).then_some(FrameView { frame, pixels })
 }
 
-/// The scene's C-arm, moved to a pose.
+/// Returns the scene's C-arm, moved to a pose.
 fn geometry_at(pose: &Pose, drr: &Drr) -> Result<CArmGeometry, ClientError> {
     let [x, y, z, w] = pose.orientation_xyzw;
     let length = (x * x + y * y + z * z + w * w).sqrt();
@@ -225,17 +227,21 @@ fn geometry_at(pose: &Pose, drr: &Drr) -> Result<CArmGeometry, ClientError> {
 mod tests {
     use super::*;
 
-    /// At AP the image shows the patient's right (LPS −x) on its left and the head (+z) up, with the source behind the patient (+y).
+    /// At AP the image shows the patient's right (LPS −x) on its left and the head (+z) up, with the source
+    /// behind the patient (+y).
     #[test]
     fn the_c_arm_stands_where_its_pose_says() {
         let text =
             "rate_hz = 0.0\nisocentre_mm = [0.0, 0.0, 0.0]\ncolumns = 64\nrows = 32\npixel_pitch_mm = 1.5\n";
         let scene = format!(
-            "name = \"x\"\n[run]\nmode = \"lockstep\"\nduration_s = 1.0\n[volume]\nphantom = \"block\"\n[tool]\nburr_start_mm = [0.0, 0.0, 0.0]\ndirection = [0.0, 0.0, 1.0]\nbend_toward = [1.0, 0.0, 0.0]\n[drr]\n{text}"
+            "name = \"x\"\n[run]\nmode = \"lockstep\"\nduration_s = 1.0\n[volume]\nphantom = \"block\"\n\
+             [tool]\nburr_start_mm = [0.0, 0.0, 0.0]\ndirection = [0.0, 0.0, 1.0]\n\
+             bend_toward = [1.0, 0.0, 0.0]\n[drr]\n{text}"
         );
         let scene = ipc_types::scene::Scene::parse(&scene, std::path::Path::new("x.toml")).unwrap();
         let drr = scene.drr.unwrap();
-        // Rows along +x, columns along −z: a rotation by −90° about x, so that the C-arm's +z is the patient's +y.
+        // Rows along +x, columns along −z: a rotation by −90° about x, so that the C-arm's +z is the
+        // patient's +y.
         let half = core::f64::consts::FRAC_1_SQRT_2;
         let pose = Pose { position_m: [0.01, 0.02, 0.03], orientation_xyzw: [-half, 0.0, 0.0, half] };
         let geometry = geometry_at(&pose, &drr).unwrap();

@@ -13,8 +13,9 @@
 //! }
 //! ```
 //!
-//! [`Client`] offers everything else: frames, volume, run control, events. [`ffi`] is the same interface for C, and through C for every
-//! other language; [`bindings`] generates the C header and the Python declarations from the messages.
+//! [`Client`] offers everything else: frames, volume, run control, events. [`ffi`] is the same interface for
+//! C and, through C, for all other languages; [`bindings`] generates the C header and the Python declarations
+//! from the messages.
 
 pub mod bindings;
 mod client;

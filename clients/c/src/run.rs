@@ -7,12 +7,12 @@ use ipc_types::messages::{Command, State};
 use crate::client::{Client, Connection};
 use crate::error::ClientError;
 
-/// Longest wait for a state: a paused run publishes none, so the loop just polls again.
+/// Maximum wait for a state: a paused run publishes none, so the loop just polls again.
 const LONGEST_WAIT: Duration = Duration::from_secs(1);
 
 /// A controller. Closures with these two arguments implement it.
 pub trait Controller {
-    /// Answers a state. `command` arrives with `sequence` and `state_tick` filled in and every mode at "none".
+    /// Answers a state. `command` has `sequence` and `state_tick` filled in and every mode at "none".
     fn step(&mut self, state: &State, command: &mut Command);
 }
 
@@ -22,7 +22,8 @@ impl<F: FnMut(&State, &mut Command)> Controller for F {
     }
 }
 
-/// Runs a controller until the run ends, with the session and name from the environment or the only running session ([`Connection::default`]).
+/// Runs a controller until the run ends. Session and controller name come from the environment, or the only
+/// running session is used ([`Connection::default`]).
 ///
 /// # Errors
 /// Any [`ClientError`] except [`ClientError::Ended`].
@@ -30,10 +31,10 @@ pub fn run(controller: impl Controller) -> Result<(), ClientError> {
     run_as(&Connection::default(), controller)
 }
 
-/// As [`run`], with an explicit session and name.
+/// [`run`] with an explicit session and controller name.
 ///
 /// # Errors
-/// As [`run`].
+/// Same as [`run`].
 pub fn run_as(connection: &Connection, mut controller: impl Controller) -> Result<(), ClientError> {
     let mut client = Client::connect(connection)?;
     loop {

@@ -1,4 +1,4 @@
-//! The generated declarations that lie in the repository are those of this build.
+//! The generated declarations in the repository match this build.
 
 use std::path::Path;
 

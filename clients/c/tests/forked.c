@@ -1,4 +1,5 @@
-/* A child made by fork(): calls through its parent's client are refused, and its normal exit disconnects nobody. Run by the
+/* A child of fork(): calls through its parent's client are refused, and its exit does not disconnect the
+ * parent. Run by the
  * test tests/processes/forks.rs as the controller of a lockstep run. */
 #include <sys/wait.h>
 #include <unistd.h>
@@ -15,7 +16,7 @@ static void answer(trb_client client) {
     checked(trb_send_command(client));
 }
 
-/* What a child is refused; 0 if all of it is. */
+/* Returns 0 if every call of a child is refused. */
 static int refusals(trb_client client) {
     const trb_state *state;
     trb_command *command;
@@ -44,7 +45,7 @@ static int refusals(trb_client client) {
 int main(void) {
     trb_client client = connected();
     answer(client);
-    /* A normal exit with and without calls, and a hard one. */
+    /* A normal exit with and without calls, and _exit. */
     for (int way = 0; way < 3; way++) {
         fflush(NULL);
         pid_t child = fork();

@@ -1,5 +1,5 @@
-/* A command is what it was when it was sent: each asks for 3 N, and 55 N are written through its pointer again and again
- * until the next state is here. Run by the test tests/processes/sent.rs. */
+/* A command keeps its content once sent: each requests 3 N, and 55 N are written repeatedly through its
+ * pointer until the next state arrives. Run by the test tests/processes/sent.rs. */
 #include "../examples/example.h"
 
 int main(void) {
@@ -19,7 +19,7 @@ int main(void) {
         if (checked(status) == TRB_ENDED) {
             break;
         }
-        /* The next command has nothing of what was written before it was begun. */
+        /* The next command contains nothing written before it was loaned. */
         command->tendon_force_n[1] = 55.0;
         checked(trb_loan_command(client, &command));
         command->tendon_mode = TRB_TENDON_SERVO_JF;

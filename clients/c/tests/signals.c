@@ -1,4 +1,4 @@
-/* A signal handler that calls the library in the middle of a wait is refused, and the wait goes on. Run by a test in
+/* A call from a signal handler in the middle of a wait is refused, and the wait continues. Run by a test in
  * tests/processes/lifetimes.rs as the controller of a lockstep run. */
 #include <signal.h>
 #include <sys/time.h>
@@ -26,7 +26,7 @@ int main(void) {
     signal(SIGALRM, handler);
     struct itimerval every_ms = {{0, 1000}, {0, 1000}}, never = {{0, 0}, {0, 0}};
     setitimer(ITIMER_REAL, &every_ms, NULL);
-    /* Nothing comes before the first state has been answered. */
+    /* No new state arrives before the first one has been answered. */
     for (int i = 0; i < 200 && refused < 20; i++) {
         int status = trb_wait_state(client, 0.05, &state);
         if (status != TRB_TIMEOUT) {

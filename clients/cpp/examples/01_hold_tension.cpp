@@ -1,4 +1,4 @@
-// Holds 5 N on tendon 0 and says where the tip goes.
+// Holds 5 N on tendon 0 and prints the tip position.
 #include <cinttypes>
 #include <cstdio>
 
@@ -9,8 +9,8 @@ int main() try {
     while (const trb_state *state = client.wait_state()) {
         if (state->tick % 200 == 0) {
             const double *tip_m = state->t_world_tip.position_m;
-            std::printf("tick %4" PRIu64 "  tip %8.3f %8.3f %8.3f mm\n", state->tick, tip_m[0] * 1e3, tip_m[1] * 1e3,
-                        tip_m[2] * 1e3);
+            std::printf("tick %4" PRIu64 "  tip %8.3f %8.3f %8.3f mm\n", state->tick, tip_m[0] * 1e3,
+                        tip_m[1] * 1e3, tip_m[2] * 1e3);
         }
         auto command = client.command();
         command->tendon_mode = TRB_TENDON_SERVO_JF;

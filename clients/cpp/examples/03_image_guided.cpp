@@ -1,8 +1,8 @@
-// Asks for an X-ray frame every 0.1 s, finds the tip in it, and steers it sideways to a target.
+// Requests an X-ray frame every 0.1 s, finds the tip in it, and steers the tip sideways to a target.
 //
-// The tip is where the tool's metal ends: of the dark pixels, the one that lies farthest along the tool; then the middle of
-// the dark pixels of the last 3 mm. Its place in the picture, brought back to the plane of the tool, gives the sideways
-// error, and the error the tension.
+// The tip is the end of the tool's metal: the dark pixel farthest along the tool, refined to the mean of the
+// dark pixels of the last 3 mm. Projected back to the plane of the tool, it gives the sideways error, which
+// drives the tension.
 #include <cinttypes>
 #include <cstdio>
 #include <optional>
@@ -11,9 +11,9 @@
 
 constexpr double FRAME_LIMIT_S = 30.0;
 constexpr std::uint64_t TICKS_BETWEEN_FRAMES = 100;
-// Below this share of full scale a pixel shows metal.
+// Pixels darker than this show metal (full scale: 65535).
 constexpr std::uint16_t DARK = 8000;
-// Where the burr is to go, sideways from where it started (world x).
+// Target of the burr: sideways offset from its start (world x).
 constexpr double TARGET_M = 0.006;
 constexpr double GAIN_N_PER_M = 350.0;
 constexpr double END_LENGTH_M = 0.003;
@@ -24,11 +24,11 @@ struct Pixel {
 
 static double dot(const double *a, const double *b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
 
-// The tool's end, if there is metal in the picture.
+// Returns the pixel at the tool's end, or null if there is no metal in the image.
 static std::optional<Pixel> find_tip(const trb_frame_view &view) {
     const trb_c_arm_geometry &geometry = view.frame->geometry;
     const std::uint64_t columns = geometry.columns;
-    // +z of the burr in the picture: the last column of the rotation matrix, seen along rows and columns.
+    // +z of the burr in the image: last column of the rotation matrix, projected on rows and columns.
     const auto &[x, y, z, w] = view.frame->t_world_burr.orientation_xyzw;
     const double axis[3] = {2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)};
     const double right = dot(geometry.row_axis, axis), down = dot(geometry.column_axis, axis);
@@ -52,8 +52,8 @@ static std::optional<Pixel> find_tip(const trb_frame_view &view) {
     return Pixel{sum.column / count, sum.row / count};
 }
 
-// World x of a column, in the plane of the isocentre: the picture is magnified by source-detector over source-isocentre
-// distance, 1000 to 700 mm.
+// Returns the world x of a column, in the plane of the isocentre: the image is magnified by the ratio of
+// source-detector to source-isocentre distance, 1000 to 700 mm.
 static double sideways_m(const trb_frame_view &view, double column) {
     const trb_c_arm_geometry &geometry = view.frame->geometry;
     return (column - 0.5 * (static_cast<double>(geometry.columns) - 1.0)) * geometry.pixel_pitch_m[0] * 0.7;
@@ -80,7 +80,7 @@ int main() try {
         command.send();
     }
 } catch (const trabecula::Error &error) {
-    if (error.status() == TRB_ENDED) return 0;  // while a frame was waited for
+    if (error.status() == TRB_ENDED) return 0;  // while waiting for a frame
     std::fprintf(stderr, "error %d: %s\n", error.status(), error.what());
     return 1;
 }

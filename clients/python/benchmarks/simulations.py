@@ -1,9 +1,9 @@
-"""Figures of `trabecula.sim` in the default scene: steps a second, reset, snapshot, branches, memory.
+"""Benchmarks `trabecula.sim` in the default scene: steps per second, reset, snapshot, branches, memory.
 
     python3 clients/python/benchmarks/simulations.py [TICKS]
 
-Times are medians, and on a shared machine only their ratios within a run mean much. How fast the physics alone is, in the same ticks:
-`cargo run --release -p sim --example step_rate`.
+Times are medians; on a shared machine only their ratios within a run are meaningful. For the speed of the
+physics alone, in the same ticks: `cargo run --release -p sim --example step_rate`.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ FEED_M_PER_S = 0.0015
 
 
 def command_at(axis: np.ndarray, tick: int) -> trabecula.Command:
-    """Drills the curve as the built-in controller does, without its guidance."""
+    """Drills the curve like the built-in controller, without its guidance."""
     command = trabecula.Command()
     command.tendon_mode = trabecula.TendonMode.SERVO_JF
     command.tendon_force_n[0] = min(max(8.0 * (tick * 0.0015 - 3.0) / 21.0, 0.0), 8.0)
@@ -69,8 +69,12 @@ def main() -> None:
         sim.restore(here)
         by_twenty.append(seconds(lambda: [sim.step(command, ticks=20) for command in commands]))
         assert sim.hash == end
-    print(f"step(command)              {ticks / sum(one_by_one):8.0f} ticks a second")
-    print(f"step(command, ticks=20)    {ticks / sum(by_twenty):8.0f} ticks a second: the first has {100 * sum(by_twenty) / sum(one_by_one):.1f} % of it")
+    print(f"step(command)              {ticks / sum(one_by_one):8.0f} ticks per second")
+    percent = 100 * sum(by_twenty) / sum(one_by_one)
+    print(
+        f"step(command, ticks=20)    {ticks / sum(by_twenty):8.0f} ticks per second; "
+        f"single steps reach {percent:.1f} % of that"
+    )
     while sim.state.removed_total < 8000 and sim.tick < 60_000:
         sim.step(command_at(axis, sim.tick), ticks=100)
     drilled = sim.state.removed_total
@@ -86,17 +90,25 @@ def main() -> None:
         sim.restore(here)
         return seconds(sim.reset)
 
-    print(f"restore                    {1e3 * statistics.median(away_and_back() for _ in range(51)):8.3f} ms")
-    print(f"reset                      {1e3 * statistics.median(away_and_reset() for _ in range(51)):8.3f} ms")
+    restore_s = statistics.median(away_and_back() for _ in range(51))
+    print(f"restore                    {1e3 * restore_s:8.3f} ms")
+    reset_s = statistics.median(away_and_reset() for _ in range(51))
+    print(f"reset                      {1e3 * reset_s:8.3f} ms")
     sim.restore(here)
     before_mb = resident_mb()
     made_s = seconds(lambda: globals().__setitem__("batch", Batch(n=64, drive=True)))
     batch: Batch = globals()["batch"]
-    print(f"64 simulations             {resident_mb() - before_mb:8.0f} MB, made in {made_s:.2f} s, on {batch.threads} threads")
+    batch_mb = resident_mb() - before_mb
+    print(
+        f"64 simulations             {batch_mb:8.0f} MB, created in {made_s:.2f} s, "
+        f"on {batch.threads} threads"
+    )
     print(f"64 branches from one state {1e3 * seconds(lambda: batch.restore(here)):8.1f} ms")
     assert set(batch.hashes) == {sim.hash}
     batch_s = seconds(lambda: batch.step(command, ticks=100))
-    print(f"their steps                {64 * 100 / batch_s:8.0f} ticks a second together; now {resident_mb() - before_mb:.0f} MB")
+    batch_mb = resident_mb() - before_mb
+    rate = 64 * 100 / batch_s
+    print(f"their steps                {rate:8.0f} ticks per second in total; now {batch_mb:.0f} MB")
 
 
 if __name__ == "__main__":

@@ -1,12 +1,13 @@
-"""Train an agent to drill to a target that moves from episode to episode, and compare it with the plan of the built-in scene.
+"""Trains an agent to drill to a target that varies between episodes, and compares it with the plan of the
+built-in scene.
 
     pip install 'trabecula[gym]' stable-baselines3 matplotlib
     python3 train_to_target.py --minutes 6 --output out/training
 
-Soft actor-critic (stable-baselines3) learns in `trabecula/CurvedDrilling-v0` what to add to the plan's tension and feed. Both drill to the
-targets of seeds that training never drew: the agent sees where the target is, the built-in plan is the scene's own, made for the middle of all
-targets. Prints for
-both how near the burr came, and writes `training.csv`, `training.png` and the agent into the folder, which must not exist.
+Soft actor-critic (stable-baselines3) learns in `trabecula/CurvedDrilling-v0` what to add to the plan's
+tension and feed. Both drill to targets of seeds not used in training: the agent observes the target, while
+the built-in plan is the scene's own, for the mean target. Prints for both how close the burr came, and writes
+`training.csv`, `training.png` and the agent to the folder, which must not exist.
 """
 
 from __future__ import annotations
@@ -25,18 +26,18 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.monitor import Monitor
 from trabecula.gym import CurvedDrilling
 
-#: Ticks of an action: 0.4 s.
+#: Ticks per action: 0.4 s.
 TICKS = 400
-#: What the agent may add to the plan's action at most, of the action's range of -1 to 1.
+#: Maximum that the agent can add to the plan's action, whose range is -1 to 1.
 MOST_ADDED = 0.4
-#: First seed of the judged targets; training draws its own from another one.
+#: First seed of the evaluation targets; training draws its own from another one.
 HELD_OUT = 10_000
-#: What an observation is divided by: places, insertion, bend, tension, displacement, forces.
+#: Scales that observations are divided by: positions, insertion, bend, tension, displacement, forces.
 SCALE = np.array([30.0, 10.0, 1.0, 30.0, 1.0, 10.0, 5.0, 5.0, 10.0], np.float32)
 
 
 def open_loop(scene_toml: str) -> Callable[[Any], Any]:
-    """The actions of the scene's own plan: its feed, and tension that rises along its ramp."""
+    """Returns the actions of the scene's own plan: its feed, and tension that rises along its ramp."""
     plan = tomllib.loads(scene_toml)["controller"][0]["curved_drilling"]
     begin_mm, end_mm = plan["ramp_start_mm"], plan["ramp_end_mm"]
 
@@ -50,7 +51,7 @@ def open_loop(scene_toml: str) -> Callable[[Any], Any]:
 
 
 class Corrected(gymnasium.Wrapper[Any, Any, Any, Any]):
-    """An action is what is added to the plan's, and observations have the size that networks learn from."""
+    """Actions are added to the plan's, and observations are scaled for learning."""
 
     def __init__(self, env: CurvedDrilling) -> None:
         super().__init__(gymnasium.wrappers.TimeLimit(env, max_episode_steps=60))
@@ -67,7 +68,7 @@ class Corrected(gymnasium.Wrapper[Any, Any, Any, Any]):
 
 
 def judged(env: gymnasium.Env[Any, Any], act: Callable[[Any], Any], episodes: int) -> list[float]:
-    """The least distance from the target in each episode, mm."""
+    """Returns the smallest distance from the target in each episode, mm."""
     least = []
     for seed in range(HELD_OUT, HELD_OUT + episodes):
         seen, info = env.reset(seed=seed)
@@ -80,7 +81,7 @@ def judged(env: gymnasium.Env[Any, Any], act: Callable[[Any], Any], episodes: in
 
 
 class Course(BaseCallback):
-    """Ends training when its time is over, and notes each episode."""
+    """Ends training when its time is over, and records each episode."""
 
     def __init__(self, minutes: float) -> None:
         super().__init__()
@@ -96,7 +97,10 @@ class Course(BaseCallback):
 
 def described(name: str, least_mm: list[float]) -> str:
     reached = sum(x < CurvedDrilling.REACHED_MM for x in least_mm)
-    return f"{name:<12} median {np.median(least_mm):.2f} mm, worst {max(least_mm):.2f} mm, {reached} of {len(least_mm)} within 0.3 mm"
+    return (
+        f"{name:<12} median {np.median(least_mm):.2f} mm, worst {max(least_mm):.2f} mm, "
+        f"{reached} of {len(least_mm)} within 0.3 mm"
+    )
 
 
 def draw(rows: list[tuple[int, float, float]], baseline: float, file: Path) -> None:
@@ -141,7 +145,8 @@ def main() -> None:
     course = Course(given.minutes)
     agent.learn(total_timesteps=10**9, callback=course)
     print(f"{len(course.rows)} episodes, {agent.num_timesteps} actions", flush=True)
-    print(described("agent", judged(env, lambda seen: agent.predict(seen, deterministic=True)[0], given.episodes)))
+    trained = judged(env, lambda seen: agent.predict(seen, deterministic=True)[0], given.episodes)
+    print(described("agent", trained))
     agent.save(given.output / "agent")
     with open(given.output / "training.csv", "x", newline="") as file:
         csv.writer(file).writerows([("actions", "return", "last_distance_mm"), *course.rows])

@@ -1,9 +1,11 @@
-"""The hub by two ways from Python: the package `trabecula` (ctypes over the C library) and the PyPI package `iceoryx2`.
+"""Compares two ways to use the hub from Python: the package `trabecula` (ctypes over the C library) and the
+PyPI package `iceoryx2`.
 
     python3 clients/python/benchmarks/transports.py target/release/trabecula
 
-Both answer every state of the same lockstep scene with a command, waiting by polling, in turn in one run; the physics
-measures from the publication of a state (7064 bytes) to the arrival of its answer (320 bytes), and the log has it. Needs
+Both answer every state of the same lockstep scene with a command, polling, alternately in one run; the
+physics measures the time from publishing a state (7064 bytes) to receiving its command (320 bytes), which is
+in the log. Needs
 both packages and NumPy: `pip install . iceoryx2==0.10.0 numpy`.
 """
 
@@ -38,7 +40,7 @@ def answer_by_ctypes():
 
 
 def answer_by_iceoryx2():
-    """What such a client would be: no layouts checked, no sequence but its own, the messages' types taken from `trabecula`."""
+    """A client on plain iceoryx2: no layout check, its own sequence, message types from `trabecula`."""
     import iceoryx2
     from trabecula import _generated as messages
 
@@ -61,8 +63,10 @@ def answer_by_iceoryx2():
         return views[message, address]
 
     byte_slice = iceoryx2.Slice[ctypes.c_uint8]
-    states = service("state").publish_subscribe(byte_slice).open().subscriber_builder().buffer_size(512).create()
-    status = service("run_status").publish_subscribe(byte_slice).open().subscriber_builder().buffer_size(16).create()
+    state_service = service("state").publish_subscribe(byte_slice).open()
+    states = state_service.subscriber_builder().buffer_size(512).create()
+    status_service = service("run_status").publish_subscribe(byte_slice).open()
+    status = status_service.subscriber_builder().buffer_size(16).create()
     command_service = service("command/mine").publish_subscribe(byte_slice).open()
     commands = command_service.publisher_builder().initial_max_slice_len(COMMAND_BYTES).create()
     wake = service("wake/physics").event().open().notifier_builder().create()
@@ -99,10 +103,14 @@ def round_trips_us(program, how, folder):
     assert run.returncode == 0, said
     log = next(pathlib.Path(folder).iterdir()) / "timing.mcap"
     table = pathlib.Path(folder) / "timing.csv"
-    export = [program, "log", "export", log, "--topic", "/timing/tick", "--field", "round_trip_ns", "-o", table]
+    topic = ["--topic", "/timing/tick", "--field", "round_trip_ns"]
+    export = [program, "log", "export", log, *topic, "-o", table]
     subprocess.run(export, check=True, stdout=subprocess.DEVNULL)
     with open(table) as rows:
-        trips = [float(next(v for k, v in row.items() if k.startswith("round_trip"))) for row in csv.DictReader(rows)]
+        trips = [
+            float(next(v for k, v in row.items() if k.startswith("round_trip")))
+            for row in csv.DictReader(rows)
+        ]
     return [trip * 1e-3 for trip in trips if trip > 0]
 
 

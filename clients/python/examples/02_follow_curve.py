@@ -1,6 +1,6 @@
-"""Bends the manipulator along a curve in time: the tendon's tension follows the error of the bend angle.
+"""Bends the manipulator along a curve over time: a PI controller sets the tendon tension.
 
-Written in every language with the same operations in the same order, so that a lockstep run ends with the same hash.
+All languages use the same operations in the same order, so that a lockstep run ends with the same hash.
 """
 
 import trabecula

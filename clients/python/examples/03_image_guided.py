@@ -1,8 +1,8 @@
-"""Asks for an X-ray frame every 0.1 s, finds the tip in it, and steers it sideways to a target.
+"""Requests an X-ray frame every 0.1 s, finds the tip in it, and steers the tip sideways to a target.
 
-The tip is where the tool's metal ends: of the dark pixels, the one that lies farthest along the tool; then the middle of the
-dark pixels of the last 3 mm. Its place in the picture, brought back to the plane of the tool, gives the sideways error, and
-the error the tension.
+The tip is the end of the tool's metal: the dark pixel farthest along the tool, refined to the mean of the
+dark pixels of the last 3 mm. Projected back to the plane of the tool, it gives the sideways error, which
+drives the tension.
 """
 
 from __future__ import annotations
@@ -18,23 +18,23 @@ import trabecula
 #: NumPy numbers of any type.
 Numbers = npt.NDArray[Any]
 TICKS_BETWEEN_FRAMES = 100
-#: Below this share of full scale a pixel shows metal.
+#: Pixels darker than this show metal (full scale: 65535).
 DARK = 8000
-#: Where the burr is to go, sideways from where it started (world x).
+#: Target of the burr: sideways offset from its start (world x).
 TARGET_M = 0.006
 GAIN_N_PER_M = 350.0
 END_LENGTH_M = 0.003
 
 
 def dot(a: Sequence[float] | Numbers, b: Sequence[float] | Numbers) -> float:
-    """In the order of the other languages: NumPy's own may sum in another."""
+    """Dot product, summed in the same order as in the other languages; NumPy's order may differ."""
     return float(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
 
 
 def find_tip(image: trabecula.Image) -> Optional[tuple[float, float]]:
-    """Column and row of the tool's end; None if there is no metal in the picture."""
+    """Returns column and row of the tool's end; None if there is no metal in the image."""
     geometry = image.frame.geometry
-    # +z of the burr in the picture: the last column of the rotation matrix, seen along rows and columns.
+    # +z of the burr in the image: last column of the rotation matrix, projected on rows and columns.
     x, y, z, w = image.frame.t_world_burr.orientation_xyzw
     axis = (2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y))
     right, down = dot(geometry.row_axis, axis), dot(geometry.column_axis, axis)
@@ -47,14 +47,14 @@ def find_tip(image: trabecula.Image) -> Optional[tuple[float, float]]:
 
 
 def sideways_m(geometry: trabecula.CArmGeometry, column: float) -> float:
-    """World x of a column, in the plane of the isocentre: the picture is magnified by source-detector over
-    source-isocentre distance, 1000 to 700 mm.
+    """Returns the world x of a column, in the plane of the isocentre: the image is magnified by the ratio of
+    source-detector to source-isocentre distance, 1000 to 700 mm.
     """
     return float((column - 0.5 * (geometry.columns - 1.0)) * geometry.pixel_pitch_m[0] * 0.7)
 
 
 tension_n = 0.0
-# The run may end while a frame is waited for.
+# The run may end while waiting for a frame.
 with trabecula.Client() as client, suppress(trabecula.Ended):
     last_tick = client.info.tick_count
     for state in client.states():

@@ -1,4 +1,6 @@
-"""Holds 5 N on tendon 0 and says what the scene's sensors read (scene: configs/examples/sensors.toml with an external controller)."""
+"""Holds 5 N on tendon 0 and prints the sensor readings (scene: configs/examples/sensors.toml with an external
+controller).
+"""
 
 import trabecula
 

@@ -1,8 +1,8 @@
-"""Finds what is tested and starts runs.
+"""Locates the package under test and starts runs.
 
-What is tested: the package that is installed, or, if none is, the sources with what cargo has built. The
-environment variables `TRABECULA_CLIENT_LIBRARY`, `TRABECULA_SIM_LIBRARY` and `TRABECULA_PROGRAM` name other
-files; a build is the newest in target/release and target/quick (`cargo build --release --workspace`).
+Tested is the installed package, or, if it is not installed, the sources with cargo's newest build. The
+environment variables `TRABECULA_CLIENT_LIBRARY`, `TRABECULA_SIM_LIBRARY` and `TRABECULA_PROGRAM` select other
+files; builds are searched in target/release and target/quick (`cargo build --release --workspace`).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import pytest
 
 from support import CONTROLLER, ROOT, SESSION, Run
 
-#: Variables and the files of cargo's that they name.
+#: Environment variables and the cargo outputs that they override.
 BUILT = {
     "TRABECULA_CLIENT_LIBRARY": "libtrabecula_client.so",
     "TRABECULA_SIM_LIBRARY": "libtrabecula_sim.so",
@@ -31,7 +31,7 @@ def _built(name: str) -> Union[Path, None]:
 
 
 def _use_sources() -> None:
-    """Takes the package's sources, here and in what a test starts, and what cargo has built for them."""
+    """Uses the package's sources and cargo's build, in this process and in those started by a test."""
     sources = str(ROOT / "clients/python")
     sys.path.insert(0, sources)
     os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [sources, os.environ.get("PYTHONPATH")]))
@@ -47,7 +47,7 @@ def _use_sources() -> None:
 
 
 def pytest_configure() -> None:
-    """Before any module imports the package."""
+    """Runs before any module imports the package."""
     for variable in (SESSION, CONTROLLER):
         os.environ.pop(variable, None)
     if importlib.util.find_spec("trabecula") is None:
@@ -59,7 +59,7 @@ def pytest_configure() -> None:
 
 
 def pytest_report_header() -> list[str]:
-    """What is tested."""
+    """Prints what is tested."""
     import trabecula
 
     return [f"package: {Path(trabecula.__file__).parent}", f"program: {os.environ['TRABECULA_PROGRAM']}"]
@@ -67,7 +67,7 @@ def pytest_report_header() -> list[str]:
 
 @pytest.fixture
 def start(tmp_path: Path) -> Iterator[Callable[[str], Run]]:
-    """Starts a run of a scene; what still runs at the end of the test is killed."""
+    """Starts a run of a scene; any run still active at the end of the test is killed."""
     runs: list[Run] = []
 
     def start(scene: str) -> Run:

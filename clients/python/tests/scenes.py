@@ -52,12 +52,12 @@ def imaged() -> str:
 
 
 def with_frames() -> str:
-    """Lockstep with X-ray, of which `mine` and `other` may ask for frames."""
+    """Lockstep with X-ray; `mine` and `other` may request frames."""
     return (SCENES / "image_guided.toml").read_text() + _OTHER
 
 
 def hold(mode: str, duration_s: float) -> str:
-    """A controller of the program's holds a tension in free space."""
+    """A built-in controller holds a tension in free space."""
     controller = (
         '[[controller]]\nname = "holder"\ndrives = ["tendon", "arm", "burr"]\nhold = { tension_n = 2.0 }\n'
     )
@@ -65,8 +65,7 @@ def hold(mode: str, duration_s: float) -> str:
 
 
 def shared(mode: str, duration_s: float, holder: str = "hold = { tension_n = 0.0 }") -> str:
-    """Free space: an external `pilot` drives tendons and arm, and `holder`, of the program unless told
-    otherwise, the burr.
+    """Free space: an external `pilot` drives tendons and arm; `holder`, built-in by default, drives the burr.
     """
     controllers = f"""
 [[controller]]
@@ -83,7 +82,7 @@ drives = ["burr"]
 
 
 def drill(duration_s: float) -> str:
-    """A controller of the program's drills a curve into the block, seen by a C-arm."""
+    """A built-in controller drills a curve into the block, seen by a C-arm."""
     controller = """
 [[controller]]
 name = "reference"
@@ -100,7 +99,7 @@ burr_speed_rpm = 8000.0
     return _RUN.format("drill", "lockstep", duration_s) + _BLOCK + _TOOL + _X_RAY + controller
 
 
-#: The block, for simulations; a controller `mine` follows.
+#: The block, for simulations, to be completed by a controller `mine`.
 DRILL = f"""
 name = "drill"
 [run]
@@ -113,9 +112,9 @@ controller_limit_ms = 60000.0
 name = "mine"
 drives = ["tendon", "arm", "burr"]
 """
-#: Drives it from outside.
+#: External controller.
 EXTERNAL = "external = true\n"
-#: A controller of the program's that sees frames.
+#: Built-in controller that uses frames.
 GUIDED = """
 [controller.curved_drilling]
 feed_mm_per_s = 15.0
@@ -131,14 +130,14 @@ feedback = "image"
 
 
 def written(folder: Path, name: str, rest: str) -> Path:
-    """Writes the block's scene with what follows it."""
+    """Writes the block's scene, completed by `rest`."""
     path = folder / name
     path.write_text(DRILL + rest)
     return path
 
 
 def pushing(tick: int) -> trabecula.Command:
-    """What is asked for at a tick: deeper into the bone, and a rising tension."""
+    """Returns the command of a tick: deeper into the bone, with a rising tension."""
     command = trabecula.Command()
     command.tendon_mode = trabecula.TendonMode.SERVO_JF
     command.tendon_force_n[0] = 0.005 * tick

@@ -1,4 +1,4 @@
-"""What the tests share: the program, runs beside a test, and cases that need a Python of their own."""
+"""Shared by the tests: the program, runs in the background, and cases that need a separate Python process."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[3]
 SCENES = ROOT / "clients/scenes"
-#: Longest time that anything may take; only a hang reaches it, s.
+#: Time limit of any operation, s; only reached by a hang.
 LIMIT_S = 120.0
-#: The same of a case in a Python of its own, which waits several times, s.
+#: Time limit of a case in a separate Python process, which waits several times, s.
 CASE_LIMIT_S = 300.0
-#: Variables that would lead a client to another session, or make it another controller.
+#: Environment variables that would select another session or controller.
 SESSION, CONTROLLER = "TRABECULA_SESSION", "TRABECULA_CONTROLLER"
 
 
 def missing(what: str) -> None:
-    """Skips a test or a module because something is not installed; fails where `CI` is set."""
+    """Skips a test or a module because a requirement is not installed; fails if `CI` is set."""
     if os.environ.get("CI"):
         pytest.fail(f"{what}; in CI nothing is skipped", pytrace=False)
     pytest.skip(f"*** {what} ***", allow_module_level=True)
@@ -51,35 +51,35 @@ def trabecula(*words: object, code: int = 0) -> str:
 
 
 def recorded(scene: Path, output: Path) -> Path:
-    """A recorded run in lockstep; its folder."""
+    """Records a run in lockstep; returns its folder."""
     trabecula("run", scene, "--mode", "lockstep", "--quiet", "--output", output)
     (folder,) = output.iterdir()
     return folder
 
 
 def messages(log: Path, topic: str, *fields: str) -> list[Any]:
-    """The messages of a topic, or some of their fields."""
+    """Returns the messages of a topic, or some of their fields."""
     words = [word for field in fields for word in ("--field", field)]
     lines = trabecula("log", "cat", log, "--topic", topic, *words).splitlines()
     return [json.loads(line)["message"] for line in lines]
 
 
 def digits(hash_parts: list[int]) -> str:
-    """A hash as it is printed."""
+    """Formats a hash as printed."""
     low, high = hash_parts
     return f"{high:016x}{low:016x}"
 
 
 def assert_replays(folder: Path) -> None:
-    """A replay finds every tick identical."""
+    """Checks that a replay finds every tick identical."""
     assert "all identical" in trabecula("replay", folder, "--verify")
 
 
 def outside(
     case: Callable[..., None], *words: object, session: object = None, controller: object = None
 ) -> None:
-    """Runs a function of a test's module in a Python of its own: a crash or a client that is left fails that
-    test alone.
+    """Runs a function of a test's module in a separate Python process: a crash or a leftover client fails
+    only that test.
 
     The module ends with `support.main(globals())`.
     """
@@ -97,7 +97,7 @@ def outside(
 
 
 def main(module: dict[str, Any]) -> None:
-    """Runs the case that the command line names."""
+    """Runs the case named on the command line."""
     module[sys.argv[1]](*sys.argv[2:])
     print("done", flush=True)
 
@@ -112,7 +112,7 @@ def wait_for(what: str, found: Callable[[], Any]) -> Any:
 
 
 class Run:
-    """A run of the program beside a test."""
+    """A run of the program in the background of a test."""
 
     def __init__(self, scene: Path, folder: Path) -> None:
         self._output, self._out, self._err = (folder / name for name in ("out", "stdout", "stderr"))
@@ -127,7 +127,7 @@ class Run:
         return str(json.loads(line)["session"]) if end else ""
 
     def part(self, name: str) -> int:
-        """The process of a part of the run, such as `physics`."""
+        """Returns the process of a part of the run, such as `physics`."""
         words = ["proc", name]
 
         def found() -> int:
@@ -143,7 +143,7 @@ class Run:
         return int(wait_for(f"the process of {name}", found))
 
     def end(self) -> Path:
-        """Waits for the end of the run, which must succeed and leave nothing; the run's folder."""
+        """Waits for the end of the run, which must succeed and clean up; returns the run's folder."""
         code = self._process.wait(LIMIT_S)
         assert code == 0, f"{code}: {self._err.read_text()}"
         assert not os.path.exists(self.session)
@@ -154,7 +154,7 @@ class Run:
         return folder
 
     def kill(self) -> None:
-        """Ends a run that a failed test has left; its parts end with it."""
+        """Ends a run left by a failed test; its parts end with it."""
         if self._process.poll() is None:
             self._process.kill()
             self._process.wait(LIMIT_S)

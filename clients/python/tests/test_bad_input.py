@@ -1,4 +1,4 @@
-"""A client that is not as it should be: each defect is refused by name, and the run goes on."""
+"""Faulty clients: each defect is refused by name, and the run continues."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from trabecula import _client, _generated
 
 
 def refusal(call: Callable[[], Any]) -> t.Error:
-    """The error that a call must raise."""
+    """Returns the error that a call must raise."""
     try:
         call()
     except t.Error as error:
@@ -29,7 +29,7 @@ def refusal(call: Callable[[], Any]) -> t.Error:
 
 
 def wait_for_events(client: t.Client, *words: str) -> list[str]:
-    """Waits until each of the words has been in the text of an event; returns the texts."""
+    """Waits until each of the words has occurred in the text of an event; returns the texts."""
     texts: list[str] = []
     deadline = time.monotonic() + LIMIT_S
     while not all(any(word in text for text in texts) for word in words):
@@ -40,7 +40,7 @@ def wait_for_events(client: t.Client, *words: str) -> list[str]:
 
 
 def answer(client: t.Client, change: Callable[[Any], Any] = lambda command: None) -> None:
-    """Answers the newest state with a valid command that may be changed."""
+    """Answers the newest state with a valid command, optionally modified."""
     client.wait_state(LIMIT_S)
     with client.command() as command:
         command.tendon_mode = t.TENDON_SERVO_JF
@@ -49,7 +49,7 @@ def answer(client: t.Client, change: Callable[[Any], Any] = lambda command: None
 
 
 def applied(client: t.Client, wanted: Callable[[t.State], Any]) -> t.State:
-    """Answers until a state is as wanted."""
+    """Answers until a state meets a condition."""
     deadline = time.monotonic() + LIMIT_S
     while True:
         state = client.wait_state(LIMIT_S)
@@ -68,7 +68,7 @@ def die_with_a_command_begun() -> None:
 
 
 def layouts_and_names_and_handles() -> None:
-    """Those of another version are refused by name; needs a run."""
+    """Layouts, names and handles of another version are refused by name; needs a run."""
     # Another layout, and a missing one.
     handle = ctypes.c_uint64()
     state_layout = next(pair for pair in _generated.LAYOUTS.split(";") if pair.startswith("State="))
@@ -96,7 +96,7 @@ def layouts_and_names_and_handles() -> None:
 
 
 def every_defect() -> None:
-    """As the controllers `pilot` and `holder` of a run in real time; ends the run."""
+    """Runs as the controllers `pilot` and `holder` of a run in real time; ends the run."""
     layouts_and_names_and_handles()
     client = t.Client(controller="pilot")
     client.events()
@@ -141,8 +141,8 @@ def every_defect() -> None:
             return lambda command: command.tendon_force_n.__setitem__(0, value)
 
         for change, words in [
-            (set_force(math.nan), "`tendon_force_n[0]` is NaN, allowed is 0 to 60"),
-            (set_force(61.0), "`tendon_force_n[0]` is 61, allowed is 0 to 60"),
+            (set_force(math.nan), "`tendon_force_n[0]` is NaN; allowed: 0 to 60"),
+            (set_force(61.0), "`tendon_force_n[0]` is 61; allowed: 0 to 60"),
             (lambda command: setattr(command, "tendon_mode", 9), "`tendon_mode` is 9, expected"),
             (
                 lambda command: setattr(command, "burr_mode", t.BURR_SPEED),
@@ -176,10 +176,10 @@ def every_defect() -> None:
             with client.command() as command:
                 command.tendon_mode = t.TENDON_SERVO_JF
                 command.tendon_force_n[0] = 3.0
-        wait_for_events(client, "commands never came: a queue holds 512")
+        wait_for_events(client, "commands lost: the queue (512) overflowed")
         applied(client, lambda state: state.tendon_tension_n[0] > 2.0)
 
-        # Not reading: nobody waits for this client, and it learns how many states it missed.
+        # Not reading: the run does not wait for this client, which learns how many states it missed.
         first, missed = client.wait_state(LIMIT_S).tick, client.states_missed
         with t.Client(controller="") as observer:
             while observer.wait_state(LIMIT_S).tick < first + 700:
@@ -187,7 +187,7 @@ def every_defect() -> None:
             assert client.wait_state(LIMIT_S).tick >= first + 700
             assert client.states_missed >= missed + 699, client.states_missed
 
-    # Dying with an unsent command: the name becomes free, and the run continues.
+    # Crash with an unsent command: the name becomes free, and the run continues.
     client.close()
     line = [sys.executable, __file__, die_with_a_command_begun.__name__]
     victim = subprocess.run(line, capture_output=True, text=True, timeout=LIMIT_S)

@@ -1,7 +1,7 @@
-"""A controller written from docs/messages.md alone, with the PyPI package iceoryx2 and nothing of
-Trabecula's.
+"""A controller written from docs/messages.md alone, with the PyPI package iceoryx2 and without Trabecula's
+package.
 
-Every name, number and offset is read from the page, so that one that is wrong or missing there fails here.
+Every name, number and offset is read from the page, so that an error or omission there fails this test.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ CODES = {"uint32": "<I", "uint64": "<Q", "float64": "<d"}
 
 
 def word(pattern: str) -> str:
-    """The one thing that the page has in this place."""
+    """Returns the only match of a pattern in the page."""
     found = set(re.findall(pattern, PAGE))
     assert len(found) == 1, (pattern, found)
     return str(found.pop())
@@ -41,13 +41,13 @@ def section(title: str) -> str:
 
 
 def rows(text: str) -> list[list[str]]:
-    """Cells of the lines of tables."""
+    """Returns the cells of table rows."""
     lines = [line.strip() for line in text.splitlines() if line.strip().startswith("| ")]
     return [[cell.strip().strip("`") for cell in line.strip("|").split(" | ")] for line in lines]
 
 
 class Message:
-    """A message of the page: where its fields lie."""
+    """A message of the page: the offsets of its fields."""
 
     def __init__(self, name: str) -> None:
         text = section(name)
@@ -107,7 +107,7 @@ def drives_a_run() -> None:
         return opened.subscriber_builder().buffer_size(int(SERVICES[name][3])).create()
 
     def taken(subscriber: Any) -> Any:
-        """A copy of the oldest message that waits, which goes back at once."""
+        """Returns a copy of the oldest waiting message, which is released at once."""
         sample = subscriber.receive()
         if sample is None:
             return None
@@ -175,8 +175,8 @@ def drives_a_run() -> None:
 def test_a_controller_written_from_the_page_alone_drives_a_run_to_its_end(
     start: Callable[[str], Run],
 ) -> None:
-    """The page did not say how to reach the session, how to wake anybody and how the end is known."""
-    # As the second controller, so that its index counts.
+    """The page must explain how to reach the session, how to wake readers, and how to detect the end."""
+    # The second controller, so that its index matters.
     before, pilot, holder = shared("lockstep", 1e-3 * TICKS).split("[[controller]]")
     run = start("[[controller]]".join([before, holder, pilot]))
     support.outside(drives_a_run, session=run.session, controller="pilot")

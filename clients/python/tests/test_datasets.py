@@ -23,7 +23,7 @@ CLASSES = {"bone": 1, "tool": 2, "burr": 4, "tunnel": 8}
 
 
 def points_of(log: Path) -> dict[int, Any]:
-    """Base, joints and burr in the world by tick, from the log's states."""
+    """Returns base, joints and burr in the world frame by tick, from the log's states."""
     fields = ("tick", "joint_count", "t_world_base", "t_world_link", "t_world_burr")
     found = {}
     for state in support.messages(log, "/state", *fields):
@@ -35,7 +35,7 @@ def points_of(log: Path) -> dict[int, Any]:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a recorded run of the block in `run`, and its data sets in folders that are named after
+    """Returns a folder with a recorded run of the block in `run`, and its data sets in folders named after
     their formats.
     """
     folder = tmp_path_factory.mktemp("datasets")
@@ -47,7 +47,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def arrays(folder: Path) -> list[tuple[dict[str, Any], dict[str, Any]]]:
-    """The npz data set: each frame with its entry; NumPy reads it without pickles."""
+    """Returns the npz data set: each frame with its entry; NumPy reads it without pickles."""
     about = json.loads((folder / "dataset.json").read_text())
     assert (
         about["classes"] == CLASSES and about["keypoints"][0] == "base" and about["keypoints"][-1] == "burr"
@@ -86,8 +86,8 @@ def test_keypoints_are_where_opencv_projects_them(folder: Path) -> None:
 
 
 def test_pycocotools_finds_the_arrays_masks_and_boxes(folder: Path) -> None:
-    """pycocotools loads the data set, its masks and boxes are those of the arrays, and it finds itself
-    perfect.
+    """pycocotools loads the data set, its masks and boxes equal those of the arrays, and it scores perfectly
+    against itself.
     """
     with contextlib.redirect_stdout(io.StringIO()):
         data = coco_file.COCO(str(folder / "coco/annotations.json"))
@@ -138,8 +138,8 @@ def test_pycocotools_finds_the_arrays_masks_and_boxes(folder: Path) -> None:
 
 
 def test_yolo_lines_follow_the_rules_of_a_pose_data_set(folder: Path) -> None:
-    """Ultralytics' rules for a pose data set: five numbers and the keypoints in each line, fractions of the
-    image.
+    """The data set follows Ultralytics' pose format: five numbers and the keypoints per line, as fractions of
+    the image.
     """
     lines = [
         line for line in (folder / "yolo/data.yaml").read_text().splitlines() if not line.startswith("#")
@@ -178,8 +178,8 @@ def test_yolo_lines_follow_the_rules_of_a_pose_data_set(folder: Path) -> None:
 
 
 def test_polygons_filled_as_ultralytics_does_are_the_masks(folder: Path) -> None:
-    """Polygons filled as `ultralytics.data.utils.polygon2mask` fills them are the masks; a line with more
-    than six columns is a polygon there.
+    """Polygons filled like `ultralytics.data.utils.polygon2mask` equal the masks; a line with more than six
+    columns is a polygon there.
     """
     about = (folder / "yolo-segment/data.yaml").read_text()
     assert "kpt_shape" not in about and "train: images\nval: images\n" in about
@@ -205,7 +205,9 @@ def test_polygons_filled_as_ultralytics_does_are_the_masks(folder: Path) -> None
 
 
 def test_a_picture_of_the_labels_is_drawn(folder: Path) -> None:
-    """A frame with outlines of its masks and its keypoints, beside the attenuation of the metal."""
+    """Writes a frame with the outlines of its masks and its keypoints, next to the attenuation of the
+    metal.
+    """
     _, frame = arrays(folder / "npz")[-1]
     scale = 6 if frame["image"].shape[0] < 200 else 2
     grow = {"fx": scale, "fy": scale, "interpolation": cv2.INTER_NEAREST}

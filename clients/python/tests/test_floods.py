@@ -1,4 +1,4 @@
-"""Floods in lockstep: each is refused by name, the run is held up by none of them, and its end is heard."""
+"""Floods in lockstep: each is refused by name, none holds up the run, and its end is reported."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def answer(client: t.Client) -> None:
 
 
 def floods() -> None:
-    """As the controller `mine`; ends the run."""
+    """Runs as the controller `mine`; ends the run."""
     client = t.Client()
     client.events()
     tick = client.wait_state(LIMIT_S).tick
@@ -37,7 +37,7 @@ def floods() -> None:
     answer(client)
     assert client.wait_state(LIMIT_S).tick == tick + 2
 
-    # Run control: sends every request and waits for no reply.
+    # Run control: sends every request without waiting for replies.
     for _ in range(5000):
         assert library.trb_control_run(client._handle, 77, 0, 0.0, None) in (
             t.ERROR_REFUSED,
@@ -62,7 +62,7 @@ def floods() -> None:
     answer(client)
     assert client.wait_state(LIMIT_S).tick == tick + 4
 
-    # A client belongs to the thread that made it.
+    # A client belongs to the thread that created it.
     seen: list[int] = []
     thread = threading.Thread(target=lambda: seen.append(library.trb_send_command(client._handle)))
     thread.start()
@@ -82,17 +82,17 @@ def floods() -> None:
         except t.Error as error:
             assert error.status == t.ERROR_ARGUMENT and "`timeout_s` is" in str(error), error
 
-    # A pause is not an end; the end stops a wait for a frame that will not come.
+    # A pause is not an end; the end stops a wait for a frame that will not arrive.
     client.run_control(t.CONTROL_PAUSE)
     try:
         client.wait_state(0.3)
-        raise AssertionError("a tick was made while paused")
+        raise AssertionError("a tick was computed while paused")
     except TimeoutError:
         pass
     client.run_control(t.CONTROL_STOP)
     try:
         client.wait_frame(2**63, LIMIT_S)
-        raise AssertionError("a frame came")
+        raise AssertionError("a frame arrived after the run ended")
     except t.Ended:
         pass
 

@@ -1,4 +1,4 @@
-"""A child made by fork uses nothing of its parent's client, and its end disconnects nobody."""
+"""A forked child cannot use its parent's client, and its exit does not disconnect it."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def status_of(call: Callable[[], Any]) -> int:
 
 
 def all_calls(client: t.Client) -> list[Callable[[], Any]]:
-    """Every call of a client that needs no state."""
+    """Makes every call of a client that needs no state."""
     return [
         client.wait_state,
         client.next_state,
@@ -58,7 +58,7 @@ def all_calls(client: t.Client) -> list[Callable[[], Any]]:
 
 
 def child(client: t.Client, hu: Any, expected: int) -> None:
-    """What a worker does: it reads what was handed out, and is refused what it asks for."""
+    """Work of a child: it can read the returned data, and its calls are refused."""
     assert int(hu.astype(np.int64).sum()) == expected
     for call in all_calls(client):
         status = status_of(call)
@@ -71,7 +71,7 @@ def child(client: t.Client, hu: Any, expected: int) -> None:
 
 
 def forked(body: Callable[[], Any], leave: Callable[[], Any]) -> int:
-    """The exit code of a forked child."""
+    """Returns the exit code of a forked child."""
     pid = os.fork()
     if pid == 0:
         try:
@@ -89,7 +89,7 @@ def forked(body: Callable[[], Any], leave: Callable[[], Any]) -> int:
 
 
 def held_lock_and_child(client: t.Client) -> None:
-    """A fork while other threads hold and release the memory of clients."""
+    """Forks while other threads hold and release the memory of clients."""
     over = threading.Event()
 
     def churn() -> None:
@@ -107,13 +107,13 @@ def held_lock_and_child(client: t.Client) -> None:
 
 
 def forks() -> None:
-    """As the controller `mine`; ends the run."""
+    """Runs as the controller `mine`; ends the run."""
     client: Any = t.Client()
     hu: Any = client.volume(LIMIT_S).hu
     expected = int(hu.astype(np.int64).sum())
     ticks = [answer(client)]
 
-    # A normal exit, which runs every clean-up; a hard exit; an exec.
+    # A normal exit, which runs all clean-up; a hard exit; an exec.
     assert forked(lambda: child(client, hu, expected), lambda: sys.exit(0)) == 0
     ticks.append(answer(client))
     assert forked(lambda: child(client, hu, expected), lambda: os._exit(0)) == 0
@@ -155,7 +155,9 @@ def forks() -> None:
 
 
 def test_a_forked_child_that_exits_does_not_disconnect_its_parent(start: Callable[[str], Run]) -> None:
-    """The normal exit of a child ran the clean-up of its parent's client, and so ended the run."""
+    """The normal exit of a child must not run the clean-up of its parent's client, which would end the
+    run.
+    """
     run = start(imaged())
     support.outside(forks, session=run.session, controller="mine")
     folder = run.end()

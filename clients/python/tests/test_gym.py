@@ -1,4 +1,4 @@
-"""`trabecula.gym`: the environments, as Gymnasium checks them and agents use them."""
+"""`trabecula.gym`: the environments, with Gymnasium's checks and in use by agents."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ gym, checker = support.needs("gymnasium", "gymnasium.utils.env_checker")
 
 
 def test_gymnasium_accepts_the_environment_and_an_episode_repeats() -> None:
-    """Gymnasium accepts the environment, and an episode repeats."""
+    """Gymnasium accepts the environment, and episodes are reproducible."""
     coarse = {"volume.spacing_mm": 1.0, "drr.columns": 64, "drr.rows": 64}
     env = gym.make(
         "trabecula.gym:trabecula/CurvedDrilling-v0", overrides=coarse, ticks=100, render_mode="rgb_array"
@@ -36,8 +36,8 @@ def test_gymnasium_accepts_the_environment_and_an_episode_repeats() -> None:
 
 
 def test_a_skiving_episode_leaves_its_line_in_unequal_bone_and_is_held_by_a_pull() -> None:
-    """Untouched, the burr leaves its line toward the soft side in 1:10 and not in 1:1; a pull the other way
-    keeps it nearer.
+    """Without tension, the burr leaves its line toward the soft side at 1:10 but not at 1:1; a pull the other
+    way keeps it closer.
     """
     coarse = {"volume.spacing_mm": 1.0}
     env = gym.make("trabecula.gym:trabecula/Skiving-v0", overrides=coarse, ticks=100)
@@ -67,8 +67,8 @@ def test_a_skiving_episode_leaves_its_line_in_unequal_bone_and_is_held_by_a_pull
 
 
 def test_an_agent_of_x_rays_sees_the_target_where_the_c_arm_projects_it() -> None:
-    """The frame shows the target where the C-arm projects it, and nothing but the frame and what the machine
-    measures is seen.
+    """The target is at its projection in the frame, and the observation contains only the frame and machine
+    measurements.
     """
     coarse = {"volume.spacing_mm": 1.0}
     env = gym.make("trabecula.gym:trabecula/XRaySteering-v0", overrides=coarse, ticks=100)

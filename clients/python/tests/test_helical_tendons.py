@@ -26,14 +26,13 @@ Rotation = transform.Rotation
 
 Array = npt.NDArray[np.float64]
 
-#: The rod: the part that bends, 40 mm in front of a rigid shaft of 40 mm, and the burr's centre right at its
-#: end.
+#: The rod: the flexible part, 40 mm in front of a rigid shaft of 40 mm, with the burr's centre at its end.
 SHAFT_M, LENGTH_M, RADIUS_M = 0.040, 0.040, 2.0e-3
 OUTER_M, INNER_M, MODULUS_PA, POISSON = 1.5e-3, 1.25e-3, 0.3e9, 0.33
 BENDING_NM2 = MODULUS_PA * np.pi / 4 * (OUTER_M**4 - INNER_M**4)
 STIFFNESS_NM2: Array = np.array([BENDING_NM2, BENDING_NM2, BENDING_NM2 / (1 + POISSON)])
 
-#: Twist, degrees a millimetre; where the tendons start, degrees; their tensions, N.
+#: Twist, degrees per millimetre; start angles of the tendons, degrees; their tensions, N.
 CASES: list[tuple[float, list[float], list[float]]] = [
     (4.5, [0.0], [5.0]),
     (9.0, [0.0], [8.0]),
@@ -44,13 +43,13 @@ LINKS = (8, 16, 32)
 
 
 def cross(a: Array) -> Array:
-    """The matrix of a x: `numpy.cross` takes ten times as long."""
+    """Returns the cross-product matrix of a; `numpy.cross` takes ten times as long."""
     x, y, z = a
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
 class Tendon:
-    """Its place in the rod's axes and that place's two derivatives, at an arc length."""
+    """Returns its position in the rod's axes and the position's two derivatives, at an arc length."""
 
     def __init__(self, twist_deg_per_mm: float, start_deg: float, tension_n: float) -> None:
         self.declared = (twist_deg_per_mm, start_deg)
@@ -59,7 +58,7 @@ class Tendon:
         self.tension_n = tension_n
 
     def at(self, share: float) -> Tendon:
-        """The same under a share of its tension."""
+        """Returns the same tendon with a fraction of its tension."""
         return Tendon(*self.declared, share * self.tension_n)
 
     def place(self, s: float) -> tuple[Array, Array, Array]:
@@ -99,7 +98,7 @@ def bent(u: Array, s: float, tendons: list[Tendon]) -> Array:
 
 
 def shape(base_u: Array, tendons: list[Tendon]) -> Any:
-    """Position, attitude as a matrix and curvature along the rod, from its base on."""
+    """Returns position, attitude as a matrix and curvature along the rod, starting at its base."""
 
     def rate(s: float, y: Array) -> Array:
         turn, u = y[3:12].reshape(3, 3), y[12:]
@@ -110,7 +109,9 @@ def shape(base_u: Array, tendons: list[Tendon]) -> Any:
 
 
 def end_moment(base_u: Array, tendons: list[Tendon]) -> Array:
-    """What the rod's moment at its end lacks of the tendons', over E I: K u + sum r x T p'/|p'| = 0 there."""
+    """Returns the residual of the rod's end moment against the tendons', divided by E I: K u + sum r x T
+    p'/|p'| = 0 there.
+    """
     u = shape(base_u, tendons).y[12:, -1]
     moment = STIFFNESS_NM2 * u
     for tendon in tendons:
@@ -122,7 +123,7 @@ def end_moment(base_u: Array, tendons: list[Tendon]) -> Array:
 
 def solved(tendons: list[Tendon]) -> Any:
     guess = np.zeros(3)
-    # The whole load at once may lead the solver astray.
+    # Applying the full load at once can make the solver diverge.
     for share in np.linspace(0.2, 1.0, 5):
         part = [tendon.at(share) for tendon in tendons]
         found = optimize.root(end_moment, guess, args=(part,), options={"eps": 1e-6, "xtol": 1e-9})
@@ -178,7 +179,7 @@ pitch_mm = {pitch_mm!r}
 
 
 def settled(file: Path, tensions_n: list[float]) -> tuple[Array, Any]:
-    """Place and attitude of the burr, from where the flexible part begins."""
+    """Returns position and attitude of the burr, relative to the start of the flexible part."""
     sim = Sim(file)
     made = trabecula.Command()
     made.tendon_mode = trabecula.TendonMode.SERVO_JF
@@ -219,6 +220,6 @@ def test_the_tool_bends_as_rucker_and_websters_equations(
     assert off_m[2] < off_m[1] / 1.8 < off_m[0] / 3.24, f"{off_m}: it does not converge"
     assert limit_m < 0.002 * moved_m, f"{limit_m} m off when extrapolated"
     assert turned < 0.01, f"{turned} rad off at {LINKS[2]} flexures"
-    # The same rod with its tendon wound the other way is another shape.
+    # The same rod with the opposite twist has a different shape.
     other = solved([Tendon(-twist, start, tension) for start, tension in zip(starts, tensions_n)]).y[:3, -1]
     assert float(np.linalg.norm(other - place)) > 20 * off_m[2], "the twist's sense does not show"

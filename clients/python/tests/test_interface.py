@@ -1,4 +1,4 @@
-"""What the package offers beyond the bare messages, and what it refuses."""
+"""Features of the package beyond the plain messages, and its refusals."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from support import LIMIT_S, SCENES, Run
 
 
 def refusal(kind: type[t.Error], call: Callable[[], Any]) -> str:
-    """The text of the error that a call must raise."""
+    """Returns the text of the error that a call must raise."""
     try:
         call()
     except t.Error as error:
@@ -28,7 +28,7 @@ def refusal(kind: type[t.Error], call: Callable[[], Any]) -> str:
 
 
 def wrong_values() -> None:
-    """Every wrong type, shape or place is answered with a sentence of the package's own error."""
+    """Every wrong type, shape or index raises one of the package's own errors with a clear text."""
     client = t.Client()
     state = client.wait_state(LIMIT_S)
     argument, read_only = t.ArgumentError, t.ReadOnlyError
@@ -89,8 +89,7 @@ def wrong_values() -> None:
 
 
 def true_lengths_and_names() -> None:
-    """Arrays end where their count says, elements have attributes as the message has, and codes are members
-    of enums.
+    """Arrays have their used length, elements have attributes like the message, and codes are enum members.
     """
     client = t.Client()
     state = client.wait_state(LIMIT_S)
@@ -120,7 +119,7 @@ def true_lengths_and_names() -> None:
     assert isinstance(stepped.arm_mode, t.ArmMode) and stepped.applied[0].source is t.CommandSource.FRESH
     state = stepped
     assert t.TENDON_SERVO_JF is t.TendonMode.SERVO_JF and t.TendonMode.SERVO_JF == 1
-    # What is computed is an ordinary array, and survives a trip through pickle.
+    # Results of computations are ordinary arrays, and survive pickling.
     assert type(state.joint_position_rad * 2.0) is np.ndarray
     assert np.array_equal(
         pickle.loads(pickle.dumps(np.array(state.joint_position_rad))), state.joint_position_rad
@@ -138,7 +137,7 @@ def true_lengths_and_names() -> None:
 
 
 def steps_and_resets() -> None:
-    """`step` ends at the tick that was asked for, running and paused; an event and a count show a reset."""
+    """`step` ends at the requested tick, running and paused; an event and a count show a reset."""
     client = t.Client()
     observer = t.Client(controller="")
     assert observer.reset_count == client.reset_count == 0
@@ -147,7 +146,7 @@ def steps_and_resets() -> None:
     command.tendon_mode, command.tendon_force_n[0] = t.TendonMode.SERVO_JF, 4.0
     bent = client.step(50, LIMIT_S).copy()
     assert bent.tick == first.tick + 50 and bent.applied[0].sequence == 50
-    # The first command went on: those that `step` sent change nothing.
+    # The first command stays in effect: those sent by `step` change nothing.
     assert bent.tendon_tension_n[0] > 3.0, bent
     # A command that answers the newest state is not replaced by one of `step`.
     with client.command() as command:
@@ -177,20 +176,20 @@ def steps_and_resets() -> None:
 
 
 def several_sessions(*folders: str) -> None:
-    """Of several sessions none is joined unnamed: that is said at once, with all of them."""
-    # Retried, it would never end.
+    """With several sessions and none named, connecting fails at once and lists them."""
+    # Retrying would never end.
     try:
         t.Client(timeout_s=float("inf"))
     except t.Error as error:
         assert error.status == t.ERROR_SEVERAL_SESSIONS, error
-        assert all(folder in str(error) for folder in folders) and "name one" in str(error), error
+        assert all(folder in str(error) for folder in folders) and "select one" in str(error), error
         return
     raise AssertionError("not refused")
 
 
 def places() -> None:
-    """Poses, pixels and voxels beside NumPy's own arithmetic, and beside what the renderer and the volume say
-    of themselves.
+    """Poses, pixels and voxels compared with plain NumPy arithmetic, and with the metadata of renderer and
+    volume.
     """
     client = t.Client()
     image = client.wait_frame(client.request_frame(), LIMIT_S)
@@ -227,7 +226,7 @@ def places() -> None:
         lambda: t.world_to_pixel(geometry, 2.0 * geometry.source_m - geometry.detector_centre_m),
     )
     assert "not in front of the source" in text
-    # Voxels: the scene's block says where its two halves are.
+    # Voxels: the two halves of the scene's block have known positions.
     ct = client.volume(LIMIT_S)
     corner = ct.voxel_to_world([0, 0, 0])
     assert np.array_equal(corner, ct.volume.origin_m) and ct.hu_at(corner) == ct.hu[0, 0, 0]
@@ -256,7 +255,7 @@ def places() -> None:
 
 
 def starts_runs(scene: str, out: str) -> None:
-    """`run` starts, overrides, hands out the client, and ends what it has started."""
+    """`run` starts a run with overrides, returns the client, and ends the run."""
     changes: dict[str, Any] = {"run.duration_s": 0.3, "name": "renamed", "controller.0.connect_limit_s": 30.0}
     with t.run(scene, overrides=changes, output=out, timeout_s=LIMIT_S) as client:
         info = client.info
@@ -271,7 +270,7 @@ def starts_runs(scene: str, out: str) -> None:
         assert client.step(20, LIMIT_S).tick == 20
         folder = client.info.folder
     assert not os.path.exists(folder)
-    # An exception in the block comes out, and nothing is left.
+    # An exception in the block propagates, and everything is cleaned up.
     try:
         with t.run(scene, output=out, timeout_s=LIMIT_S) as client:
             folder = client.info.folder
@@ -280,7 +279,7 @@ def starts_runs(scene: str, out: str) -> None:
         pass
     assert not os.path.exists(folder)
     for overrides, words in [
-        ({"run.duration_s": -1}, "`run.duration_s` is -1, allowed is 0.001 to 86400"),
+        ({"run.duration_s": -1}, "`run.duration_s` is -1; allowed: 0.001 to 86400"),
         ({"run.duration_s": object()}, "the override `run.duration_s` is <object"),
         ({"run.durations": 1}, "unknown field `durations`"),
     ]:
@@ -295,9 +294,10 @@ CASES = [
     # `tendon_force_n = 5.0` wrote all four tendons, a wrong mode ended in `struct.error`, and misuse in
     # errors of other libraries.
     wrong_values,
-    # Arrays came at their capacity, and elements of arrays of messages by keys in place of attributes.
+    # Arrays must not have their full capacity, and elements of message arrays need attributes instead of
+    # keys.
     true_lengths_and_names,
-    # A reset was in no event and no state.
+    # A reset must be visible in events and states.
     steps_and_resets,
     places,
 ]
@@ -311,7 +311,7 @@ def test_the_interface(case: Callable[[], None], start: Callable[[str], Run]) ->
 
 
 def test_a_client_that_names_none_of_several_sessions_is_refused_at_once(start: Callable[[str], Run]) -> None:
-    """Several sessions were answered like none: looked for again until the time was over."""
+    """Several sessions must not be treated like none, which is retried until the timeout."""
     runs = [start(shared("realtime", 600.0)) for _ in range(2)]
     support.outside(several_sessions, *(run.session for run in runs))
     for run in runs:

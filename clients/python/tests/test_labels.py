@@ -13,13 +13,13 @@ from trabecula.sim import Mask, Sim
 
 #: Radii of the standard tool.
 BURR_M, OUTER_M, INNER_M, CABLE_M = 3.25e-3, 3.0e-3, 2.0e-3, 1.0e-3
-#: How near a ray may pass to an edge of the tool to count as doubtful.
+#: Distance from an edge of the tool within which a ray counts as ambiguous.
 DOUBT_M = 2e-5
 
 
 def siddon(start: Any, end: Any, shape: tuple[int, ...]) -> tuple[Any, Any, Any]:
-    """Parameters and voxels i, j, k of the pieces of a ray in voxel coordinates: all crossings with planes,
-    sorted.
+    """Returns parameters and voxels i, j, k of the segments of a ray in voxel coordinates: all crossings with
+    planes, sorted.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         planes = [
@@ -34,8 +34,8 @@ def siddon(start: Any, end: Any, shape: tuple[int, ...]) -> tuple[Any, Any, Any]
 
 
 def in_tube(source: Any, ray: Any, nodes: Any) -> Any:
-    """Whether a ray crosses a wall or the cable of the tubes from node to node, by points on it; None where
-    it only grazes one.
+    """Whether a ray crosses a wall or the cable of the tubes from node to node, tested at points on it; None
+    if it only grazes one.
     """
     crossed, grazed = False, False
     for start, end in zip(nodes[:-1], nodes[1:]):
@@ -99,7 +99,7 @@ def test_labels_agree_with_siddon_and_the_tools_geometry_in_numpy(tmp_path: Path
                 (bone_m, found.bone_m, Mask.BONE),
                 (tunnel_m, found.tunnel_m, Mask.TUNNEL),
             ):
-                # A ray that grazes a voxel's edge has a piece of rounding's length.
+                # A ray that grazes a voxel's edge has a segment as short as rounding.
                 assert expected < 1e-9 or found.where(bit)[here], (here, bit)
                 assert found.where(bit)[here] == (got[here] > 0.0), (here, bit)
             if bone_m > 1e-6:
@@ -122,7 +122,7 @@ def test_labels_agree_with_siddon_and_the_tools_geometry_in_numpy(tmp_path: Path
     in_image = seen @ found.image.frame.projection.intrinsics.reshape(3, 3).T
     assert np.allclose(found.keypoints[:, :2], in_image[:, :2] / in_image[:, 2:], atol=1e-9)
     assert np.allclose(found.keypoints[:, 2], seen[:, 2], atol=1e-12)
-    # Where the tool begins is above its metal; all bone is there from the lowest threshold on.
+    # The tool's entry point is in front of its metal; with the lowest threshold everything is bone.
     assert np.array_equal(np.isfinite(found.tool_depth_m), found.where(Mask.TOOL | Mask.BURR))
     everything = sim.labels(bone_from_hu=-1000)
     assert (

@@ -1,7 +1,7 @@
-"""What a client has handed out stays readable for as long as Python holds it.
+"""Data returned by a client stays readable for as long as Python references it.
 
-Each case runs in a Python of its own beside a lockstep run with X-ray and a volume, and ends the run. One
-that touches unmapped memory dies by SIGSEGV.
+Each case runs in a separate Python process with a lockstep run with X-ray and a volume, and ends the run. A
+case that touches unmapped memory dies by SIGSEGV.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from support import LIMIT_S, Run
 
 
 def sums(*arrays: Any) -> list[int]:
-    """Touches every byte."""
+    """Reads every byte."""
     return [int(np.asarray(array).view(np.uint8).astype(np.int64).sum()) for array in arrays]
 
 
@@ -37,12 +37,12 @@ def answered(client: t.Client) -> t.State:
 
 
 def frame_of(client: t.Client) -> t.Image:
-    """A frame of the newest state; needs no other tick."""
+    """Returns a frame of the newest state; needs no further tick."""
     return client.wait_frame(client.request_frame(), LIMIT_S)
 
 
 def to_the_end(client: t.Client) -> None:
-    """Stops the run and waits until the hub and its shared memory have gone."""
+    """Stops the run and waits until the hub and its shared memory are gone."""
     folder = client.info.folder
     client.run_control(t.CONTROL_STOP, timeout_s=LIMIT_S)
     for _ in range(int(LIMIT_S / 0.05)):
@@ -53,7 +53,7 @@ def to_the_end(client: t.Client) -> None:
 
 
 def the_last_frame_after_the_end() -> None:
-    """`wait_frame` gave the last frame back before it knew that there would be no other."""
+    """`wait_frame` must not release the last frame before the next one has arrived."""
     client = t.Client()
     state, image = client.wait_state(LIMIT_S), frame_of(client)
     before, number = sums(image.pixels), image.frame.sequence
@@ -90,7 +90,7 @@ def the_last_removal_after_a_look_in_vain() -> None:
 
 
 def the_volume_after_its_thread() -> None:
-    """A thread's clients end with it; what they have handed out is still looked at."""
+    """A thread's clients end with it; their returned data is still read."""
     found = {}
 
     def read():
@@ -144,7 +144,7 @@ def everything_after_close_and_in_any_order() -> None:
 
 
 def a_client_that_nobody_keeps() -> None:
-    """The name is free again at once; the array has its memory."""
+    """The name is free again at once; the array keeps its memory."""
     pixels = frame_of(t.Client(controller="other")).pixels
     before = sums(pixels)
     with t.Client(controller="other") as other:
@@ -159,7 +159,7 @@ KEPT: list[Any] = []
 
 
 def everything_at_exit() -> None:
-    """A thread that goes on reading while the interpreter ends."""
+    """A thread continues to read while the interpreter shuts down."""
     client = t.Client()
     ct, image = client.volume(LIMIT_S), frame_of(client)
     answered(client)
@@ -172,12 +172,12 @@ def everything_at_exit() -> None:
 
     threading.Thread(target=read, daemon=True).start()
     KEPT.extend([image, ct, client])
-    # The reference that Python drops last, in whichever order it shuts down.
+    # A reference that Python drops last, regardless of its shutdown order.
     sys.modules["kept by the interpreter"] = (client, ct.hu)
 
 
 def a_signal_during_a_wait() -> None:
-    """A handler that calls the client between a wait and the look at what it gave."""
+    """A signal handler calls the client between a wait and the use of its result."""
     client = t.Client()
     client.wait_state(LIMIT_S)
     heard = []
@@ -211,13 +211,14 @@ def a_signal_during_a_wait() -> None:
 
 
 CASES = [
-    # A wait for a frame gave the one before back at once, and its memory went with the DRR process.
+    # A wait for a frame must not release the previous one at once: its memory would vanish with the DRR
+    # process.
     the_last_frame_after_the_end,
     the_last_removal_after_a_look_in_vain,
-    # A thread's clients end with it, and with them went the memory of arrays that others hold.
+    # A thread's clients end with it, but the memory of arrays held by others must stay.
     the_volume_after_its_thread,
     everything_after_close_and_in_any_order,
-    # An array kept its client connected, and so its name taken.
+    # An array must not keep its client connected, which would keep its name taken.
     a_client_that_nobody_keeps,
     everything_at_exit,
     a_signal_during_a_wait,

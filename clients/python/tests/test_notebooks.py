@@ -1,5 +1,5 @@
-"""The notebooks of docs/notebooks, executed cell by cell in an empty folder, and the planning example: what
-they print.
+"""Output of the notebooks in docs/notebooks, executed cell by cell in an empty folder, and of the planning
+example.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import support
 from support import ROOT
 
 NEEDED = ("scipy", "pandas", "pyarrow", "matplotlib", "nbformat", "nbclient", "traitlets.config", "ipykernel")
-#: Longest time of a cell, and of a notebook: a sweep of eighty runs takes a minute of two quiet cores, s.
+#: Time limits of a cell and of a notebook, s: a sweep of eighty runs takes a minute on two idle cores.
 CELL_LIMIT_S, NOTEBOOK_LIMIT_S = 600, 900.0
 
 
@@ -24,7 +24,7 @@ def execute(file: str) -> None:
     nbformat, nbclient, config = support.needs("nbformat", "nbclient", "traitlets.config")
     notebook = nbformat.read(file, as_version=4)
     nbformat.validate(notebook)
-    # The kernel listens on files of this user, not on ports that every user of the machine reaches.
+    # The kernel listens on files of this user, not on ports that every user of the machine can reach.
     settings = config.Config({"KernelManager": {"transport": "ipc"}})
     folder = {"metadata": {"path": "."}}
     client = nbclient.NotebookClient(
@@ -38,7 +38,9 @@ def execute(file: str) -> None:
 
 
 def printed(line: list[Any], folder: Path) -> str:
-    """What a program prints in a folder, with this Python and the tested program first in the PATH."""
+    """Returns the output of a program in a folder, with this Python and the tested program first in the
+    PATH.
+    """
     first = [Path(sys.executable).parent, Path(os.environ["TRABECULA_PROGRAM"]).parent]
     environment = {
         **os.environ,
@@ -61,14 +63,14 @@ def printed(line: list[Any], folder: Path) -> str:
 
 
 def cells(name: str, folder: Path, python: str = sys.executable) -> str:
-    """What the cells of a notebook print."""
+    """Returns the output of a notebook's cells."""
     support.needs(*NEEDED)
     notebook = ROOT / "docs/notebooks" / f"{name}.ipynb"
     return printed([python, __file__, execute.__name__, notebook], folder)
 
 
 def numbers(said: str, begin: str) -> list[float]:
-    """The numbers of the line that begins with these words."""
+    """Returns the numbers of the line that begins with these words."""
     line = next((line for line in said.splitlines() if line.startswith(begin)), None)
     assert line is not None, f"no line begins with {begin!r}:\n{said}"
     found = []
@@ -99,7 +101,7 @@ def test_branches_find_a_plan_that_is_carried_out_bit_for_bit(tmp_path: Path) ->
 def test_the_planning_example_comes_within_a_third_of_a_millimetre_where_the_nominal_plan_misses(
     tmp_path: Path,
 ) -> None:
-    """In bone in which the burr's edges plough below 2 MPa; with 8 MPa the burr stood, and no plan came
+    """Plans in bone in which the burr's edges plough below 2 MPa; at 8 MPa the burr stalls, and no plan gets
     within 6 mm.
     """
     example = ROOT / "clients/python/examples/04_plan_by_branches.py"
@@ -113,14 +115,14 @@ def within(said: str, begin: str, allowed: tuple[float, float, float]) -> None:
 
 
 def test_a_registration_finds_the_c_arm_of_one_frame(tmp_path: Path) -> None:
-    """From 5 degrees and 10 mm off. Along the beam one picture says least."""
+    """Registration starts 5 degrees and 10 mm off. A single image is least informative along the beam."""
     said = cells("register_c_arm", tmp_path)
     assert abs(numbers(said, "start:")[0] - 5.0) < 1e-3, said
     within(said, "registered:", (0.05, 0.1, 0.02))
 
 
 def test_the_projector_of_nanodrr_agrees(tmp_path: Path) -> None:
-    """`TRABECULA_NANODRR_PYTHON` names a Python with nanodrr, the modules of these tests and the package."""
+    """`TRABECULA_NANODRR_PYTHON` is a Python with nanodrr, the modules of these tests and the package."""
     python = os.environ.get("TRABECULA_NANODRR_PYTHON")
     if not python:
         # Also in CI: PyTorch is too large for it.
@@ -131,7 +133,7 @@ def test_the_projector_of_nanodrr_agrees(tmp_path: Path) -> None:
 
 
 def test_a_sweep_names_the_parameter_that_decides(tmp_path: Path) -> None:
-    """Of a tool in free space that one tendon holds, pull decides the bend."""
+    """For a tool in free space held by one tendon, the tension dominates the bend."""
     said = cells("sweep_and_sensitivities", tmp_path)
     assert "80 runs, 80 completed" in said, said
     # Rank correlation, first order and its interval, total and its interval.

@@ -1,8 +1,8 @@
-"""Statistics of every kind of sensor, by SciPy. `-s` shows what each check found.
+"""Statistics of every kind of sensor, with SciPy. `-s` prints the result of each check.
 
-A tool in free space moves for 16 s, the arm with it. Each reading is held against the state that it measured:
+A tool in free space and its arm move for 16 s. Each reading is compared with the measured state:
 noise and drift by their Allan deviation, delay by cross-correlation, rate, jitter and drop-outs by their
-counts. Every check is then asked about a sensor that is declared slightly otherwise, and must refuse it.
+counts. Every check is then applied to a sensor declared slightly differently, and must reject it.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ Declared = dict[str, Any]
 
 TICKS = 1 << 14
 DT_S = 1e-3
-#: Chance that a sound sensor fails a check, were its seed another.
+#: Probability that a correct sensor fails a check with another seed.
 CHANCE = 1e-5
-#: Runs over which a bias is drawn.
+#: Number of runs over which a bias is drawn.
 BIASED_RUNS = 40
-#: Largest delay that is looked for, ticks.
+#: Maximum delay considered, ticks.
 MOST_LAG = 60
 
 SENSORS: dict[str, Declared] = {
@@ -97,7 +97,7 @@ def written_scene(folder: Path) -> Path:
 
 
 class Seen:
-    """The readings of a sensor, and the truth of its values at every tick, (ticks, values)."""
+    """The readings of a sensor, and its true values at every tick, (ticks, values)."""
 
     def __init__(self, readings: list[trabecula.Reading], truth: Array) -> None:
         self.tick = np.array([reading.tick for reading in readings])
@@ -107,19 +107,19 @@ class Seen:
         self.truth = truth
 
     def error(self) -> Array:
-        """Of each reading against the state that it measured."""
+        """Returns the error of each reading relative to the measured state."""
         error: Array = self.value - self.truth[self.sample_tick]
         return error
 
 
 def pose(raw: Any) -> Array:
-    """Position, then quaternion x y z w."""
+    """Returns position, then quaternion x y z w."""
     both: Array = np.concatenate([raw["position_m"], raw["orientation_xyzw"]], axis=-1)
     return both
 
 
 class Truth:
-    """What sensors without errors would measure, from the states alone, as docs/sensors.md says it."""
+    """Returns error-free measurements, from the states alone, as defined in docs/sensors.md."""
 
     def __init__(self) -> None:
         self.rows: dict[str, list[Array]] = {
@@ -141,13 +141,13 @@ class Truth:
         return np.array(self.rows[name])
 
     def wrench(self) -> Array:
-        """Force and torque in the axes of the tool's base."""
+        """Returns force and torque in the axes of the tool's base."""
         to_base, world = Rotation.from_quat(self.of("base")[:, 3:]).inv(), self.of("wrench")
         return np.hstack([to_base.apply(world[:, :3]), to_base.apply(world[:, 3:])])
 
     def curvature(self, nodes: int, gauge_m: float) -> Array:
-        """Mean curvature over the gauge of each node, toward and across: each flexure's turn is even over the
-        half ways to its neighbours.
+        """Returns the mean curvature over the gauge of each node, toward and across: each flexure's rotation
+        is spread evenly over the halves of the adjacent links.
         """
         links, base = self.of("links"), self.of("base")
         turns = [Rotation.from_quat(base[:, 3:])] + [
@@ -171,7 +171,7 @@ class Truth:
 
 
 def command(sim_tick: int, start_rad: Array) -> trabecula.Command:
-    """Chirps: on both tendons to 18 Hz, on the arm's joints to 4 Hz."""
+    """Commands chirps: on both tendons to 18 Hz, on the arm's joints to 4 Hz."""
     t, end_s = sim_tick * DT_S, TICKS * DT_S
     made = trabecula.Command()
     made.tendon_mode = trabecula.TendonMode.SERVO_JF
@@ -183,7 +183,7 @@ def command(sim_tick: int, start_rad: Array) -> trabecula.Command:
 
 
 def run(scene: Path) -> dict[str, Seen]:
-    """The readings of every sensor, and the truth."""
+    """Returns the readings of every sensor, and the truth."""
     sim = Sim(scene)
     truth, readings = Truth(), list(sim.readings())
     truth.add(sim.state)
@@ -207,14 +207,18 @@ def run(scene: Path) -> dict[str, Seen]:
 
 
 def allan_variance(x: Array, m: int) -> float:
-    """Overlapping, of means over m values (Riley and Howe 2008, NIST SP 1065, section 5.2.4)."""
+    """Returns the overlapping Allan variance of means over m values (Riley and Howe 2008, NIST SP 1065,
+    section 5.2.4).
+    """
     sums = np.concatenate([[0.0], np.cumsum(x)])
     means = (sums[m:] - sums[:-m]) / m
     return float(0.5 * np.mean((means[m:] - means[:-m]) ** 2))
 
 
 def freedom(samples: int, m: int, is_walk: bool) -> float:
-    """Degrees of freedom of the overlapping estimate (the same, table 5: white FM, random walk FM)."""
+    """Returns the degrees of freedom of the overlapping estimate (ibid., table 5: white FM, random walk
+    FM).
+    """
     n = samples + 1
     if is_walk:
         return (n - 2) / m * ((n - 1) ** 2 - 3 * m * (n - 1) + 4 * m**2) / (n - 3) ** 2
@@ -222,8 +226,9 @@ def freedom(samples: int, m: int, is_walk: bool) -> float:
 
 
 def allan(x: Array, sigma: float, period_s: float, *, walk: float = 0.0) -> str:
-    """Holds the Allan variance of independent channels (samples, channels) against white noise, or against a
-    walk of `walk` a root second: σ²/m, and K² T (2m² + 1)/(6m), which is K² τ/3 at long times. The interval
+    """Compares the Allan variance of independent channels (samples, channels) with that of white noise, or of
+    a random walk of `walk` per root second: σ²/m, and K² T (2m² + 1)/(6m), which is K² τ/3 at long times. The
+    interval
     is that of χ² over all channels.
     """
     samples, channels = x.shape
@@ -239,7 +244,7 @@ def allan(x: Array, sigma: float, period_s: float, *, walk: float = 0.0) -> str:
         )
         found.append((m * period_s, np.sqrt(variance), np.sqrt(low), np.sqrt(high), np.sqrt(variance / law)))
     first, last = found[0], found[-1]
-    # Of a walk, from where the sampling no longer shows.
+    # For a random walk, start where sampling is no longer visible.
     line = found[3:] if walk else found
     slope = stats.linregress(np.log([it[0] for it in line]), np.log([it[1] for it in line])).slope
     return (
@@ -250,7 +255,7 @@ def allan(x: Array, sigma: float, period_s: float, *, walk: float = 0.0) -> str:
 
 
 def rounded(sigma: float, step: float) -> float:
-    """Deviation of normal noise that is rounded to steps not longer than twice its own (Sheppard)."""
+    """Returns the deviation of normal noise rounded to steps of at most twice its deviation (Sheppard)."""
     return float(np.hypot(sigma, step / np.sqrt(12)))
 
 
@@ -317,8 +322,8 @@ def low_pass(seen: Seen, declared: Declared) -> str:
 
 
 def delay(seen: Seen, declared: Declared) -> str:
-    """The lag at which what arrives correlates best with the truth: Pearson's coefficient over all lags, its
-    sums by FFT.
+    """Finds the lag at which readings correlate best with the truth: Pearson's coefficient over all lags,
+    computed by FFT.
     """
     gain = seen.truth[seen.sample_tick].std(axis=0) / seen.error().std(axis=0)
     channel = int(np.argmax(gain))
@@ -355,7 +360,9 @@ def rate(seen: Seen, declared: Declared) -> str:
 
 
 def jitter(seen: Seen, declared: Declared) -> str:
-    """Evenly drawn and rounded to ticks: the first and the last tick have half the share of the others."""
+    """Uniformly drawn and rounded to ticks: the first and the last tick have half the probability of the
+    others.
+    """
     later = seen.tick - seen.sample_tick - round(declared["delay_ms"])
     ticks = round(declared["jitter_ms"])
     assert later.min() >= 0 and later.max() <= ticks, f"{later.min()} to {later.max()} ticks"
@@ -375,7 +382,7 @@ def drop_outs(seen: Seen, declared: Declared) -> str:
 
 
 def biases(scene: Path, name: str) -> tuple[Array, int]:
-    """The mean error of every value in runs of other seeds, and how many readings each is of."""
+    """Returns the mean error of every value in runs with other seeds, and its number of readings."""
     found, count = [], 0
     index = list(SENSORS).index(name)
     for seed in range(BIASED_RUNS):
@@ -411,7 +418,7 @@ def bias(found: tuple[Array, int], sigma: float, noise: float) -> str:
 
 Check = Callable[[Seen, Declared], str]
 
-#: Sensor, name and check; then the key that is declared otherwise in the end, by a factor and a number more.
+#: Sensor, name and check; then the key that is declared differently at the end, by a factor and an offset.
 CHECKS: list[tuple[str, str, Check, tuple[str, ...], float, float]] = [
     ("shape", "noise", noise_of_shape, ("fbg", "noise_per_m"), 1.05, 0.0),
     ("tracker", "noise of place", noise_of_position, ("tracker", "position_noise_mm"), 1.05, 0.0),

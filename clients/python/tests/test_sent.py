@@ -1,4 +1,4 @@
-"""A command is what it was when it was sent: whoever writes it afterwards is refused, and reaches nobody."""
+"""A command keeps its content once sent: later writes are refused and have no effect."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def refused(call: Callable[[], Any]) -> str:
 
 
 def writes_behind_its_back() -> None:
-    """Each command asks for 3 N; behind its back 55 N are written in every way that Python has."""
+    """Each command requests 3 N; afterwards 55 N are written in every way that Python offers."""
     with t.Client() as client:
         kept = []
         for state in client.states():
@@ -52,8 +52,8 @@ def writes_behind_its_back() -> None:
 def test_a_command_that_is_written_after_it_was_sent_is_applied_and_recorded_as_sent(
     start: Callable[[str], Run],
 ) -> None:
-    """Python's view was into the message that had been sent: 718 of 1000 ticks latched 55 N where 3 N were
-    sent.
+    """Regression: Python's view pointed into the sent message, and 718 of 1000 ticks latched 55 N instead of
+    3 N.
     """
     run = start(free_space())
     support.outside(writes_behind_its_back, session=run.session, controller="mine")

@@ -1,4 +1,4 @@
-"""`trabecula.sim`, against runs and replays of the program."""
+"""`trabecula.sim` compared with runs and replays of the program."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ def raises(kind: type[Exception], part: str, call: Callable[[], Any]) -> None:
 
 
 def hashes_of(log: Path) -> list[str]:
-    """The hash of each tick, from tick 0 on."""
+    """Returns the hash of each tick, from tick 0 on."""
     return [digits(state["hash"]) for state in messages(log, "/state", "hash")]
 
 
 def latched(log: Path) -> list[trabecula.Command]:
-    """The first controller's command of each tick."""
+    """Returns the first controller's command of each tick."""
     commands = []
     for message in messages(log, "/latched"):
         given, command = message["commands"][0]["command"], trabecula.Command()
@@ -46,7 +46,7 @@ def latched(log: Path) -> list[trabecula.Command]:
 
 
 def drives_a_run() -> None:
-    """As the controller of a run."""
+    """Drives as the controller of a run."""
     with trabecula.Client() as client:
         for state in client.states():
             wanted = pushing(state.tick)
@@ -57,8 +57,7 @@ def drives_a_run() -> None:
 
 
 def test_the_commands_of_a_run_lead_to_its_hash_at_every_tick(tmp_path: Path) -> None:
-    """The commands of a run lead to the hash of the run at every tick, from the start and from the middle of
-    its log.
+    """The commands of a run give the run's hash at every tick, from the start and from the middle of its log.
     """
     words = ", ".join(
         json.dumps(word) for word in (sys.executable, os.path.abspath(__file__), "drives_a_run")
@@ -88,7 +87,7 @@ def test_the_commands_of_a_run_lead_to_its_hash_at_every_tick(tmp_path: Path) ->
 
 
 def test_a_scene_with_its_own_controllers_leads_to_the_hashes_and_frames_of_its_run(tmp_path: Path) -> None:
-    """A scene's own controllers lead to the hash of its run, and see the frames of the run."""
+    """A scene's built-in controllers give the hash of its run, and use the frames of the run."""
     guided = written(tmp_path, "guided.toml", GUIDED)
     log = support.recorded(guided, tmp_path / "out")
     expected = hashes_of(log)
@@ -130,11 +129,11 @@ def test_a_scene_with_its_own_controllers_leads_to_the_hashes_and_frames_of_its_
 
 
 def test_what_a_simulation_records_replays_identically(tmp_path: Path) -> None:
-    """What a simulation records, a replay steps to the same states."""
+    """A replay of a simulation's recording gives the same states."""
     sim = Sim(written(tmp_path, "scene.toml", EXTERNAL), drive=True, seed=11)
     with sim.record(tmp_path / "made" / "here") as recording:
         assert not recording.path.exists()
-        raises(trabecula.Error, "close it before", sim.reset)
+        raises(trabecula.Error, "close the recording before", sim.reset)
         for tick in range(700):
             sim.step(pushing(tick))
     assert recording.path.exists()
@@ -160,7 +159,7 @@ def test_what_a_simulation_records_replays_identically(tmp_path: Path) -> None:
 
 
 def test_no_number_of_threads_changes_a_hash(tmp_path: Path) -> None:
-    """No number of threads changes a hash."""
+    """The number of threads does not change any hash."""
     drill, ends = written(tmp_path, "scene.toml", EXTERNAL), []
     for threads in (1, 2, 5):
         batch = Batch(drill, 5, threads=threads, drive=True)
@@ -204,7 +203,7 @@ def test_no_number_of_threads_changes_a_hash(tmp_path: Path) -> None:
 
 
 def test_misuse_is_refused_in_the_words_of_the_command_that_checks_it(tmp_path: Path) -> None:
-    """A bad scene is refused in the words of the command that checks it, and each misuse with a sentence."""
+    """A bad scene is refused with the text of `trabecula scene check`, and each misuse with a clear text."""
     drill, bad = written(tmp_path, "scene.toml", EXTERNAL), tmp_path / "bad.toml"
     bad.write_text(DRILL.replace("seed = 7", "seed = 7\ndt_ms = 1000.0") + EXTERNAL)
     told = support.trabecula("scene", "check", bad, code=2).strip()
@@ -212,7 +211,7 @@ def test_misuse_is_refused_in_the_words_of_the_command_that_checks_it(tmp_path: 
     raises(trabecula.ArgumentError, told[len("trabecula: ") :], lambda: Sim(bad))
     raises(
         trabecula.ArgumentError,
-        "`run.duration_s` is -1, allowed is",
+        "`run.duration_s` is -1; allowed:",
         lambda: Sim(drill, overrides={"run.duration_s": -1.0}),
     )
     raises(
@@ -225,7 +224,7 @@ def test_misuse_is_refused_in_the_words_of_the_command_that_checks_it(tmp_path: 
     # NumPy 2 writes a number as `np.float64(-1.0)`.
     of_numpy = {"run.duration_s": np.float64(-1.0), "controller.0.drives": np.array(["burr"])}
     raises(
-        trabecula.ArgumentError, "`run.duration_s` is -1, allowed is", lambda: Sim(drill, overrides=of_numpy)
+        trabecula.ArgumentError, "`run.duration_s` is -1; allowed:", lambda: Sim(drill, overrides=of_numpy)
     )
     raises(trabecula.Error, "nowhere", lambda: Sim.from_log("/nowhere"))
     sim = Sim(drill, drive=True)
@@ -234,14 +233,14 @@ def test_misuse_is_refused_in_the_words_of_the_command_that_checks_it(tmp_path: 
     before = sim.hash
     raises(
         trabecula.ArgumentError,
-        "controller `mine`: `tendon_force_n[0]` is 61, allowed is 0 to 60",
+        "controller `mine`: `tendon_force_n[0]` is 61; allowed: 0 to 60",
         lambda: sim.step(command),
     )
     raises(trabecula.ArgumentError, "`ticks` is 1.5", lambda: sim.step(ticks=1.5))
     raises(trabecula.ArgumentError, "no driven controller 'yours'", lambda: sim.step({"yours": pushing(0)}))
     raises(trabecula.ArgumentError, "expected a Command", lambda: sim.step(3))
     raises(trabecula.ArgumentError, "expected a Command", lambda: sim.step({"mine": 3}))
-    raises(trabecula.ArgumentError, "expected what `snapshot()` returns", lambda: sim.restore(b""))
+    raises(trabecula.ArgumentError, "expected a Snapshot", lambda: sim.restore(b""))
     raises(
         trabecula.ArgumentError,
         "primary_angle_deg is 400.0, expected -180 to 180 degrees",
@@ -270,15 +269,15 @@ def test_misuse_is_refused_in_the_words_of_the_command_that_checks_it(tmp_path: 
 
 
 def test_ctrl_c_ends_a_long_step_at_a_tick(tmp_path: Path) -> None:
-    """Ctrl-C ends a long step at a tick; from there on everything goes on as if it had been asked for that
-    tick.
+    """Ctrl-C ends a long step at a tick; from there on everything continues as if that tick had been
+    requested.
     """
     drill = written(tmp_path, "scene.toml", EXTERNAL)
     long = {"run.duration_s": 86400.0}
     sim, same = (Sim(drill, overrides=long, drive=True) for _ in range(2))
 
     def ended_early(step: Callable[[], Any]) -> None:
-        # Whoever started the tests may have them ignore it (`pytest &`).
+        # The tests may have been started with SIGINT ignored (`pytest &`).
         before = signal.signal(signal.SIGINT, signal.default_int_handler)
         timer = threading.Timer(0.5, os.kill, (os.getpid(), signal.SIGINT))
         timer.start()
@@ -305,7 +304,7 @@ def test_ctrl_c_ends_a_long_step_at_a_tick(tmp_path: Path) -> None:
 
 
 def test_what_a_simulation_returns_stays_and_threads_and_a_forked_child_may_use_it(tmp_path: Path) -> None:
-    """What a simulation has returned neither changes nor dangles; threads and a forked child may use it."""
+    """Data returned by a simulation neither changes nor dangles; threads and a forked child can use it."""
     drill = written(tmp_path, "scene.toml", EXTERNAL)
     sim = Sim(drill, drive=True)
     state = sim.step(pushing(0))
@@ -340,7 +339,7 @@ def test_what_a_simulation_returns_stays_and_threads_and_a_forked_child_may_use_
     if child == 0:
         try:
             for call in (lambda: batch.hashes, lambda: shared.render(), lambda: shared.step()):
-                raises(trabecula.Error, "belongs to the process that made it", call)
+                raises(trabecula.Error, "belongs to the process that created it", call)
             own = Sim(drill, drive=True)
             own.step(pushing(0), ticks=10)
             os._exit(0 if np.array_equal(picture, before) and own.hash == expected[0] else 1)

@@ -1,4 +1,4 @@
-"""Tables of `trabecula log export`, as pandas, Polars and fastparquet open them."""
+"""Tables of `trabecula log export`, opened by pandas, Polars and fastparquet."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def exported(log: Path, topic: str, table: Path) -> bool:
 
 
 def test_pandas_polars_and_fastparquet_open_the_default_export_of_every_topic(tmp_path: Path) -> None:
-    """Two columns were called `tick`: all three refused the table."""
+    """Regression: two columns were named `tick`, and all three refused the table."""
     (tmp_path / "scene.toml").write_text(drill(0.4))
     folder = support.recorded(tmp_path / "scene.toml", tmp_path / "out")
     count = 0

@@ -1,4 +1,4 @@
-"""The package's types, as mypy and pyright see them."""
+"""The package's types, checked by mypy and pyright."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from support import LIMIT_S, ROOT
 
 SOURCES = ROOT / "clients/python"
 PAGES = ("clients/python/README.md", "docs/clients.md", "docs/guide.md", "docs/logs.md", "docs/sim.md")
-#: What must be refused, so that a checker that sees nothing does not pass.
+#: Code that must be rejected, so that a checker without type information does not pass.
 WRONG = """import trabecula
 
 with trabecula.Client() as client:
@@ -23,7 +23,7 @@ with trabecula.Client() as client:
 
 
 def shown() -> Iterator[tuple[str, str]]:
-    """The examples, and the Python blocks of pages that use the package."""
+    """Yields the examples, and the Python blocks of pages that use the package."""
     for example in sorted((SOURCES / "examples").glob("*.py")):
         yield example.name, example.read_text()
     for page in PAGES:
@@ -33,7 +33,7 @@ def shown() -> Iterator[tuple[str, str]]:
 
 
 def check(folder: Path, *words: str) -> tuple[bool, str]:
-    """Whether a checker accepts a file, and what it says."""
+    """Returns whether a checker accepts a file, and its output."""
     environment = {**os.environ, "MYPYPATH": str(SOURCES), "PYTHONPATH": str(SOURCES)}
     line = [sys.executable, "-m", *words]
     done = subprocess.run(
@@ -44,7 +44,7 @@ def check(folder: Path, *words: str) -> tuple[bool, str]:
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """A folder with all that is shown, each file with a name that is no module's."""
+    """Returns a folder with all of them, under names that match no module."""
     for name, text in shown():
         (tmp_path / f"example_{name}").write_text(text)
     assert len(list(tmp_path.iterdir())) >= 5
@@ -53,8 +53,8 @@ def folder(tmp_path: Path) -> Path:
 
 
 def test_mypy_strict_accepts_the_package_every_example_and_what_the_pages_show(folder: Path) -> None:
-    """Arrays had no element, codes were bare numbers, and mypy accepted neither the examples nor what the
-    pages show.
+    """Arrays must have element types and codes enum types, and mypy must accept the examples and the pages'
+    code.
     """
     support.needs("mypy", "gymnasium")
     strict = ("mypy", "--strict", "--follow-imports=silent")
@@ -72,7 +72,7 @@ def test_pyright_accepts_every_example_and_what_the_pages_show(folder: Path) -> 
     (folder / "pyrightconfig.json").write_text(settings)
     pyright = ("pyright", "--pythonpath", sys.executable)
     accepted, said = check(folder, *pyright, *sorted(file.name for file in folder.glob("example_*")))
-    # Its checker comes from npm at the first call.
+    # Its checker is downloaded from npm on first use.
     if "npm error" in said:
         support.missing(f"no pyright from npm: {said}")
     assert accepted, said

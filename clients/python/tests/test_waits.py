@@ -1,4 +1,4 @@
-"""Waits end when they should: by Ctrl-C, and at once when nothing can come."""
+"""Waits end when they should: on Ctrl-C, and at once if nothing can arrive."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ WAITS: dict[str, Callable[[], object]] = {
 
 
 def waits(name: str) -> None:
-    """Until Ctrl-C."""
-    # Whoever started the tests may have them ignore it (`pytest &`).
+    """Waits until Ctrl-C."""
+    # The tests may have been started with SIGINT ignored (`pytest &`).
     signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         print("waiting", flush=True)
@@ -35,7 +35,7 @@ def waits(name: str) -> None:
 
 @pytest.mark.parametrize("name", WAITS)
 def test_ctrl_c_ends_a_wait(name: str, start: Callable[[str], Run]) -> None:
-    """Connecting and run control waited inside the library until their own limit, deaf to Ctrl-C."""
+    """Connecting and run control must not wait inside the library until their timeout, ignoring Ctrl-C."""
     run = start(hold("realtime", 120.0))
     physics = run.part("physics")
     os.kill(physics, signal.SIGSTOP)
@@ -47,7 +47,7 @@ def test_ctrl_c_ends_a_wait(name: str, start: Callable[[str], Run]) -> None:
         try:
             assert waiting.stdout is not None  # a pipe
             assert waiting.stdout.readline() == "waiting\n"
-            # Into the wait.
+            # Let the wait begin.
             time.sleep(0.3)
             waiting.send_signal(signal.SIGINT)
             said, error = waiting.communicate(timeout=LIMIT_S)

@@ -1,4 +1,4 @@
-"""What an installed wheel does in an empty folder, with nothing but its environment in the PATH.
+"""An installed wheel in an empty folder, with only its environment in the PATH.
 
 The default scene, its replay, a controller, a simulation, the viewer.
 """
@@ -25,7 +25,7 @@ BIN = Path(sys.executable).parent
 
 @pytest.fixture(autouse=True)
 def alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """An empty folder and an environment with nothing else of the machine than the user's folders."""
+    """An empty folder, and an environment with only the user's folders of the machine."""
     if not Path(trabecula.__file__).resolve().is_relative_to(Path(sys.prefix).resolve()):
         support.missing("the package is not installed: these tests need the wheel")
     for variable in list(os.environ):
@@ -36,7 +36,7 @@ def alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def said(*words: str) -> str:
-    """What the program says; by its name, so as a user calls it."""
+    """Returns the program's output; called by name, as a user would."""
     done = subprocess.run(["trabecula", *words], capture_output=True, text=True, timeout=LIMIT_S)
     assert done.returncode == 0, f"{words}: {done.returncode}\n{done.stdout}{done.stderr}"
     return done.stdout + done.stderr
@@ -55,7 +55,7 @@ def test_notices_of_what_is_linked_in_are_there() -> None:
     (notices,) = [file.read_text() for file in files if file.name == "THIRD_PARTY"]
     for crate in ("iceoryx2 ", "mcap ", "nalgebra ", "rapier3d-f64 ", "pyo3 ", "epaint_default_fonts "):
         assert f"\n{crate}" in notices, crate
-    # A font's licence, and one text for each of the two that most crates have.
+    # A font's licence, and one text for each of the two most common licences.
     assert (
         "SIL OPEN FONT LICENSE" in notices
         and "Apache License" in notices
@@ -85,7 +85,7 @@ def a_simulation_has_the_hash_of_the_run(run: Path) -> None:
 
 
 def test_a_controller_commands_its_run(monkeypatch: pytest.MonkeyPatch) -> None:
-    # The program of the package, although none is in the PATH.
+    # Uses the program of the package, although none is in the PATH.
     monkeypatch.delenv("PATH")
     overrides = {"run.duration_s": 0.5, "run.controller_limit_ms": 60000.0}
     with trabecula.run(SCENES / "free_space.toml", overrides=overrides, output="mine") as client:

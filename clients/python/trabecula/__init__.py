@@ -8,8 +8,9 @@
                 command.tendon_mode = trabecula.TendonMode.SERVO_JF
                 command.tendon_force_n[0] = 5.0
 
-`Client()` joins a run that somebody else has started. States, frames and the CT volume are views of shared memory: nothing is
-copied, and they stay readable for as long as they are referenced. Units are SI; each name ends in its unit.
+`Client()` joins a run that is already in progress. States, frames and the CT volume are views of shared
+memory: nothing is copied, and they stay readable for as long as they are referenced. Units are SI; names end
+in their unit.
 """
 
 from . import _generated

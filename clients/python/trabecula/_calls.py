@@ -1,4 +1,4 @@
-"""Calls of the library: errors, waits, arguments, and the memory that they map."""
+"""Calls to the library: errors, waits, arguments and mapped memory."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ def check(status: int) -> None:
     if status == g.OK:
         return
     if status == g.TIMEOUT:
-        raise TimeoutError("nothing came in time")
+        raise TimeoutError("timed out")
     if status == g.ENDED:
         raise Ended(library.trb_last_error().decode())
     raise Error(status, library.trb_last_error().decode())
 
 
 def slices(timeout_s: float) -> Iterator[tuple[float, bool]]:
-    """Splits a wait into short waits inside the library: their lengths, and whether each is the last."""
+    """Splits a wait into short waits inside the library; yields each length and whether it is the last."""
     if not isinstance(timeout_s, (int, float)) or not timeout_s >= 0.0:
         raise ArgumentError(f"`timeout_s` is {timeout_s!r}, expected 0 or more seconds")
     deadline = time.monotonic() + timeout_s
@@ -67,7 +67,9 @@ def connected(session: Optional[str], controller: Optional[str], timeout_s: floa
 
 
 class Memory:
-    """Keeps the client's shared memory mapped while this object lives, in any thread and past the client's end."""
+    """Keeps the client's shared memory mapped while this object lives, in any thread, even after the client
+    is closed.
+    """
 
     def __init__(self, handle: int) -> None:
         self._handle = 0

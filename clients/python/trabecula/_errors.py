@@ -1,10 +1,10 @@
-"""What the package raises."""
+"""Exceptions of the package."""
 
 from __future__ import annotations
 
 
 class Error(RuntimeError):
-    """A failed call. The text says what was given, what was expected and what to do."""
+    """A failed call. The text states the given value, what is expected, and what to do."""
 
     def __init__(self, status: int, text: str) -> None:
         super().__init__(text)
@@ -13,7 +13,7 @@ class Error(RuntimeError):
 
 
 class ArgumentError(Error, TypeError):
-    """A value of a type, shape or range that its field or argument cannot hold."""
+    """A value of the wrong type, shape or range for its field or argument."""
 
     def __init__(self, text: str) -> None:
         from ._generated import ERROR_ARGUMENT  # needs this module
@@ -22,7 +22,7 @@ class ArgumentError(Error, TypeError):
 
 
 class ReadOnlyError(Error, ValueError):
-    """A message that lies in memory for reading, or that has been sent, was to be written."""
+    """An attempt to write to a message that is in read-only memory or has been sent."""
 
     def __init__(self, text: str) -> None:
         from ._generated import ERROR_ARGUMENT  # needs this module

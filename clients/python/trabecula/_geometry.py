@@ -1,5 +1,5 @@
-"""Poses, pixels and voxels: from one frame to another. Everything is in metres, in the world frame (the patient's, LPS), unless it says
-otherwise.
+"""Conversion of poses, pixels and voxels between frames. All in metres, in the world frame (the patient's,
+LPS), unless stated otherwise.
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ from ._errors import ArgumentError
 from ._generated import CArmGeometry, Pose
 
 Floats = npt.NDArray[np.float64]
-#: One point, or many: shape (3,) or (…, 3).
+#: One or several points: shape (3,) or (…, 3).
 Points = Union[Sequence[float], Sequence[Sequence[float]], npt.NDArray[Any]]
 
 
 def numbers(name: str, value: Any, last: int) -> Floats:
-    """The argument as an array whose last axis has this length."""
+    """Converts an argument to an array whose last axis has length `last`."""
     try:
         array = np.asarray(value, np.float64)
     except (TypeError, ValueError):
@@ -29,10 +29,13 @@ def numbers(name: str, value: Any, last: int) -> Floats:
 
 
 def rotation_matrix(orientation_xyzw: Union[Sequence[float], npt.NDArray[Any]]) -> Floats:
-    """The rotation of a unit quaternion x, y, z, w as a matrix, shape (3, 3): its columns are the child's axes in the parent frame."""
+    """Converts a unit quaternion x, y, z, w to a rotation matrix, shape (3, 3); its columns are the child's
+    axes in the parent frame.
+    """
     quaternion = numbers("orientation_xyzw", orientation_xyzw, 4)
     if quaternion.shape != (4,) or not abs(float(quaternion @ quaternion) - 1.0) <= 1e-6:
-        raise ArgumentError(f"`orientation_xyzw` is {orientation_xyzw!r}, expected one unit quaternion x, y, z, w")
+        text = f"`orientation_xyzw` is {orientation_xyzw!r}, expected one unit quaternion x, y, z, w"
+        raise ArgumentError(text)
     x, y, z, w = (float(part) for part in quaternion)
     return np.array(
         [
@@ -44,7 +47,9 @@ def rotation_matrix(orientation_xyzw: Union[Sequence[float], npt.NDArray[Any]]) 
 
 
 def pose_matrix(pose: Pose) -> Floats:
-    """A pose `T_parent_child` as a homogeneous matrix, shape (4, 4): it takes points of the child frame to the parent frame."""
+    """Converts a pose `T_parent_child` to a homogeneous matrix, shape (4, 4), which maps points of the child
+    frame to the parent frame.
+    """
     matrix = np.eye(4)
     matrix[:3, :3] = rotation_matrix(pose.orientation_xyzw)
     matrix[:3, 3] = pose.position_m
@@ -52,7 +57,7 @@ def pose_matrix(pose: Pose) -> Floats:
 
 
 def _normal(geometry: CArmGeometry) -> Floats:
-    """Unit normal of the detector, from the source to it."""
+    """Returns the unit normal of the detector, pointing away from the source."""
     normal = np.cross(geometry.row_axis, geometry.column_axis)
     away = float(normal @ (geometry.detector_centre_m - geometry.source_m))
     return np.asarray(normal if away > 0.0 else -normal)
@@ -63,27 +68,28 @@ def _depth_of_detector_m(geometry: CArmGeometry) -> float:
 
 
 def _axes_and_middle(geometry: CArmGeometry) -> tuple[Floats, Floats]:
-    """Unit vectors along a row and along a column, shape (2, 3), and the pixel at the detector's centre."""
+    """Returns unit vectors along a row and a column, shape (2, 3), and the pixel at the detector's centre."""
     middle = 0.5 * (np.array([geometry.columns, geometry.rows]) - 1.0)
     return np.stack([geometry.row_axis, geometry.column_axis]), middle
 
 
 def world_to_pixel(geometry: CArmGeometry, point_m: Points) -> Floats:
-    """Column and row at which points appear in a frame, shape (2,) or (…, 2). Pixel centres are whole numbers; a point beside the detector
-    has a column or row beyond the picture.
+    """Projects world points into a frame: column and row, shape (2,) or (…, 2). Pixel centres are integers; a
+    point outside the detector has a column or row beyond the image.
 
     Args:
         geometry: `image.frame.geometry`.
         point_m: World points.
 
     Raises:
-        ArgumentError: A point lies in or behind the plane of the source, and so in no picture.
+        ArgumentError: A point lies in or behind the plane of the source and cannot be projected.
     """
     points = numbers("point_m", point_m, 3)
     ray = points - geometry.source_m
     depth = ray @ _normal(geometry)
     if not np.all(depth > 0.0):
-        raise ArgumentError(f"`point_m` is {point_m!r}: a point that is not in front of the source has no pixel")
+        text = f"`point_m` is {point_m!r}: a point that is not in front of the source has no pixel"
+        raise ArgumentError(text)
     on_detector = geometry.source_m + ray * (_depth_of_detector_m(geometry) / depth)[..., np.newaxis]
     offset = on_detector - geometry.detector_centre_m
     axes, middle = _axes_and_middle(geometry)
@@ -91,12 +97,13 @@ def world_to_pixel(geometry: CArmGeometry, point_m: Points) -> Floats:
 
 
 def pixel_to_world(geometry: CArmGeometry, pixel: Points, depth_m: Optional[float] = None) -> Floats:
-    """The world points that appear at pixels, shape (3,) or (…, 3).
+    """Returns the world points seen at pixels, shape (3,) or (…, 3).
 
     Args:
         geometry: `image.frame.geometry`.
         pixel: Column and row.
-        depth_m: Distance of the points from the source along the detector's normal, above 0; None: on the detector.
+        depth_m: Distance of the points from the source along the detector's normal, above 0; None for points
+            on the detector.
     """
     pixels = numbers("pixel", pixel, 2)
     axes, middle = _axes_and_middle(geometry)
@@ -105,4 +112,5 @@ def pixel_to_world(geometry: CArmGeometry, pixel: Points, depth_m: Optional[floa
         return np.asarray(on_detector)
     if not depth_m > 0.0:
         raise ArgumentError(f"`depth_m` is {depth_m!r}, expected a distance above 0")
-    return np.asarray(geometry.source_m + (on_detector - geometry.source_m) * (depth_m / _depth_of_detector_m(geometry)))
+    share = depth_m / _depth_of_detector_m(geometry)
+    return np.asarray(geometry.source_m + (on_detector - geometry.source_m) * share)

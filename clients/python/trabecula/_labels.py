@@ -1,4 +1,4 @@
-"""What an X-ray frame shows."""
+"""Labels of an X-ray frame."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ __all__ = ["Labels", "Mask"]
 
 
 class Mask(IntFlag):
-    """Bits of `Labels.mask`. A pixel may have several: an X-ray has no foreground."""
+    """Bits of `Labels.mask`. A pixel can have several, because an X-ray has no foreground."""
 
-    #: The ray crosses bone that is still there.
+    #: The ray crosses bone that has not been drilled.
     BONE = 1
     #: The ray crosses metal of the shaft, the links or the drive cable.
     TOOL = 2
@@ -27,36 +27,41 @@ class Mask(IntFlag):
 
 
 class Labels(NamedTuple):
-    """An X-ray frame and what it shows. Images have shape (rows, columns), row 0 at the top; they are of the rays to the pixels' centres."""
+    """An X-ray frame with labels. Images have shape (rows, columns), row 0 at the top, and refer to the rays
+    to the pixel centres.
+    """
 
-    #: The frame. Its `frame.projection` is the camera of the keypoints, its `frame.t_world_burr` the burr's pose.
+    #: The frame. Its `frame.projection` projects the keypoints; `frame.t_world_burr` is the burr's pose.
     image: Image
     #: Bits of `Mask`.
     mask: npt.NDArray[np.uint8]
-    #: Attenuation (-ln of the transmission) of the anatomy without what the tool displaces.
+    #: Attenuation (-ln of the transmission) of the anatomy without the part displaced by the tool.
     anatomy: npt.NDArray[np.float32]
-    #: Attenuation that the tool's metal adds.
+    #: Attenuation added by the tool's metal.
     metal: npt.NDArray[np.float32]
-    #: Length of the ray in bone, m. The tool takes none of it away.
+    #: Length of the ray in bone, m; not reduced by the tool.
     bone_m: npt.NDArray[np.float32]
     #: Length of the ray in drilled voxels, m.
     tunnel_m: npt.NDArray[np.float32]
-    #: Depth at which the ray first enters the tool or the burr, m from the source along the detector's normal; NaN without metal.
+    #: Depth at which the ray first enters the tool or burr, m from the source along the detector's normal;
+    #: NaN without metal.
     tool_depth_m: npt.NDArray[np.float32]
     #: Depth at which the ray first enters bone, m; NaN without bone.
     bone_depth_m: npt.NDArray[np.float32]
-    #: Column, row (pixel centres at whole numbers) and depth, m, of base, joints from base to tip, and burr: shape (joints + 2, 3). NaN for
-    #: a point level with or behind the source.
+    #: Column and row (pixel centres at integers) and depth, m, of the base, the joints from base to tip, and
+    #: the burr; shape (joints + 2, 3). NaN for a point level with or behind the source.
     keypoints: npt.NDArray[np.float64]
-    #: 0: outside the image; 1: the ray crosses another part of the tool too; 2: alone. Shape (joints + 2,).
+    #: 0: outside the image; 1: the ray also crosses another part of the tool; 2: it crosses no other part.
+    #: Shape (joints + 2,).
     visibility: npt.NDArray[np.uint8]
 
     @staticmethod
     def of(image: Image, mask: bytes, images: bytes, points: bytes) -> Labels:
-        """The labels of their bytes."""
+        """Creates labels from their bytes."""
         shape = image.pixels.shape
         places = np.frombuffer(points, "<f8").reshape(-1, 4)
-        anatomy, metal, bone_m, tunnel_m, tool_depth_m, bone_depth_m = np.frombuffer(images, "<f4").reshape(6, *shape)
+        layers = np.frombuffer(images, "<f4").reshape(6, *shape)
+        anatomy, metal, bone_m, tunnel_m, tool_depth_m, bone_depth_m = layers
         return Labels(
             image,
             np.frombuffer(mask, np.uint8).reshape(shape),
@@ -72,13 +77,14 @@ class Labels(NamedTuple):
 
     @property
     def keypoint_names(self) -> list[str]:
-        """`base`, `joint_1` and so on, `burr`."""
+        """`base`, `joint_1`, …, `burr`."""
         return ["base", *(f"joint_{number}" for number in range(1, len(self.visibility) - 1)), "burr"]
 
     def where(self, classes: Mask) -> npt.NDArray[np.bool_]:
-        """Pixels of one of these classes."""
+        """Returns the pixels that have at least one of these classes."""
         return np.asarray(self.mask & int(classes) != 0)
 
     def __repr__(self) -> str:
         rows, columns = self.mask.shape
-        return f"Labels(image={self.image!r}, mask=[{rows} x {columns}], keypoints=[{len(self.visibility)} x 3])"
+        keypoints = f"[{len(self.visibility)} x 3]"
+        return f"Labels(image={self.image!r}, mask=[{rows} x {columns}], keypoints={keypoints})"

@@ -1,4 +1,4 @@
-"""Finding and loading libtrabecula_client."""
+"""Finds and loads libtrabecula_client."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 from . import _generated as g
 
 NAME = "libtrabecula_client.so"
-#: Environment variable with the library's path; takes precedence over every other place.
+#: Environment variable with the library's path; takes precedence over all other locations.
 VARIABLE = "TRABECULA_CLIENT_LIBRARY"
 
 
@@ -23,17 +23,18 @@ def _candidates() -> list[Path]:
 
 
 def load() -> ctypes.CDLL:
-    """The library with the types of all its functions.
+    """Loads the library and sets the types of all its functions.
 
     Raises:
-        ImportError: it is in none of its places, or cannot be loaded.
+        ImportError: It is not found or cannot be loaded.
     """
     candidates = _candidates()
     path = next((path for path in candidates if path.exists()), None)
     if path is None:
         places = ", ".join(str(path) for path in candidates)
         raise ImportError(
-            f"{NAME} is in none of: {places}; `pip install .` in a checkout builds it, or name it in {VARIABLE}"
+            f"{NAME} was not found in: {places}; build it with `pip install .` in a checkout, "
+            f"or set its path in {VARIABLE}"
         )
     try:
         library = ctypes.CDLL(str(path))

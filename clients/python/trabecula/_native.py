@@ -11,19 +11,19 @@ from typing import TYPE_CHECKING, Any
 
 __all__ = ["native"]
 
-#: In an installed package.
+#: File name in an installed package.
 NAME = "_sim.abi3.so"
-#: As cargo builds it.
+#: File name of cargo's build.
 BUILT = "libtrabecula_sim.so"
-#: Environment variable with the library's path; takes precedence over every other place.
+#: Environment variable with the library's path; takes precedence over all other locations.
 VARIABLE = "TRABECULA_SIM_LIBRARY"
 
 
 def _load() -> Any:
-    """The module.
+    """Loads the module.
 
     Raises:
-        ImportError: It is in none of its places, or cannot be loaded.
+        ImportError: It is not found or cannot be loaded.
     """
     here = Path(__file__).resolve().parent
     given = os.environ.get(VARIABLE)
@@ -32,11 +32,12 @@ def _load() -> Any:
     if path is None:
         places = ", ".join(str(path) for path in candidates)
         raise ImportError(
-            f"the native half of trabecula.sim is in none of: {places}; `pip install .` in a checkout builds it, or name it in {VARIABLE}"
+            f"the native half of trabecula.sim was not found in: {places}; "
+            f"build it with `pip install .` in a checkout, or set its path in {VARIABLE}"
         )
     name = f"{__package__}._sim"
     spec = spec_from_file_location(name, path, loader=ExtensionFileLoader(name, str(path)))
-    assert spec is not None and spec.loader is not None  # given above
+    assert spec is not None and spec.loader is not None  # from an existing path
     module = module_from_spec(spec)
     spec.loader.exec_module(module)
     sys.modules[name] = module

@@ -1,4 +1,4 @@
-"""What a client returns."""
+"""Results returned by a client."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from ._geometry import Floats, Points, numbers
 
 @dataclass(frozen=True)
 class Info:
-    """Facts that stay constant during a session."""
+    """Constant properties of a session."""
 
     #: Folder of the session.
     folder: str
     #: Name of this client's controller; empty for an observer.
     controller: str
-    #: The whole scene as TOML.
+    #: The complete scene as TOML.
     scene_toml: str
     #: Simulated time of a tick.
     dt_s: float
-    #: Ticks of the whole run.
+    #: Number of ticks of the complete run.
     tick_count: int
     #: Ticks between two scheduled frames; 0 if there are none.
     frame_period_ticks: int
@@ -65,26 +65,30 @@ class Ct(NamedTuple):
     hu: npt.NDArray[np.int16]
 
     def world_to_voxel(self, point_m: Points) -> Floats:
-        """Voxel coordinates i, j, k of world points, shape (3,) or (…, 3). Voxel centres are whole numbers."""
+        """Converts world points to voxel coordinates i, j, k, shape (3,) or (…, 3). Voxel centres are
+        integers.
+        """
         axes = self.volume.direction.reshape(3, 3)
         offset = numbers("point_m", point_m, 3) - self.volume.origin_m
         return np.asarray(offset @ axes.T / self.volume.spacing_m)
 
     def voxel_to_world(self, voxel: Points) -> Floats:
-        """World points of voxel coordinates i, j, k, shape (3,) or (…, 3)."""
+        """Converts voxel coordinates i, j, k to world points, shape (3,) or (…, 3)."""
         axes = self.volume.direction.reshape(3, 3)
         return np.asarray(self.volume.origin_m + (numbers("voxel", voxel, 3) * self.volume.spacing_m) @ axes)
 
     def hu_at(self, point_m: Points) -> npt.NDArray[np.int16]:
-        """Hounsfield units of the voxels that hold world points: one number, shape (), or an array of shape (…).
+        """Returns the Hounsfield units of the voxels that contain world points: one number, shape (), or an
+        array, shape (…).
 
         Raises:
             ArgumentError: A point lies outside the volume.
         """
         index = np.floor(self.world_to_voxel(point_m) + 0.5)
-        # Written so that NaN fails.
+        # Written so that NaN fails the check.
         if not np.all((index >= 0) & (index < self.volume.dimensions)):
-            raise ArgumentError(f"`point_m` is {point_m!r}: outside the volume, whose corners are {self._corners_m()} m")
+            text = f"`point_m` is {point_m!r}: outside the volume, whose corners are {self._corners_m()} m"
+            raise ArgumentError(text)
         i, j, k = np.moveaxis(index.astype(np.int64), -1, 0)
         return np.asarray(self.hu[k, j, i])
 
@@ -108,22 +112,22 @@ class Removal(NamedTuple):
 class Reading(NamedTuple):
     """A reading of a sensor, copied."""
 
-    #: `State.tick` of the state with which it arrived.
+    #: `State.tick` of the state it arrived with.
     tick: int
-    #: `State.tick` of the state that it measured.
+    #: `State.tick` of the measured state.
     sample_tick: int
-    #: The sensor, by its place in the scene.
+    #: Index of the sensor in the scene.
     sensor_index: int
-    #: What it measures.
+    #: Kind of sensor.
     kind: g.SensorKind
     #: False if the reading dropped out, or a tracker did not see its marker.
     valid: bool
-    #: What was measured: docs/sensors.md has the order and units.
+    #: Measured values; for order and units see docs/sensors.md.
     value: npt.NDArray[np.float64]
 
     @staticmethod
     def of(message: g.SensorReading) -> Reading:
-        """A copy of a message."""
+        """Copies a message."""
         return Reading(
             message.tick,
             message.sample_tick,
@@ -139,7 +143,7 @@ class SessionEvent(NamedTuple):
 
     #: Tick at which the sender noticed it.
     tick: int
-    #: How serious it is.
+    #: Severity.
     severity: g.Severity
     #: Kind of event.
     code: g.EventCode
@@ -149,10 +153,10 @@ class SessionEvent(NamedTuple):
     text: str
 
     def is_reset(self) -> bool:
-        """Whether it says that the simulation was reset."""
+        """Returns whether the simulation was reset."""
         return self.sender == g.SENDER_PHYSICS and self.code == g.EventCode.RESET
 
 
 def as_array(memory: Any, dtype: str, count: int) -> npt.NDArray[Any]:
-    """Numbers in memory that is mapped for reading."""
+    """Returns numbers in read-only memory as an array."""
     return np.frombuffer(memory, dtype) if count else np.empty(0, dtype)

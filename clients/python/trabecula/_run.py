@@ -1,4 +1,4 @@
-"""Starting a run."""
+"""Starts runs."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from . import _generated as g
 from ._client import Client
 from ._errors import ArgumentError, Ended, Error
 
-#: Environment variable with the program's path; takes precedence over every other place.
+#: Environment variable with the program's path; takes precedence over all other locations.
 PROGRAM_VARIABLE = "TRABECULA_PROGRAM"
 NAME = "trabecula"
-#: How long a run may take to finish its log after it was told to stop, and then after each signal.
+#: Time limit for completing the log after a stop request, and then after each signal.
 _END_LIMIT_S = 120.0
 _SIGNAL_LIMIT_S = 10.0
 _BAD_INPUT = 2
@@ -35,22 +35,25 @@ def run(
     output: Union[str, Path] = "out",
     timeout_s: float = 60.0,
 ) -> Iterator[Client]:
-    """Starts a run, joins it, and stops it at the end of the `with` block if it still goes on then.
+    """Starts a run, joins it, and stops it at the end of the `with` block if it has not ended by then.
 
-        with trabecula.run("scene.toml", overrides={"run.duration_s": 2.0, "controller.0.optional": True}) as client:
+        overrides = {"run.duration_s": 2.0, "controller.0.optional": True}
+        with trabecula.run("scene.toml", overrides=overrides) as client:
             state = client.step(100)
 
     Args:
-        scene: The scene file; None: the built-in femur.
-        overrides: Values for keys of the scene, by their path; a number in a path counts the tables of an array from 0.
-        controller: As in `Client`; without one in a scene that has no external controller, the client observes.
+        scene: Scene file; None: the built-in femur.
+        overrides: Values for scene keys, by path; a number in a path is an index, from 0, into an array of
+            tables.
+        controller: As in `Client`; if None and the scene has no external controller, the client is an
+            observer.
         output: Parent of the run's folder.
-        timeout_s: How long the run may take to announce its session: it reads or makes the volume first.
+        timeout_s: Time limit for announcing the session, which includes reading or creating the volume.
 
     Raises:
-        ArgumentError: The scene or an override is refused; the text is the program's.
-        Error: The program is not there, the run failed, or its log is not whole.
-        TimeoutError: No session in time.
+        ArgumentError: The scene or an override is refused, with the program's error text.
+        Error: The program was not found, the run failed, or its log is incomplete.
+        TimeoutError: The session was not announced in time.
     """
     words = [_program(), "run", *([] if scene is None else [str(scene)]), "--json", "--output", str(output)]
     for setting in settings(overrides):
@@ -68,7 +71,7 @@ def run(
 
 def _joined(session: str, controller: Optional[str], timeout_s: float) -> Client:
     if controller is None and not os.environ.get("TRABECULA_CONTROLLER"):
-        # An observer knows the scene, and so whether there is a controller to be.
+        # An observer knows the scene, and therefore whether there is an external controller.
         with Client(session, "", timeout_s) as observer:
             if "external = true" not in observer.info.scene_toml:
                 controller = ""
@@ -81,13 +84,18 @@ def _program() -> str:
     found = given or (str(built) if built.exists() else _installed() or shutil.which(NAME))
     if found is None or not os.access(found, os.X_OK):
         places = f"{found}" if found else f"{built}, this package and the PATH"
-        text = f"no program `{NAME}` in {places}: install the package by `pip install .` in a checkout, or name the program in {PROGRAM_VARIABLE}"
+        text = (
+            f"program `{NAME}` not found in {places}: install the package by `pip install .` in a checkout, "
+            f"or set the program's path in {PROGRAM_VARIABLE}"
+        )
         raise Error(g.ERROR_ABSENT, text)
     return found
 
 
 def _installed() -> Optional[str]:
-    """The program that came in the wheel of this package: of its version, and there also where the environment is not activated."""
+    """Returns the program installed from this package's wheel: it has the same version, and it is found even
+    if the environment is not activated.
+    """
     try:
         files = metadata.files("trabecula") or []
     except metadata.PackageNotFoundError:
@@ -97,15 +105,15 @@ def _installed() -> Optional[str]:
 
 
 def settings(overrides: Optional[Mapping[str, Any]]) -> list[str]:
-    """Overrides as lines `KEY=VALUE` of `--set`."""
+    """Converts overrides to `KEY=VALUE` arguments of `--set`."""
     return [f"{key}={_toml(key, value)}" for key, value in (overrides or {}).items()]
 
 
 def _toml(key: str, value: Any) -> str:
-    """A value as it is written in a scene."""
+    """Formats a value as in a scene file."""
     if isinstance(value, bool):
         return "true" if value else "false"
-    # NumPy's numbers first: some are floats as well, but none is written as one.
+    # NumPy numbers first: some are also floats, but their repr is not TOML.
     if hasattr(value, "tolist"):
         return _toml(key, value.tolist())
     if isinstance(value, (int, float)):
@@ -113,14 +121,16 @@ def _toml(key: str, value: Any) -> str:
     if isinstance(value, (str, Path)):
         return json.dumps(str(value), ensure_ascii=False)
     if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{name} = {_toml(f'{key}.{name}', inner)}" for name, inner in value.items()) + "}"
+        entries = (f"{name} = {_toml(f'{key}.{name}', inner)}" for name, inner in value.items())
+        return "{" + ", ".join(entries) + "}"
     if isinstance(value, (list, tuple)):
         return "[" + ", ".join(_toml(key, inner) for inner in value) + "]"
-    raise ArgumentError(f"the override `{key}` is {value!r}, expected a number, a text, a truth value, or a list or table of them")
+    expected = "expected a number, a text, a truth value, or a list or table of them"
+    raise ArgumentError(f"the override `{key}` is {value!r}, {expected}")
 
 
 class _Started:
-    """The launcher's process, which is gone when this is left."""
+    """The launcher's process, ended on exit from the context."""
 
     def __init__(self, words: list[str]) -> None:
         self._process = subprocess.Popen(
@@ -138,7 +148,7 @@ class _Started:
             listener.start()
 
     def _hear(self, figures: IO[str]) -> None:
-        """Takes the session from the first line, and reads the rest so that the program never waits."""
+        """Reads the session from the first line, and drains the rest so that the program never blocks."""
         for line in figures:
             if self._session is None:
                 with self._heard:
@@ -155,7 +165,7 @@ class _Started:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Ends a process that still runs: in order, then hard."""
+        """Ends a process that is still running: by SIGTERM, then SIGKILL."""
         for end in (self._process.terminate, self._process.kill):
             if self._process.poll() is None:
                 end()
@@ -168,14 +178,15 @@ class _Started:
             listener.join(_SIGNAL_LIMIT_S)
 
     def session(self, timeout_s: float) -> str:
-        """The session's folder, once it is announced."""
+        """Waits until the session is announced and returns its folder."""
         deadline = time.monotonic() + timeout_s
         with self._heard:
             while self._session is None:
                 if self._process.poll() is not None and not any(it.is_alive() for it in self._listeners):
                     raise self._failure()
                 if time.monotonic() > deadline:
-                    raise TimeoutError(f"no session within {timeout_s} s; the program said: {self._last_words()}")
+                    text = f"no session within {timeout_s} s; the program's last output: {self._last_words()}"
+                    raise TimeoutError(text)
                 self._heard.wait(0.1)
             return self._session
 
@@ -183,7 +194,7 @@ class _Started:
         """Waits for the end of the run.
 
         Raises:
-            Error: It did not end well.
+            Error: The run failed.
         """
         with suppress(subprocess.TimeoutExpired):
             self._process.wait(_END_LIMIT_S)
@@ -199,7 +210,7 @@ class _Started:
         return Error(g.ERROR_HUB_GONE, f"the run {how}: {self._last_words()}")
 
     def _last_words(self) -> str:
-        """Its complaints: how it ended comes last, and why stands before it."""
+        """Returns the program's last error lines; the final result comes last, preceded by its cause."""
         own = "trabecula: "
         complaints = [line[len(own) :] for line in self._said if line.startswith(own)]
         return "; ".join(complaints[-3:]) or (self._said or ["nothing"])[-1]

@@ -1,4 +1,4 @@
-"""The native half of `trabecula.sim`: messages go in and out as bytes."""
+"""The native half of `trabecula.sim`: messages are passed as bytes."""
 
 from typing import Optional
 

@@ -1,4 +1,4 @@
-"""Views of messages in shared memory: their attributes read the bytes in place."""
+"""Views of messages in shared memory, whose attributes read the bytes in place."""
 
 from __future__ import annotations
 
@@ -29,20 +29,20 @@ _V = TypeVar("_V", bound="View")
 _S = TypeVar("_S", bound=np.generic)
 
 Buffer = Union[memoryview, bytes, bytearray]
-#: Characters of a message's `repr` after which the rest of its fields is left out.
+#: Length of a message's `repr` after which the remaining fields are omitted.
 _SHOWN = 150
-_FOR_READING = "it lies in memory for reading; copy() gives one that can be written"
-#: What the codes of `struct` hold.
-_WHOLE = {"B": (0, 2**8), "H": (0, 2**16), "I": (0, 2**32), "Q": (0, 2**64), "b": (-(2**7), 2**7), "h": (-(2**15), 2**15)}
-_WHOLE.update({"i": (-(2**31), 2**31), "q": (-(2**63), 2**63)})
+_FOR_READING = "it is in read-only memory; copy() returns a writable one"
+#: Ranges of the `struct` codes.
+_WHOLE = {"B": (0, 2**8), "H": (0, 2**16), "I": (0, 2**32), "Q": (0, 2**64)}
+_WHOLE.update({"b": (-(2**7), 2**7), "h": (-(2**15), 2**15), "i": (-(2**31), 2**31), "q": (-(2**63), 2**63)})
 
 
 class View:
-    """A message in shared memory or in its own memory. Attributes read it in place; nothing is copied.
+    """A message, in shared memory or its own. Attributes read it in place; nothing is copied.
 
-    Numbers are returned as Python numbers, codes as members of their enum, fixed arrays as NumPy views of the same memory, as
-    long as the message says they are used. Writing to a message for reading raises a ReadOnlyError, a value that a field cannot
-    hold an ArgumentError.
+    Numbers are returned as Python numbers, codes as enum members, and fixed arrays as NumPy views of the same
+    memory, limited to the used part. Writing to a read-only message raises a ReadOnlyError; a value that a
+    field cannot hold raises an ArgumentError.
     """
 
     __slots__ = ("_buffer", "_array", "_parts", "_sealed")
@@ -51,25 +51,31 @@ class View:
     _sealed: str
 
     def __init__(self, buffer: Optional[Buffer] = None, parts: Optional[dict[str, Any]] = None) -> None:
-        """A view of `buffer`; without one, a zeroed message in its own memory. With `parts` it can be sealed."""
+        """Creates a view of `buffer`, or a zeroed message in its own memory if None. With `parts` it can be
+        sealed.
+        """
         self._buffer: Buffer = bytearray(self.dtype.itemsize) if buffer is None else buffer
         self._array: Optional[npt.NDArray[np.void]] = None
-        #: Writable views of this message that the caller has, by name; None if it is never sealed.
+        #: Writable views of this message held by the caller, by name; None if it is never sealed.
         self._parts = parts
 
     @property
     def array(self) -> npt.NDArray[np.void]:
-        """The whole message in place, as a zero-dimensional NumPy array with a structured dtype; arrays at their full length."""
+        """The whole message in place, as a zero-dimensional NumPy array with a structured dtype; arrays at
+        full length.
+        """
         if self._array is None:
             self._array = np.frombuffer(self._buffer, self.dtype, count=1).reshape(())
         return self._array
 
     def copy(self: _V) -> _V:
-        """A writable copy in its own memory."""
+        """Returns a writable copy in its own memory."""
         return type(self)(bytearray(self._buffer))
 
     def _seal(self, content: bytes, why: str) -> None:
-        """Freezes the message with this content: neither it nor the views it has returned can be written any more."""
+        """Freezes the message with this content: neither it nor the views it has returned can be written any
+        longer.
+        """
         parts = self._parts
         if parts is None:
             return
@@ -91,7 +97,7 @@ class View:
         return ReadOnlyError(f"`{name}` of this {type(self).__name__} cannot be written: {why}")
 
     def __repr__(self) -> str:
-        """The first fields, in one line."""
+        """Returns the first fields in one line."""
         shown: list[str] = []
         for name in self.dtype.names or ():
             if sum(map(len, shown)) > _SHOWN:
@@ -115,7 +121,7 @@ def _short(value: Any) -> str:
 
 
 class Values(np.ndarray[Any, Any]):
-    """Numbers of a message in place. What is computed from them is an ordinary array."""
+    """Numbers of a message in place. Results of computations are ordinary arrays."""
 
     def __array_wrap__(self, array: Any, context: Any = None, return_scalar: bool = False) -> Any:
         return array[()] if return_scalar or np.ndim(array) == 0 else np.asarray(array)
@@ -126,14 +132,17 @@ class Values(np.ndarray[Any, Any]):
         except (TypeError, ValueError) as cause:
             if not self.flags.writeable:
                 raise ReadOnlyError(f"these numbers cannot be written: {_FOR_READING}") from None
-            raise ArgumentError(f"{value!r} does not fit in {self.size} numbers ({self.dtype}): {cause}") from None
+            text = f"{value!r} does not fit in {self.size} numbers ({self.dtype}): {cause}"
+            raise ArgumentError(text) from None
 
     def __repr__(self) -> str:
         return repr(np.asarray(self))
 
 
 class Elements(Sequence[_V]):
-    """The messages of an array, in place: `state.contacts[0].gap_m`. For columns over all of them, `array`."""
+    """The messages of an array, in place: `state.contacts[0].gap_m`. Use `array` for columns over all of
+    them.
+    """
 
     __slots__ = ("_message", "_buffer", "_offset", "_count")
 
@@ -151,7 +160,7 @@ class Elements(Sequence[_V]):
         if isinstance(index, slice):
             return [self._at(i) for i in range(*index.indices(self._count))]
         if isinstance(index, str):
-            raise ArgumentError(f"an element is taken by its number; the column over all is `.array[{index!r}]`")
+            raise ArgumentError(f"elements are indexed by number; use `.array[{index!r}]` for the column")
         at = index + self._count if index < 0 else index
         if not 0 <= at < self._count:
             raise IndexError(f"element {index} of {self._count}")
@@ -175,7 +184,7 @@ class Elements(Sequence[_V]):
 
 
 class _Member:
-    """A field of a message, which knows its name."""
+    """A field of a message that stores its name."""
 
     def __set_name__(self, owner: type, name: str) -> None:
         self._name = name
@@ -189,12 +198,13 @@ class _Member:
 
 
 class _Number(_Member):
-    """A number of a message, or a code of an enum."""
+    """A number field, or an enum code."""
 
     def __init__(self, code: str, offset: int, doc: str, codes: Optional[Type[IntEnum]] = None) -> None:
         packer = struct.Struct(code)
-        self._code, self._unpack, self._pack, self._offset = code, packer.unpack_from, packer.pack_into, offset
-        #: A code that no member has stays a number.
+        self._code, self._offset = code, offset
+        self._unpack, self._pack = packer.unpack_from, packer.pack_into
+        #: An unknown code stays a number.
         self._members = None if codes is None else {member.value: member for member in codes}
         self._codes = codes
         self.__doc__ = doc
@@ -222,12 +232,14 @@ class _Number(_Member):
 
 
 def _fields(owner: Type[View]) -> Mapping[str, Any]:
-    """Type and offset of each field."""
+    """Returns type and offset of each field."""
     return cast(Mapping[str, Any], owner.dtype.fields)
 
 
 def _counter(owner: Type[View], name: Optional[str], most: int) -> Callable[[Buffer], int]:
-    """A function of a message's bytes: how many entries of an array of `most` are used, by the field of this name."""
+    """Returns a function of a message's bytes: the used length of an array of `most` entries, from the field
+    of this name.
+    """
     if name is None:
         return lambda buffer: most
     unpack, offset = struct.Struct("<I").unpack_from, _fields(owner)[name][1]
@@ -235,17 +247,20 @@ def _counter(owner: Type[View], name: Optional[str], most: int) -> Callable[[Buf
 
 
 def _array_of(owner: Type[View], name: str) -> tuple[np.dtype[Any], int, int]:
-    """Element, length and offset of an array."""
+    """Returns element type, length and offset of an array."""
     whole, offset = _fields(owner)[name][:2]
     element, (length,) = whole.subdtype
     return element, length, offset
 
 
 class ArrayField(_Member, Generic[_S]):
-    """The attribute of a fixed array of numbers; `count` names the field that says how many are used. Where there is room for more than a tool
-    or an arm has (`fewer_fit`), fewer numbers may be set, and the others become 0."""
+    """Attribute for a fixed array of numbers. `count` names the field with the used length. With `fewer_fit`,
+    fewer numbers can be set than a tool or arm can have; the remaining ones become 0.
+    """
 
-    def __init__(self, element: Type[_S], doc: str, count: Optional[str] = None, fewer_fit: bool = False) -> None:
+    def __init__(
+        self, element: Type[_S], doc: str, count: Optional[str] = None, fewer_fit: bool = False
+    ) -> None:
         self._count = count
         self._fewer_fit = fewer_fit
         self.__doc__ = doc
@@ -281,14 +296,17 @@ class ArrayField(_Member, Generic[_S]):
         fits = given.shape == own.shape or (self._fewer_fit and given.ndim == 1 and 0 < len(given) < count)
         if not fits:
             fewer = " or fewer" if self._fewer_fit else ""
-            text = f"{self._of(view)} is {value!r}, expected {count} numbers{fewer}; one of them is written as `{self._name}[0] = …`"
+            text = (
+                f"{self._of(view)} is {value!r}, expected {count} numbers{fewer}; "
+                f"set a single one with `{self._name}[0] = …`"
+            )
             raise ArgumentError(text)
         own[: len(given)] = given
         own[len(given) :] = 0
 
 
 class ElementsField(_Member, Generic[_V]):
-    """The attribute of a fixed array of messages; `count` names the field that says how many are used."""
+    """Attribute for a fixed array of messages. `count` names the field with the used length."""
 
     def __init__(self, message: Type[_V], doc: str, count: Optional[str] = None) -> None:
         self._message, self._count = message, count
@@ -312,11 +330,11 @@ class ElementsField(_Member, Generic[_V]):
 
         def __set__(self, view: View, value: Any) -> None:
             self._refuse_if_read_only(view)
-            raise ArgumentError(f"{self._of(view)} is an array of messages; write to the fields of its elements")
+            raise ArgumentError(f"{self._of(view)} is an array of messages; set the fields of its elements")
 
 
 class _Nested(_Member):
-    """A message in a message."""
+    """A nested message."""
 
     def __init__(self, message: Type[View], offset: int, doc: str) -> None:
         self._message, self._offset, self._end = message, offset, offset + message.dtype.itemsize
@@ -341,10 +359,10 @@ class _Nested(_Member):
 
 
 def field(code: str, offset: int, doc: str, codes: Optional[Type[IntEnum]] = None) -> Any:
-    """The attribute of a number (`code` as in `struct`), or of a code of an enum."""
+    """Creates the attribute for a number (`code` as in `struct`) or an enum code."""
     return _Number(code, offset, doc, codes)
 
 
 def nested(message: Type[View], offset: int, doc: str) -> Any:
-    """The attribute of a message in a message."""
+    """Creates the attribute for a nested message."""
     return _Nested(message, offset, doc)

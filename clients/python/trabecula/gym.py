@@ -1,7 +1,8 @@
-"""Environments of Gymnasium on `trabecula.sim`: `gymnasium.make("trabecula.gym:trabecula/CurvedDrilling-v0")`.
+"""Gymnasium environments based on `trabecula.sim`:
+`gymnasium.make("trabecula.gym:trabecula/CurvedDrilling-v0")`.
 
-The part before the colon has Gymnasium import this module, which registers them; after `import trabecula.gym` the name alone will do.
-Episodes are a function of the seed and the actions, to the bit.
+The part before the colon makes Gymnasium import this module, which registers the environments; after `import
+trabecula.gym`, the name alone is sufficient. Episodes depend only on the seed and the actions, bit for bit.
 """
 
 from __future__ import annotations
@@ -27,15 +28,16 @@ Vector = npt.NDArray[np.float64]
 Info = dict[str, Any]
 Seen = TypeVar("Seen")
 
-#: Name of each environment, its class, and the actions after which Gymnasium cuts an episode.
+#: Name of each environment, its class, and the number of actions after which Gymnasium truncates an episode.
 ENVIRONMENTS = {
     "trabecula/CurvedDrilling-v0": ("CurvedDrilling", 400),
     "trabecula/Skiving-v0": ("Skiving", 300),
     "trabecula/XRaySteering-v0": ("XRaySteering", 400),
 }
 
-#: A block whose far half, at +x, is denser; the tool is fed straight along the boundary, its burr 1.5 mm beside it. The scene of
-#: `configs/skiving.toml` without its controller, tendon 0 toward the dense side, with an X-ray.
+#: A block whose half at +x is denser; the tool is fed straight along the boundary, with its burr 1.5 mm from
+#: it. Like `configs/skiving.toml`, but without its controller, with tendon 0 toward the dense side, and with
+#: an X-ray.
 SKIVING_SCENE = """
 name = "skiving"
 [run]
@@ -63,19 +65,21 @@ external = true
 
 
 def register_envs() -> None:
-    """Makes the environments known to Gymnasium; importing this module does."""
+    """Registers the environments with Gymnasium. Importing this module does the same."""
     for name, (kind, most_actions) in ENVIRONMENTS.items():
         if name not in gymnasium.registry:
             gymnasium.register(name, entry_point=f"trabecula.gym:{kind}", max_episode_steps=most_actions)
 
 
 class _Feed(gymnasium.Env[Seen, Floats]):
-    """What the environments share: a tool whose burr turns at `BURR_RPM` and that the arm inserts along its axis."""
+    """Base of the environments: a tool whose burr spins at `BURR_RPM` and that the arm inserts along its
+    axis.
+    """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 20}
 
     BURR_RPM = 8000.0
-    #: An insertion has a speed above 0.
+    #: An insertion needs a speed above 0.
     LEAST_FEED_MM_PER_S = 0.01
     MOST_FEED_MM_PER_S: float
     INSERTION_MM: float
@@ -94,7 +98,7 @@ class _Feed(gymnasium.Env[Seen, Floats]):
         self._command.arm_depth_m = self.INSERTION_MM * 1e-3
 
     def _start(self) -> g.State:
-        """Back to tick 0."""
+        """Returns to tick 0."""
         self.sim.reset()
         state = self.sim.state
         self._axes = _axes(state)
@@ -103,7 +107,7 @@ class _Feed(gymnasium.Env[Seen, Floats]):
         return state
 
     def _feed(self, share: float) -> None:
-        """Asks for a share of the greatest feed."""
+        """Requests a fraction of the maximum feed."""
         feed_mm_per_s = max(share * self.MOST_FEED_MM_PER_S, self.LEAST_FEED_MM_PER_S)
         self._command.arm_speed_m_per_s = feed_mm_per_s * 1e-3
 
@@ -114,14 +118,15 @@ class _Feed(gymnasium.Env[Seen, Floats]):
         return self._inserted_mm(state) >= self.INSERTION_MM - 0.01
 
     def render(self) -> Any:
-        """The scene's X-ray, shape (rows, columns, 3), uint8; None without a render mode."""
+        """Returns the scene's X-ray, shape (rows, columns, 3), uint8; None without a render mode."""
         if self.render_mode is None:
             return None
         return np.repeat(_grey(self.sim.render().pixels)[:, :, None], 3, axis=2)
 
 
 class _ToTarget(_Feed[Seen]):
-    """Drill a curve from the end of a pilot hole to a target: what `CurvedDrilling` and `XRaySteering` share."""
+    """Drilling a curve from the end of a pilot hole to a target: base of `CurvedDrilling` and `XRaySteering`.
+    """
 
     MOST_TENSION_N = 12.0
     MOST_FEED_MM_PER_S = 3.0
@@ -141,14 +146,15 @@ class _ToTarget(_Feed[Seen]):
         ticks: int = 50,
         render_mode: Optional[str] = None,
     ) -> None:
-        """An environment at the start of an episode.
+        """Creates an environment at the start of an episode.
 
         Args:
             scene: As in `Sim`.
-            overrides: As in `Sim`: another bone, another tool.
-            target_mm: Where the burr's centre is to arrive, patient frame (LPS); the built-in scene's by default.
-            spread_mm: By how much it is moved from episode to episode, in either direction.
-            ticks: Ticks of an action.
+            overrides: As in `Sim`: for another bone or another tool.
+            target_mm: Target of the burr's centre, patient frame (LPS); by default that of the built-in
+                scene.
+            spread_mm: Maximum random offset of the target per episode, in either direction.
+            ticks: Ticks per action.
             render_mode: None, or "rgb_array": the scene's X-ray.
         """
         super().__init__(Sim(scene, overrides=overrides, drive=True), ticks, render_mode)
@@ -161,14 +167,16 @@ class _ToTarget(_Feed[Seen]):
         raise NotImplementedError
 
     def _begin(self, moved_mm: Vector, target_mm: Optional[Vector]) -> g.State:
-        """The start of an episode: the state of tick 0. Without a target, the scene's is moved along the axis and toward the bend."""
+        """Starts an episode; returns the state at tick 0. Without a target, the scene's target is moved along
+        the axis and toward the bend.
+        """
         state = self._start()
         self._target_mm = self._centre_mm + moved_mm @ self._axes[:2] if target_mm is None else target_mm
         self._distance_mm = self._distance(state)
         return state
 
     def reset(self, *, seed: Optional[int] = None, options: Optional[Info] = None) -> tuple[Seen, Info]:
-        """Begins an episode; see the class for `options`."""
+        """Starts an episode; see the class for `options`."""
         super().reset(seed=seed)
         moved_mm = self.np_random.uniform(-self._spread_mm, self._spread_mm, 2)
         given = (options or {}).get("target_mm")
@@ -176,7 +184,7 @@ class _ToTarget(_Feed[Seen]):
         return self._observation(state), self._info(state)
 
     def step(self, action: Floats) -> tuple[Seen, SupportsFloat, bool, bool, Info]:
-        """Makes the ticks of an action."""
+        """Runs the ticks of an action."""
         share = (np.clip(np.asarray(action, np.float64), -1.0, 1.0) + 1.0) * 0.5
         self._command.tendon_force_n[0] = share[0] * self.MOST_TENSION_N
         self._feed(share[1])
@@ -205,25 +213,29 @@ class _ToTarget(_Feed[Seen]):
 
 
 class CurvedDrilling(_ToTarget[Floats]):
-    """Drill a curve from the end of a pilot hole to a target in the femoral head, by tension of the tendon and feed of the arm.
+    """Drill a curve from the end of a pilot hole to a target in the femoral head, with tendon tension and arm
+    feed.
 
-    The built-in femur scene, or one of the same kind. The burr turns at `BURR_RPM` throughout; the arm inserts along the tool's axis.
+    The built-in femur scene, or one of the same kind. The burr always spins at `BURR_RPM`; the arm inserts
+    along the tool's axis.
 
-    **Action**, shape (2,), each in [-1, 1]: tension of tendon 0 from 0 to `MOST_TENSION_N`; feed from 0 to `MOST_FEED_MM_PER_S`. It holds
-    for `ticks` ticks.
+    **Action**, shape (2,), each in [-1, 1]: tension of tendon 0 from 0 to `MOST_TENSION_N`; feed from 0 to
+    `MOST_FEED_MM_PER_S`. It is held for `ticks` ticks.
 
-    **Observation**, shape (9,), float32, the truth without noise: the burr's centre relative to the target along the axis, toward the bend
-    and across it (mm); inserted length (mm); bend of the tip (rad); tension and displacement of tendon 0 (N, mm); force on burr and flange
-    (N).
+    **Observation**, shape (9,), float32, ground truth without noise: position of the burr's centre relative
+    to the target along the axis, toward the bend and across it (mm); inserted length (mm); bend of the tip
+    (rad); tension and displacement of tendon 0 (N, mm); force on burr and flange (N).
 
-    **Reward**: by how much the burr came nearer to the target during the action (mm), less `FORCE_COST` for each newton on the flange beyond
-    `GENTLE_FORCE_N`, and `BONUS` when it arrives. A whole episode is worth the way to the target, about 29 mm, and the bonus.
+    **Reward**: decrease of the burr's distance to the target during the action (mm), minus `FORCE_COST` for
+    each newton on the flange above `GENTLE_FORCE_N`, plus `BONUS` on arrival. A complete episode is worth the
+    distance to the target, about 29 mm, plus the bonus.
 
-    The episode **ends** within `REACHED_MM` of the target, or when the insertion is at its end and the burr has passed the target
-    (`info["reached"]` says which). Gymnasium's time limit truncates it after 400 actions.
+    The episode **ends** within `REACHED_MM` of the target, at the end of the insertion, or once the burr has
+    passed the target (`info["reached"]` tells whether it was reached). Gymnasium's time limit truncates it
+    after 400 actions.
 
-    The **target** is the scene's, moved by up to `spread_mm` along the bend and along the axis, drawn from the seed of `reset`; or
-    `options={"target_mm": (x, y, z)}` of `reset`, patient frame (LPS).
+    The **target** is the scene's, moved by up to `spread_mm` along the bend and along the axis, drawn from
+    the seed of `reset`; or `options={"target_mm": (x, y, z)}` of `reset`, patient frame (LPS).
     """
 
     observation_space = spaces.Box(-np.inf, np.inf, (9,), np.float32)
@@ -232,26 +244,32 @@ class CurvedDrilling(_ToTarget[Floats]):
         place_mm = self._axes @ (_burr_mm(state) - self._target_mm)
         tendon = (state.tendon_tension_n[0], state.tendon_displacement_m[0] * 1e3)
         forces_n = (state.burr_force_n, float(np.linalg.norm(state.flange_wrench.force_n)))
-        return np.asarray([*place_mm, self._inserted_mm(state), state.bend_rad, *tendon, *forces_n], np.float32)
+        seen = [*place_mm, self._inserted_mm(state), state.bend_rad, *tendon, *forces_n]
+        return np.asarray(seen, np.float32)
 
 
 class XRaySteering(_ToTarget[Dict[str, Any]]):
-    """As `CurvedDrilling`, but seen by X-ray: the agent has a frame of the scene's C-arm before each action, and no true place.
+    """`CurvedDrilling` guided by X-ray: before each action, the agent gets a frame of the scene's C-arm
+    instead of the true position.
 
     **Action**, **reward**, **target** and the end of an episode are those of `CurvedDrilling`.
 
-    **Observation**, a dictionary: `image`, shape (rows, columns, 1), uint8, the frame of the present tick with its noise, 0 black; `target`,
-    shape (2,), float32, column and row of the target in it as a share of its size, 0 to 1 inside; `measured`, shape (2,), float32, what the
-    machine knows without an X-ray: inserted length (mm) and tension of tendon 0 (N).
+    **Observation**, a dictionary: `image`, shape (rows, columns, 1), uint8, the frame at the current tick
+    with noise, 0 is black; `target`, shape (2,), float32, column and row of the target as a fraction of the
+    image size, 0 to 1 inside; `measured`, shape (2,), float32, quantities known without an X-ray: inserted
+    length (mm) and tension of tendon 0 (N).
 
-    A frame has 96 by 96 pixels on the scene's detector; `overrides` of `drr.columns`, `drr.rows` and `drr.pixel_pitch_mm` change that.
+    A frame has 96 by 96 pixels on the scene's detector; change this with `overrides` of `drr.columns`,
+    `drr.rows` and `drr.pixel_pitch_mm`.
     """
 
     #: The detector of the built-in scene with fewer pixels.
     PIXELS = {"drr.columns": 96, "drr.rows": 96, "drr.pixel_pitch_mm": 1.6}
 
-    def __init__(self, scene: SceneFile = None, *, overrides: Optional[Overrides] = None, **others: Any) -> None:
-        """An environment at the start of an episode; arguments as in `CurvedDrilling`."""
+    def __init__(
+        self, scene: SceneFile = None, *, overrides: Optional[Overrides] = None, **others: Any
+    ) -> None:
+        """Creates an environment at the start of an episode; arguments as in `CurvedDrilling`."""
         super().__init__(scene, overrides={**self.PIXELS, **(overrides or {})}, **others)
         rows, columns = self.sim.render().pixels.shape
         self.observation_space = spaces.Dict(
@@ -275,25 +293,28 @@ class XRaySteering(_ToTarget[Dict[str, Any]]):
 
 
 class Skiving(_Feed[Floats]):
-    """Keep the burr on a straight line along the boundary of two densities, against the pull to the softer side.
+    """Keep the burr on a straight line along the boundary of two densities, against the pull toward the
+    softer side.
 
-    A block whose half at +x is ten times denser; the tool is fed along +z, 1.5 mm beside the boundary. Without tension the burr leaves its
-    line toward the soft side ("skives"), the more the slower it is fed.
+    A block whose half at +x is ten times denser; the tool is fed along +z, 1.5 mm from the boundary. Without
+    tension the burr leaves its line toward the soft side ("skives"); the slower the feed, the more.
 
-    **Action**, shape (2,), each in [-1, 1]: tension from -`MOST_TENSION_N` to `MOST_TENSION_N`, positive for tendon 0, which bends toward
-    the dense side, negative for tendon 1; feed from 0 to `MOST_FEED_MM_PER_S`. It holds for `ticks` ticks.
+    **Action**, shape (2,), each in [-1, 1]: tension from -`MOST_TENSION_N` to `MOST_TENSION_N`, positive for
+    tendon 0, which bends toward the dense side, negative for tendon 1; feed from 0 to `MOST_FEED_MM_PER_S`.
+    It is held for `ticks` ticks.
 
-    **Observation**, shape (7,), float32, the truth without noise: how far the burr is off its line toward the dense side and across (mm);
-    inserted length (mm); bend of the tip (rad); tensions of tendons 0 and 1 (N); force on the burr (N).
+    **Observation**, shape (7,), float32, ground truth without noise: deviation of the burr from its line
+    toward the dense side and across (mm); inserted length (mm); bend of the tip (rad); tensions of tendons 0
+    and 1 (N); force on the burr (N).
 
-    **Reward**: length fed during the action (mm), less the distance of the burr from its line at its end (mm) times the length fed. A whole
-    episode on the line is worth `INSERTION_MM`.
+    **Reward**: length fed during the action (mm), minus the burr's final distance from its line (mm) times
+    the length fed. A complete episode on the line is worth `INSERTION_MM`.
 
-    The episode **ends** when the insertion is at its end, or the burr is farther than `LOST_MM` from its line (`info["lost"]`). Gymnasium's
-    time limit truncates it after 300 actions.
+    The episode **ends** at the end of the insertion, or if the burr is farther than `LOST_MM` from its line
+    (`info["lost"]`). Gymnasium's time limit truncates it after 300 actions.
 
-    The **density ratio** is drawn from the seed of `reset` between the two of `ratios`, or `options={"ratio": 5.0}` of `reset`; each ratio
-    is a simulation of its own, made once.
+    The **density ratio** is drawn from `ratios` with the seed of `reset`, or set by `options={"ratio": 5.0}`
+    of `reset`; each ratio has its own simulation, created once.
     """
 
     MOST_TENSION_N = 6.0
@@ -311,16 +332,16 @@ class Skiving(_Feed[Floats]):
         ticks: int = 50,
         render_mode: Optional[str] = None,
     ) -> None:
-        """An environment at the start of an episode.
+        """Creates an environment at the start of an episode.
 
         Args:
-            overrides: As in `Sim`, over `SKIVING_SCENE`.
-            ratios: The density ratios among which episodes choose, 1 to 20.
-            ticks: Ticks of an action.
+            overrides: As in `Sim`, on top of `SKIVING_SCENE`.
+            ratios: Density ratios to draw from, 1 to 20.
+            ticks: Ticks per action.
             render_mode: None, or "rgb_array": the scene's X-ray.
         """
         if not len(ratios):
-            raise ArgumentError("`ratios` is empty, expected one density ratio at least")
+            raise ArgumentError("`ratios` is empty, expected at least one density ratio")
         self._ratios = [float(ratio) for ratio in ratios]
         self._overrides = dict(overrides or {})
         self._sims: dict[float, Sim] = {}
@@ -333,7 +354,8 @@ class Skiving(_Feed[Floats]):
             with tempfile.TemporaryDirectory() as folder:
                 file = Path(folder) / "skiving.toml"
                 file.write_text(SKIVING_SCENE)
-                self._sims[ratio] = Sim(file, overrides={"volume.block_density_ratio": ratio, **self._overrides}, drive=True)
+                overrides = {"volume.block_density_ratio": ratio, **self._overrides}
+                self._sims[ratio] = Sim(file, overrides=overrides, drive=True)
         return self._sims[ratio]
 
     def _begin(self, ratio: float) -> g.State:
@@ -344,14 +366,14 @@ class Skiving(_Feed[Floats]):
         return state
 
     def reset(self, *, seed: Optional[int] = None, options: Optional[Info] = None) -> tuple[Floats, Info]:
-        """Begins an episode; see the class for `options`."""
+        """Starts an episode; see the class for `options`."""
         super().reset(seed=seed)
         drawn = self._ratios[int(self.np_random.integers(len(self._ratios)))]
         state = self._begin(float((options or {}).get("ratio", drawn)))
         return self._observation(state), self._info(state)
 
     def step(self, action: Floats) -> tuple[Floats, SupportsFloat, bool, bool, Info]:
-        """Makes the ticks of an action."""
+        """Runs the ticks of an action."""
         tension, feed = np.clip(np.asarray(action, np.float64), -1.0, 1.0)
         tension_n = tension * self.MOST_TENSION_N
         self._command.tendon_force_n[:2] = (max(tension_n, 0.0), max(-tension_n, 0.0))
@@ -360,20 +382,27 @@ class Skiving(_Feed[Floats]):
         before_mm, self._fed_mm = self._fed_mm, self._inserted_mm(state)
         info = self._info(state)
         reward = (self._fed_mm - before_mm) * (1.0 - info["off_line_mm"])
-        return self._observation(state), float(reward), bool(info["lost"] or self._is_inserted(state)), False, info
+        ended = bool(info["lost"] or self._is_inserted(state))
+        return self._observation(state), float(reward), ended, False, info
 
     def _off_mm(self, state: g.State) -> Vector:
-        """Off the line: toward the dense side, and across."""
+        """Returns the deviation from the line: toward the dense side, and across."""
         return np.asarray(self._axes[1:] @ (_burr_mm(state) - self._line_mm))
 
     def _observation(self, state: g.State) -> Floats:
         tensions_n = state.tendon_tension_n[:2]
-        seen = [*self._off_mm(state), self._inserted_mm(state), state.bend_rad, *tensions_n, state.burr_force_n]
+        motion = (*self._off_mm(state), self._inserted_mm(state), state.bend_rad)
+        seen = [*motion, *tensions_n, state.burr_force_n]
         return np.asarray(seen, np.float32)
 
     def _info(self, state: g.State) -> Info:
         off_mm = float(np.linalg.norm(self._off_mm(state)))
-        return {"off_line_mm": off_mm, "lost": off_mm > self.LOST_MM, "ratio": self._ratio, "tick": state.tick}
+        return {
+            "off_line_mm": off_mm,
+            "lost": off_mm > self.LOST_MM,
+            "ratio": self._ratio,
+            "tick": state.tick,
+        }
 
 
 def _burr_mm(state: g.State) -> Vector:
@@ -385,7 +414,7 @@ def _grey(pixels: npt.NDArray[np.uint16]) -> npt.NDArray[np.uint8]:
 
 
 def _axes(state: g.State) -> Vector:
-    """Rows: the tool's axis, the direction of the bend, and across both."""
+    """Returns as rows the tool's axis, the direction of the bend, and the direction across both."""
     bend, across, along = rotation_matrix(state.t_world_base.orientation_xyzw).T
     return np.array([along, bend, across])
 

@@ -11,8 +11,9 @@
     sim.step(command, ticks=100)
     sim.restore(here)
 
-A tick is that of `trabecula run --mode lockstep`: for the same commands it has the same hash. What a simulation returns lies in memory of
-its own and never changes: a state taken before a step shows what was then. Units are SI; each name ends in its unit.
+A tick is identical to one of `trabecula run --mode lockstep`: the same commands give the same hash.
+Everything a simulation returns is a copy that never changes: a state taken before a step keeps its values.
+Units are SI; names end in their unit.
 """
 
 from __future__ import annotations
@@ -37,16 +38,19 @@ __all__ = ["Batch", "Labels", "Mask", "Sim", "Snapshot"]
 #: A file, or None for the built-in femur.
 SceneFile = Union[str, "os.PathLike[str]", None]
 Overrides = Mapping[str, Any]
-#: True: every controller; or the names of those that the caller drives in place of built-in ones.
+#: True: every controller; or the names of the built-in controllers that the caller replaces.
 Drive = Union[bool, str, Iterable[str]]
-#: For the only driven controller, or by the names of several; None asks for nothing.
+#: A command for the only driven controller, or commands by name for several; None requests nothing.
 Commands = Union[g.Command, Mapping[str, g.Command], None]
-#: The scene's C-arm (None), one by its geometry, or the scene's turned to a primary and a secondary angle in degrees.
+#: The scene's C-arm (None), a C-arm geometry, or the scene's C-arm at a primary and a secondary angle in
+#: degrees.
 CArm = Union[g.CArmGeometry, tuple[float, float], None]
 
 
 class Snapshot:
-    """The state of a simulation at a tick, as `Sim.snapshot` takes it. Holds what has been drilled, not the volume."""
+    """The complete state of a simulation at a tick, created by `Sim.snapshot`. Holds the drilled voxels, not
+    the volume.
+    """
 
     __slots__ = ("_native",)
 
@@ -55,7 +59,7 @@ class Snapshot:
 
     @property
     def state(self) -> g.State:
-        """The state of its tick."""
+        """The state at its tick."""
         return g.State(self._native.state())
 
     def __repr__(self) -> str:
@@ -65,48 +69,61 @@ class Snapshot:
 class Sim:
     """One simulation.
 
-    Controllers of the scene that are external or programs are the caller's to drive: `step` takes their commands. Built-in ones run inside
-    the simulation as in a run, unless `drive` gives them to the caller.
+    The caller drives the scene's external controllers and programs: `step` takes their commands. Built-in
+    controllers run inside the simulation, as in a run, unless `drive` hands them to the caller.
 
-    It has a thread of its own. Any thread may use it; they wait for each other, and the interpreter lock is released meanwhile. A child of
-    `fork` cannot: its calls raise an Error. What was returned stays readable there.
+    A simulation runs on its own thread. It can be used from any thread; concurrent calls wait for each other,
+    and the interpreter lock is released meanwhile. In a child of `fork`, its calls raise an Error, but
+    returned data stays readable.
     """
 
     def __init__(
-        self, scene: SceneFile = None, *, overrides: Optional[Overrides] = None, seed: Optional[int] = None, drive: Drive = False
+        self,
+        scene: SceneFile = None,
+        *,
+        overrides: Optional[Overrides] = None,
+        seed: Optional[int] = None,
+        drive: Drive = False,
     ) -> None:
-        """A simulation at tick 0.
+        """Creates a simulation at tick 0.
 
         Args:
-            scene: The scene file; None: the built-in femur. Its mode does not matter: a simulation is always in lockstep.
-            overrides: Values for keys of the scene, by their path; a number in a path counts the tables of an array from 0.
-            seed: In place of the scene's `run.seed`.
-            drive: True: the caller drives every controller; or the names of built-in ones to drive.
+            scene: Scene file; None: the built-in femur. Its mode is ignored: a simulation always runs in
+                lockstep.
+            overrides: Values for scene keys, by path; a number in a path is an index, from 0, into an array
+                of tables.
+            seed: Replaces the scene's `run.seed`.
+            drive: True: the caller drives every controller; or names of built-in controllers to drive.
 
         Raises:
-            ArgumentError: The scene, an override or a name is refused, in the words of `trabecula scene check`.
+            ArgumentError: The scene, an override or a name is refused, with the error text of `trabecula
+                scene check`.
         """
         self._take(native.Sim(_loaded(scene, overrides, seed, None), *_driving(drive)))
 
     @classmethod
-    def from_log(cls, log: Union[str, "os.PathLike[str]"], tick: Optional[int] = None, *, drive: Drive = False) -> Sim:
-        """The simulation of a recorded run, taken to the state of a tick; `reset` goes back to there.
+    def from_log(
+        cls, log: Union[str, "os.PathLike[str]"], tick: Optional[int] = None, *, drive: Drive = False
+    ) -> Sim:
+        """Creates the simulation of a recorded run at a tick; `reset` returns there.
 
-        The log's commands are stepped through the physics, so this takes time in proportion to the tick; each state on the way is compared
-        with the log's. It goes on in lockstep, also from a log of real time.
+        The log's commands are stepped through the physics, so this takes time in proportion to the tick; each
+        state on the way is compared with the log's. The simulation continues in lockstep, even if the log was
+        recorded in real time.
 
         Args:
-            log: A run's folder, or its `run.mcap`, of this build.
-            tick: `State.tick`; None: the log's last.
-            drive: As in `Sim`. Built-in controllers that stay with the simulation go on as they would have; that needs a lockstep log from
-                tick 0 on, and controllers that see no frames.
+            log: Folder of a run, or its `run.mcap`, recorded by this build.
+            tick: `State.tick`; None: the log's last tick.
+            drive: As in `Sim`. Built-in controllers that are not driven continue as in the run; this requires
+                a lockstep log from tick 0 on, and controllers that use no frames.
 
         Raises:
-            ArgumentError: No such log or tick, or a controller that cannot go on.
-            Error: The log cannot be read, or this build's physics leads elsewhere.
+            ArgumentError: No such log or tick, or a controller that cannot continue.
+            Error: The log cannot be read, or this build's physics gives a different result.
         """
         sim = cls.__new__(cls)
-        sim._take(native.Sim.from_log(os.fspath(log), None if tick is None else whole("tick", tick), *_driving(drive)))
+        to_tick = None if tick is None else whole("tick", tick)
+        sim._take(native.Sim.from_log(os.fspath(log), to_tick, *_driving(drive)))
         return sim
 
     def _take(self, made: native.Sim) -> None:
@@ -117,17 +134,19 @@ class Sim:
 
     @property
     def state(self) -> g.State:
-        """The present state."""
+        """The current state."""
         return g.State(self._native.state())
 
     @property
     def tick(self) -> int:
-        """Number of ticks since the start."""
+        """Current tick, counted from the start."""
         return self.state.tick
 
     @property
     def hash(self) -> str:
-        """Hash of everything up to now, 32 hexadecimal digits: h_k of the log of a run with the same commands."""
+        """Hash of the simulation so far, 32 hexadecimal digits: h_k in the log of a run with the same
+        commands.
+        """
         return _digits(self.state)
 
     @property
@@ -137,12 +156,12 @@ class Sim:
 
     @property
     def scene_toml(self) -> str:
-        """The whole scene, with every override."""
+        """The complete scene, including all overrides."""
         return self._scene.toml()
 
     @property
     def notes(self) -> list[str]:
-        """What is noteworthy about scene and volume: what was chosen or assumed, and what is most likely a mistake."""
+        """Notes on scene and volume: choices, assumptions and likely mistakes."""
         return self._scene.notes()
 
     @property
@@ -157,31 +176,35 @@ class Sim:
 
     @property
     def refusals(self) -> list[str]:
-        """Parts of valid commands that could not be followed in the last `step`, such as unreachable goals, and why."""
+        """Parts of valid commands that could not be followed in the last `step`, such as unreachable goals,
+        with reasons.
+        """
         return self._native.refusals()
 
     def readings(self) -> list[Reading]:
-        """Readings of the scene's sensors that arrived in the last `step`, the newest 1024; before the first and after a jump, those of
-        the present state.
+        """Returns the sensor readings that arrived in the last `step`, at most the newest 1024; before the
+        first step and after a jump, those of the current state.
         """
         data = self._native.readings()
         size = g.SensorReading.dtype.itemsize
         return [Reading.of(g.SensorReading(data[at : at + size])) for at in range(0, len(data), size)]
 
     def step(self, command: Commands = None, ticks: int = 1) -> g.State:
-        """Makes ticks and returns the state after the last.
+        """Runs ticks and returns the state after the last one.
 
-        Every driven controller sends its command anew at each of the ticks. One without a command sends one that asks for nothing, so
-        tendons, arm and burr go on with what they were last asked for.
+        Every driven controller repeats its command at each tick. A controller without a command sends an
+        empty one, so tendons, arm and burr continue with the previous request.
 
         Args:
-            command: For the driven controller, or by name for several. Its `sequence` and `state_tick` are filled in.
-            ticks: How many.
+            command: Command of the driven controller, or commands by name for several. `sequence` and
+                `state_tick` are filled in.
+            ticks: Number of ticks.
 
         Raises:
-            ArgumentError: A value out of its range, a part of the tool that is not the controller's, or no controller to command.
-                Nothing has changed then.
-            KeyboardInterrupt: Ctrl-C, or what another signal handler raises. The simulation stands at the tick to which it has come.
+            ArgumentError: A value out of range, a part of the tool that the controller does not drive, or no
+                controller to command. Nothing has changed then.
+            KeyboardInterrupt: Ctrl-C; likewise for any exception of a signal handler. The simulation stays at
+                the tick reached.
         """
         return g.State(self._native.step(self._packed(command), whole("ticks", ticks)))
 
@@ -193,37 +216,40 @@ class Sim:
                 raise ArgumentError(self._not_one())
             return bytes(command._buffer)
         if not isinstance(command, Mapping):
-            raise ArgumentError(f"`command` is {command!r}, expected a Command, or Commands by the names of controllers")
+            text = f"`command` is {command!r}, expected a Command, or Commands by the names of controllers"
+            raise ArgumentError(text)
         given = dict(command)
         empty = g.Command()
         packed = b"".join(bytes(_command(name, given.pop(name, empty))._buffer) for name in self._driven)
         if given:
-            raise ArgumentError(f"no driven controller {', '.join(map(repr, given))}: driven are {self._driven or 'none'}")
+            names = ", ".join(map(repr, given))
+            raise ArgumentError(f"no driven controller {names}; driven: {self._driven or 'none'}")
         return packed
 
     def _not_one(self) -> str:
         if not self._driven:
             return (
-                f"there is no controller to command: the scene's {self.controllers} run inside the simulation; "
-                "make it with drive=True, or with the name of one"
+                f"there is no controller to command: the scene's {self.controllers} run inside the "
+                "simulation; create it with drive=True, or with the name of one"
             )
         return f"several controllers are driven, {self._driven}: give their commands by name"
 
     def snapshot(self) -> Snapshot:
-        """The present state, to come back to. Time and memory follow what has been drilled, not the volume."""
+        """Takes a snapshot to return to. Time and memory depend on the drilled voxels, not on the volume."""
         return Snapshot(self._native.snapshot())
 
     def restore(self, snapshot: Snapshot) -> None:
-        """Goes to the state of a snapshot, of this or another simulation of the same scene, and continues bit for bit.
+        """Returns to the state of a snapshot, from this or another simulation of the same scene, and
+        continues bit for bit.
 
         Raises:
-            ArgumentError: The snapshot is of another scene, or of other driven controllers.
+            ArgumentError: The snapshot is from another scene or has other driven controllers.
             Error: A recording is open.
         """
         self._native.restore(_taken(snapshot))
 
     def reset(self) -> None:
-        """Goes back to tick 0, or to where `from_log` began.
+        """Returns to tick 0, or to the tick at which `from_log` started.
 
         Raises:
             Error: A recording is open.
@@ -231,16 +257,17 @@ class Sim:
         self._native.reset()
 
     def branch(self) -> Sim:
-        """Another simulation in the same state. Scene and volume are shared."""
+        """Creates another simulation in the same state. Scene and volume are shared."""
         sim = type(self).__new__(type(self))
         sim._take(self._native.branch())
         return sim
 
     def render(self, c_arm: CArm = None) -> Image:
-        """The X-ray of the present state. Changes no later tick. From the scene's C-arm it has the pixels of a run's frame of this tick.
+        """Renders the X-ray of the current state; later ticks are unaffected. With the scene's C-arm, the
+        pixels are those of a run's frame at this tick.
 
         Args:
-            c_arm: None: the scene's; a CArmGeometry; or (primary, secondary) angles in degrees, as DICOM has them.
+            c_arm: None: the scene's; a CArmGeometry; or (primary, secondary) DICOM angles in degrees.
 
         Raises:
             ArgumentError: The C-arm is refused.
@@ -250,29 +277,34 @@ class Sim:
         return _image(frame_bytes, pixels)
 
     def render_many(self, c_arms: Sequence[CArm]) -> list[Image]:
-        """The X-rays of the present state from several C-arms, with the pixels of `render` of each, in less time than one after the other.
+        """Renders the X-rays of the current state from several C-arms; same pixels as `render` for each, but
+        faster than one after the other.
 
             images = sim.render_many([(angle, 0.0) for angle in range(-90, 90)])
 
         Args:
-            c_arms: Each as in `render`. All images are in memory at the end: 2 bytes a pixel.
+            c_arms: Each as in `render`. All images are held in memory: 2 bytes per pixel.
 
         Raises:
-            ArgumentError: A C-arm is refused, and named by its position; nothing is rendered.
+            ArgumentError: A C-arm is refused (the text gives its index); nothing is rendered.
             Error: The scene has no X-ray.
-            KeyboardInterrupt: Ctrl-C, or what another signal handler raises; then no image is returned.
+            KeyboardInterrupt: Ctrl-C; likewise for any exception of a signal handler. No image is returned
+                then.
         """
         rendered = self._native.render_many([_seen_from(c_arm) for c_arm in c_arms])
         return [_image(frame_bytes, pixels) for frame_bytes, pixels in rendered]
 
     def labels(self, c_arm: CArm = None, *, bone_from_hu: Optional[int] = None) -> Labels:
-        """The X-ray of the present state as `render` gives it, and what it shows: masks, line integrals apart, lengths, depths, keypoints.
+        """Renders the X-ray of the current state like `render`, with labels: masks, separate line integrals,
+        lengths, depths and keypoints.
 
-        Labels have neither noise nor blur. They take a walk through the voxels for every pixel, which costs a hundred times a frame.
+        Labels have neither noise nor blur. They trace a ray through the voxels for every pixel, which costs a
+        hundred times as much as a frame.
 
         Args:
             c_arm: As in `render`.
-            bone_from_hu: Voxels at or above this are bone; None: the scene's `drr.labels.bone_from_hu`, or else its `volume.bone_threshold_hu`.
+            bone_from_hu: Voxels at or above this value are bone; None: the scene's `drr.labels.bone_from_hu`,
+                or else its `volume.bone_threshold_hu`.
 
         Raises:
             ArgumentError: The C-arm or `bone_from_hu` is refused.
@@ -283,7 +315,7 @@ class Sim:
         return Labels.of(_image(frame_bytes, pixels), mask, images, points)
 
     def volume(self) -> Optional[Ct]:
-        """The CT before any drilling, copied; None if the scene has none."""
+        """Returns a copy of the CT before any drilling; None if the scene has none."""
         volume = self._scene.volume()
         if volume is None:
             return None
@@ -292,19 +324,22 @@ class Sim:
         return Ct(header, np.frombuffer(volume[1], "<i2").reshape(slices, rows, columns))
 
     def drilled(self) -> npt.NDArray[np.uint32]:
-        """Flat indices of the voxels drilled since tick 0 in the order of their removal, x fastest: `volume().hu.reshape(-1)[drilled()]`."""
+        """Returns flat indices of the voxels drilled since tick 0, in order of removal, x fastest:
+        `volume().hu.reshape(-1)[drilled()]`.
+        """
         return np.frombuffer(self._native.drilled(), "<u4")
 
     def record(self, folder: Union[str, "os.PathLike[str]"]) -> Recording:
-        """Records from tick 0 on into `run.mcap` of a folder, which is created; frames are not recorded.
+        """Records from tick 0 on to `run.mcap` in a folder, which is created; frames are not recorded.
 
             with sim.record("out/mine"):
                 sim.step(command, ticks=1000)
 
-        The file has its name once the recording is closed. `trabecula replay --verify` accepts it.
+        The file gets its name when the recording is closed. `trabecula replay --verify` accepts it.
 
         Raises:
-            ArgumentError, Error: Ticks have been made; the folder holds a `run.mcap` or cannot be written.
+            ArgumentError, Error: The simulation is past tick 0; or the folder contains a `run.mcap` or cannot
+                be written.
         """
         self._native.record(os.fspath(folder))
         return Recording(self._native, Path(folder) / "run.mcap")
@@ -314,7 +349,7 @@ class Sim:
 
 
 class Recording:
-    """An open recording of `Sim.record`; closed by the end of a `with` block or by `close`."""
+    """An open recording of `Sim.record`; closed at the end of a `with` block or by `close`."""
 
     def __init__(self, recorded: native.Sim, path: Path) -> None:
         self._native = recorded
@@ -322,10 +357,10 @@ class Recording:
         self.path = path
 
     def close(self) -> None:
-        """Writes the rest of the log and names the file.
+        """Completes the log and gives the file its name.
 
         Raises:
-            Error: It cannot be written; there is no file then.
+            Error: The log cannot be written; there is no file then.
         """
         self._native.close_recording()
 
@@ -337,9 +372,11 @@ class Recording:
 
 
 class Batch:
-    """Simulations of one scene, stepped together on several threads while the interpreter lock is released.
+    """Several simulations of one scene, stepped together on several threads while the interpreter lock is
+    released.
 
-    They share the volume. Each is stepped whole by one thread, so no number of threads changes a bit.
+    They share the volume. Each simulation is stepped by a single thread, so the results do not depend on the
+    number of threads.
     """
 
     def __init__(
@@ -352,18 +389,19 @@ class Batch:
         seeds: Union[int, Sequence[int], None] = None,
         drive: Drive = False,
     ) -> None:
-        """`n` simulations at tick 0.
+        """Creates `n` simulations at tick 0.
 
         Args:
-            scene: The scene file; None: the built-in femur.
-            n: How many, 1 or more.
-            threads: How many threads step them, at most one for each; 0: as many as the machine has cores.
-            overrides: For all, or a sequence with those of each.
-            seeds: In place of the scene's `run.seed`: for all, or of each.
+            scene: Scene file; None: the built-in femur.
+            n: Number of simulations, 1 or more.
+            threads: Number of threads, at most one per simulation; 0: the machine's number of cores.
+            overrides: For all simulations, or a sequence with one mapping each.
+            seeds: Replace the scene's `run.seed`: one for all, or a sequence with one each.
             drive: As in `Sim`.
 
         Raises:
-            ArgumentError: As `Sim`; or not as many overrides or seeds as simulations.
+            ArgumentError: As in `Sim`; or the number of overrides or seeds differs from the number of
+                simulations.
         """
         count = whole("n", n)
         if count == 0:
@@ -404,77 +442,91 @@ class Batch:
 
     @property
     def states(self) -> npt.NDArray[np.void]:
-        """The present states: an array of shape (n,) with the fields of a State, such as `states["t_world_burr"]["position_m"]` of shape
-        (n, 3). For reading; it never changes. Arrays are at their full length.
+        """The current states: an array of shape (n,) with the fields of a State, such as
+        `states["t_world_burr"]["position_m"]` of shape (n, 3). Read-only; it never changes. Arrays have their
+        full length.
         """
         return np.frombuffer(self._native.states(), g.State.dtype)
 
     def state(self, index: int) -> g.State:
-        """The present state of one simulation."""
+        """Returns the current state of one simulation."""
         return g.State(self.states[index].tobytes())
 
     @property
     def hashes(self) -> list[str]:
-        """As `Sim.hash`, of each."""
+        """`Sim.hash` of each simulation."""
         return [f"{high:016x}{low:016x}" for low, high in self.states["hash"].tolist()]
 
     def commands(self) -> npt.NDArray[np.void]:
-        """An array of commands that ask for nothing, to be filled in: shape (n, number of driven controllers), fields of a Command."""
+        """Returns an array of empty commands to fill in: shape (n, number of driven controllers), fields of a
+        Command.
+        """
         return np.zeros((self._count, len(self._driven)), g.Command.dtype)
 
-    def step(self, commands: Union[npt.NDArray[np.void], g.Command, None] = None, ticks: int = 1) -> npt.NDArray[np.void]:
-        """Makes ticks with every simulation and returns `states`.
+    def step(
+        self, commands: Union[npt.NDArray[np.void], g.Command, None] = None, ticks: int = 1
+    ) -> npt.NDArray[np.void]:
+        """Runs ticks in every simulation and returns `states`.
 
         Args:
-            commands: An array as `commands` returns it (of shape (n,) too, if one controller is driven), a Command for all, or None.
-            ticks: How many.
+            commands: An array as returned by `commands` (or of shape (n,), if one controller is driven), one
+                Command for all, or None.
+            ticks: Number of ticks.
 
         Raises:
-            ArgumentError: Of the first simulation whose command is refused; that one has made no tick, and the others have.
-            KeyboardInterrupt: Ctrl-C, or what another signal handler raises. Each simulation stands at the tick to which it has come.
+            ArgumentError: The command of a simulation is refused (the first one is reported). That simulation
+                has not advanced, but the others have.
+            KeyboardInterrupt: Ctrl-C; likewise for any exception of a signal handler. Each simulation stays
+                at the tick reached.
         """
         given: Optional[bytes] = None
         if isinstance(commands, g.Command):
             if len(self._driven) != 1:
-                raise ArgumentError(f"a single command, expected an array: driven are {self._driven or 'no controllers; see drive'}")
+                driven = self._driven or "no controllers; see drive"
+                raise ArgumentError(f"a single command, expected an array; driven: {driven}")
             given = bytes(commands._buffer) * self._count
         elif commands is not None:
             array = np.ascontiguousarray(commands)
             expected = (self._count, len(self._driven))
-            if array.dtype != g.Command.dtype or array.size != expected[0] * expected[1] or array.shape[:1] != expected[:1]:
-                raise ArgumentError(f"`commands` has shape {array.shape} and type {array.dtype.name}, expected {expected} of Command.dtype")
+            has_size = array.size == expected[0] * expected[1] and array.shape[:1] == expected[:1]
+            if array.dtype != g.Command.dtype or not has_size:
+                text = f"`commands` has shape {array.shape} and type {array.dtype.name}"
+                raise ArgumentError(f"{text}, expected {expected} of Command.dtype")
             given = array.tobytes()
         return np.frombuffer(self._native.step(given, whole("ticks", ticks)), g.State.dtype)
 
     def snapshot(self, index: int) -> Snapshot:
-        """The present state of one simulation."""
+        """Takes a snapshot of one simulation."""
         return Snapshot(self._native.snapshot(whole("index", index)))
 
     def restore(self, snapshots: Union[Snapshot, Sequence[Snapshot]]) -> None:
-        """Takes all simulations to one snapshot, or each to its own.
+        """Restores one snapshot in all simulations, or one in each.
 
         Raises:
-            ArgumentError: Of another scene, or not as many as simulations.
+            ArgumentError: A snapshot is from another scene, or their number differs from the number of
+                simulations.
         """
         several = [snapshots] if isinstance(snapshots, Snapshot) else list(snapshots)
         self._native.restore([_taken(snapshot) for snapshot in several])
 
     def reset(self, which: Optional[Sequence[bool]] = None) -> None:
-        """Takes all simulations back to tick 0, or those whose flag is true."""
+        """Resets all simulations to tick 0, or those whose flag is true."""
         flags = [True] * self._count if which is None else [bool(flag) for flag in which]
         self._native.reset(flags)
 
     def drilled(self, index: int) -> npt.NDArray[np.uint32]:
-        """As `Sim.drilled`, of one simulation."""
+        """`Sim.drilled` of one simulation."""
         return np.frombuffer(self._native.drilled(whole("index", index)), "<u4")
 
     def __repr__(self) -> str:
         return f"Batch(n={self._count}, threads={self.threads})"
 
 
-def _loaded(scene: SceneFile, overrides: Optional[Overrides], seed: Optional[int], beside: Optional[native.Scene]) -> native.Scene:
+def _loaded(
+    scene: SceneFile, overrides: Optional[Overrides], seed: Optional[int], beside: Optional[native.Scene]
+) -> native.Scene:
     if overrides is not None and not isinstance(overrides, Mapping):
-        raise ArgumentError(f"`overrides` is {overrides!r}, expected values by the keys of the scene")
+        raise ArgumentError(f"`overrides` is {overrides!r}, expected values by scene key")
     file = None if scene is None else os.fspath(scene)
     return native.Scene.load(file, settings(overrides), None if seed is None else whole("seed", seed), beside)
 
@@ -490,7 +542,7 @@ def _driving(drive: Drive) -> tuple[bool, list[str]]:
 
 def _taken(snapshot: Snapshot) -> native.Snapshot:
     if not isinstance(snapshot, Snapshot):
-        raise ArgumentError(f"`snapshot` is {snapshot!r}, expected what `snapshot()` returns")
+        raise ArgumentError(f"`snapshot` is {snapshot!r}, expected a Snapshot")
     return snapshot._native
 
 
@@ -506,7 +558,7 @@ def _image(frame_bytes: bytes, pixels: bytes) -> Image:
 
 
 def _seen_from(c_arm: CArm) -> tuple[Optional[bytes], Optional[tuple[float, float]]]:
-    """Bytes of a C-arm, or its angles; neither for the scene's."""
+    """Returns the bytes of a C-arm or its angles; neither for the scene's."""
     if isinstance(c_arm, g.CArmGeometry):
         return bytes(c_arm._buffer), None
     return None, None if c_arm is None else _angles(c_arm)
@@ -517,7 +569,8 @@ def _angles(c_arm: Any) -> tuple[float, float]:
         primary_deg, secondary_deg = c_arm
         return float(primary_deg), float(secondary_deg)
     except (TypeError, ValueError):
-        raise ArgumentError(f"`c_arm` is {c_arm!r}, expected a CArmGeometry or two angles in degrees") from None
+        text = f"`c_arm` is {c_arm!r}, expected a CArmGeometry or two angles in degrees"
+        raise ArgumentError(text) from None
 
 
 def _hounsfield(name: str, value: Any) -> int:

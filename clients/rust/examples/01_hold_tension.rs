@@ -1,7 +1,7 @@
-//! Holds 5 N on tendon 0 and says where the tip goes.
+//! Holds 5 N on tendon 0 and prints the tip position.
 //!
-//! `trabecula run clients/scenes/free_space.toml`, and beside it `cargo run --release -p trabecula_client --example
-//! 01_hold_tension`.
+//! `trabecula run clients/scenes/free_space.toml`, and in another terminal `cargo run --release -p
+//! trabecula_client --example 01_hold_tension`.
 
 use trabecula_client::{ClientError, Command, State, TENDON_SERVO_JF};
 

@@ -1,8 +1,8 @@
-//! Asks for an X-ray frame every 0.1 s, finds the tip in it, and steers it sideways to a target.
+//! Requests an X-ray frame every 0.1 s, finds the tip in it, and steers the tip sideways to a target.
 //!
-//! The tip is where the tool's metal ends: of the dark pixels, the one that lies farthest along the tool; then the middle
-//! of the dark pixels of the last 3 mm. Its place in the picture, brought back to the plane of the tool, gives the
-//! sideways error, and the error the tension.
+//! The tip is the end of the tool's metal: the dark pixel farthest along the tool, refined to the mean of the
+//! dark pixels of the last 3 mm. Projected back to the plane of the tool, it gives the sideways error, which
+//! drives the tension.
 
 use std::time::Duration;
 
@@ -10,18 +10,18 @@ use trabecula_client::{Client, ClientError, Connection, FrameView, State, TENDON
 
 const LIMIT: Duration = Duration::from_secs(30);
 const TICKS_BETWEEN_FRAMES: u64 = 100;
-/// Below this share of full scale a pixel shows metal.
+/// Pixels darker than this show metal (full scale: 65535).
 const DARK: u16 = 8000;
-/// Where the burr is to go, sideways from where it started (world x).
+/// Target of the burr: sideways offset from its start (world x).
 const TARGET_M: f64 = 0.006;
 const GAIN_N_PER_M: f64 = 350.0;
 const END_LENGTH_M: f64 = 0.003;
 
-/// Column and row of the tool's end, if there is metal in the picture.
+/// Returns column and row of the tool's end, or `None` if there is no metal in the image.
 fn find_tip(view: &FrameView) -> Option<(f64, f64)> {
     let geometry = &view.frame.geometry;
     let columns = geometry.columns as usize;
-    // +z of the burr in the picture: the last column of the rotation matrix, seen along rows and columns.
+    // +z of the burr in the image: last column of the rotation matrix, projected on rows and columns.
     let [x, y, z, w] = view.frame.t_world_burr.orientation_xyzw;
     let axis = [2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)];
     let dot = |a: &[f64; 3]| a[0] * axis[0] + a[1] * axis[1] + a[2] * axis[2];
@@ -45,8 +45,8 @@ fn find_tip(view: &FrameView) -> Option<(f64, f64)> {
     if count > 0.0 { Some((column / count, row / count)) } else { None }
 }
 
-/// World x of a column, in the plane of the isocentre: the picture is magnified by source-detector over source-isocentre
-/// distance, 1000 to 700 mm.
+/// Returns the world x of a column, in the plane of the isocentre: the image is magnified by the ratio of
+/// source-detector to source-isocentre distance, 1000 to 700 mm.
 fn sideways_m(view: &FrameView, column: f64) -> f64 {
     let geometry = &view.frame.geometry;
     (column - 0.5 * (f64::from(geometry.columns) - 1.0)) * geometry.pixel_pitch_m[0] * 0.7
@@ -59,14 +59,14 @@ fn main() -> Result<(), ClientError> {
     }
 }
 
-/// Until the run ends, which comes as an error.
+/// Runs until the run ends, which is reported as an error.
 fn guide() -> Result<(), ClientError> {
     let mut client = Client::connect(&Connection::default())?;
     let mut tension_n = 0.0;
     loop {
         let tick = match client.wait_state(LIMIT) {
             Ok(State { tick, .. }) => *tick,
-            // A paused run publishes none.
+            // A paused run publishes no states.
             Err(ClientError::TimedOut(_)) => continue,
             Err(other) => return Err(other),
         };
@@ -81,7 +81,8 @@ fn guide() -> Result<(), ClientError> {
                 }
                 let error_mm = error_m * 1e3;
                 println!(
-                    "tick {tick:4}  tip at column {column:6.2} row {row:6.2}  error {error_mm:6.3} mm  tension {tension_n:6.3} N"
+                    "tick {tick:4}  tip at column {column:6.2} row {row:6.2}  error {error_mm:6.3} mm  \
+                     tension {tension_n:6.3} N"
                 );
             }
         }

@@ -1,4 +1,4 @@
-//! Holds 5 N on tendon 0 and says where the tip goes.
+//! Holds 5 N on tendon 0 and prints the tip position.
 
 const example = @import("example.zig");
 const c = example.c;

@@ -1,17 +1,17 @@
-//! Asks for an X-ray frame every 0.1 s, finds the tip in it, and steers it sideways to a target.
+//! Requests an X-ray frame every 0.1 s, finds the tip in it, and steers the tip sideways to a target.
 //!
-//! The tip is where the tool's metal ends: of the dark pixels, the one that lies farthest along the tool; then the middle
-//! of the dark pixels of the last 3 mm. Its place in the picture, brought back to the plane of the tool, gives the
-//! sideways error, and the error the tension.
+//! The tip is the end of the tool's metal: the dark pixel farthest along the tool, refined to the mean of the
+//! dark pixels of the last 3 mm. Projected back to the plane of the tool, it gives the sideways error, which
+//! drives the tension.
 
 const example = @import("example.zig");
 const c = example.c;
 
 const frame_limit_s: f64 = 30.0;
 const ticks_between_frames: u64 = 100;
-/// Below this share of full scale a pixel shows metal.
+/// Pixels darker than this show metal (full scale: 65535).
 const dark: u16 = 8000;
-/// Where the burr is to go, sideways from where it started (world x).
+/// Target of the burr: sideways offset from its start (world x).
 const target_m: f64 = 0.006;
 const gain_n_per_m: f64 = 350.0;
 const end_length_m: f64 = 0.003;
@@ -26,11 +26,11 @@ fn float(index: usize) f64 {
     return @floatFromInt(index);
 }
 
-/// The tool's end, if there is metal in the picture.
+/// Returns the pixel at the tool's end, or null if there is no metal in the image.
 fn findTip(view: c.trb_frame_view) ?Pixel {
     const geometry = view.frame.*.geometry;
     const columns: usize = geometry.columns;
-    // +z of the burr in the picture: the last column of the rotation matrix, seen along rows and columns.
+    // +z of the burr in the image: last column of the rotation matrix, projected on rows and columns.
     const x, const y, const z, const w = view.frame.*.t_world_burr.orientation_xyzw;
     const axis = [3]f64{ 2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y) };
     const right = dot(geometry.row_axis, axis);
@@ -55,8 +55,8 @@ fn findTip(view: c.trb_frame_view) ?Pixel {
     return if (count == 0.0) null else .{ .column = sum.column / count, .row = sum.row / count };
 }
 
-/// World x of a column, in the plane of the isocentre: the picture is magnified by source-detector over source-isocentre
-/// distance, 1000 to 700 mm.
+/// Returns the world x of a column, in the plane of the isocentre: the image is magnified by the ratio of
+/// source-detector to source-isocentre distance, 1000 to 700 mm.
 fn sidewaysM(view: c.trb_frame_view, column: f64) f64 {
     const geometry = view.frame.*.geometry;
     return (column - 0.5 * (float(geometry.columns) - 1.0)) * geometry.pixel_pitch_m[0] * 0.7;

@@ -1,4 +1,4 @@
-//! What the Zig examples share: an error ends the program with its text.
+//! Shared by the Zig examples: an error ends the program with its text.
 
 pub const c = @cImport({
     @cInclude("stdio.h");
@@ -11,19 +11,19 @@ const std = @import("std");
 pub fn checked(status: i32) bool {
     if (status == c.TRB_OK) return true;
     if (status == c.TRB_ENDED) return false;
-    const text: [*:0]const u8 = if (status < 0) c.trb_last_error() else "nothing came in time";
+    const text: [*:0]const u8 = if (status < 0) c.trb_last_error() else "timed out";
     std.debug.print("error {d}: {s}\n", .{ status, text });
     std.process.exit(1);
 }
 
-/// Connects to the session and under the name that the environment or the only running session gives.
+/// Connects to the session, and as the controller, given by the environment or by the only running session.
 pub fn connected() c.trb_client {
     var client: c.trb_client = 0;
     _ = checked(c.trb_connect(c.TRB_LAYOUTS, null, null, 10.0, &client));
     return client;
 }
 
-/// The newest state; null when the run is over. A paused run publishes none: this waits on.
+/// Waits for the newest state; null when the run is over. A paused run publishes none, so this keeps waiting.
 pub fn nextState(client: c.trb_client) ?*const c.trb_state {
     var state: [*c]const c.trb_state = null;
     return if (checked(c.trb_wait_state(client, std.math.inf(f64), &state))) state else null;

@@ -1,4 +1,4 @@
-//! Slicer's patient frame (RAS, millimetres) and ours (LPS, metres).
+//! Converts between Slicer's patient frame (RAS, millimetres) and ours (LPS, metres).
 //!
 //! Both are right-handed: RAS is LPS turned by half a turn about the z axis.
 
@@ -7,25 +7,26 @@ use nalgebra::{Matrix3, Quaternion, Rotation3, UnitQuaternion, Vector3};
 use openigtlink::Transform;
 
 const MM_PER_M: f64 = 1000.0;
-/// How far a rotation that came by wire may be from one, in any entry of RᵀR: single precision and rounding of senders.
+/// Largest deviation of RᵀR from the identity, in any entry, at which a received matrix is still a rotation.
+/// Allows for single precision and rounding by senders.
 const ROTATION_TOLERANCE: f64 = 1e-3;
 
-/// A position of ours, in Slicer's frame.
+/// Converts a position of ours to Slicer's frame.
 pub fn position_mm([x, y, z]: [f64; 3]) -> [f32; 3] {
     [-x, -y, z].map(|component| (MM_PER_M * component) as f32)
 }
 
-/// A position of Slicer's, in our frame.
+/// Converts a position of Slicer's to our frame.
 pub fn position_m([x, y, z]: [f32; 3]) -> [f64; 3] {
     [-x, -y, z].map(|component| f64::from(component) / MM_PER_M)
 }
 
-/// A direction in Slicer's frame.
+/// Converts a direction to Slicer's frame.
 pub fn direction([x, y, z]: [f64; 3]) -> [f32; 3] {
     [-x as f32, -y as f32, z as f32]
 }
 
-/// A pose in the patient frame as a pose in Slicer's; the child's own axes stay.
+/// Converts a pose in the patient frame to one in Slicer's; the child's own axes are unchanged.
 pub fn transform(t_world_child: &Pose) -> Transform {
     let [x, y, z, w] = t_world_child.orientation_xyzw;
     let rotation = UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z)).to_rotation_matrix();
@@ -40,7 +41,7 @@ pub fn transform(t_world_child: &Pose) -> Transform {
     }
 }
 
-/// A pose of Slicer's in the patient frame; `None` if its matrix is not a rotation within 1e-3.
+/// Converts a pose in Slicer's patient frame; `None` if its matrix is not a rotation within 1e-3.
 pub fn pose(t_ras_child: &Transform) -> Option<Pose> {
     let given = Matrix3::from_fn(|row, axis| f64::from(t_ras_child.rotation[row][axis]));
     let half_turn = Matrix3::from_diagonal(&Vector3::new(-1.0, -1.0, 1.0));

@@ -1,4 +1,4 @@
-//! The page lists what the bridge sends and understands.
+//! Checks that the page lists everything that the bridge sends and understands.
 
 #![allow(clippy::unwrap_used, reason = "a test")]
 

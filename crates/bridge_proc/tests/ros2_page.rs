@@ -1,4 +1,4 @@
-//! The page lists every topic with its type and quality of service, and every state command.
+//! Checks that the page lists every topic with its type and quality of service, and every state command.
 
 #![allow(clippy::unwrap_used, reason = "a test")]
 

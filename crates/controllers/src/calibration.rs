@@ -1,5 +1,5 @@
-//! Calibration tables: how far a tendon tension or displacement bends the tip. `trabecula calibrate` writes them;
-//! open-loop curved drilling reads them.
+//! Calibration tables: the bend of the tip for each tendon tension or displacement. `trabecula calibrate`
+//! writes them; open-loop curved drilling reads them.
 
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
@@ -42,7 +42,7 @@ pub struct CalibrationRow {
     pub tip_mm: [f64; 3],
     /// Orientation of the burr in the frame of the tool's base, as axis times angle.
     pub tip_rotation_deg: [f64; 3],
-    /// How fast the bend was still changing: large if the level had no time to settle.
+    /// Rate at which the bend was still changing: large if the level had no time to settle.
     pub rate_deg_per_s: f64,
 }
 
@@ -50,7 +50,9 @@ pub struct CalibrationRow {
 #[derive(Debug, Error)]
 pub enum CalibrationError {
     /// The file cannot be read.
-    #[error("calibration {}: cannot be read ({cause}); write one with `trabecula calibrate`", path.display())]
+    #[error(
+        "calibration {}: cannot be read ({cause}); create one with `trabecula calibrate`", path.display()
+    )]
     Unreadable {
         /// The file.
         path: PathBuf,
@@ -59,7 +61,8 @@ pub enum CalibrationError {
     },
     /// The target lies on the side that tendon 0 cannot bend toward.
     #[error(
-        "`target_mm` lies {:.2} deg on the side away from `tool.bend_toward`; turn `bend_toward` to the target's side",
+        "`target_mm` lies {:.2} deg on the side away from `tool.bend_toward`; turn `bend_toward` to the \
+         target's side",
         -wanted_deg
     )]
     OtherSide {
@@ -73,13 +76,13 @@ pub enum CalibrationError {
         path: PathBuf,
         /// Line number, from 1.
         line: usize,
-        /// What is wrong, and what was expected.
+        /// Description of the defect, and what was expected.
         problem: String,
     },
     /// The plan needs more bend than the calibration covers.
     #[error(
-        "the arc to the target bends the tip by {wanted_deg:.2} deg, the calibration ends at {reached_deg:.2} deg; \
-         calibrate farther or choose another target"
+        "the arc to the target bends the tip by {wanted_deg:.2} deg, but the calibration ends at \
+         {reached_deg:.2} deg; extend the calibration or choose another target"
     )]
     OutOfReach {
         /// Bend of the plan.
@@ -111,10 +114,10 @@ impl Calibration {
         })
     }
 
-    /// Parses the text of a file; the error gives the line number, from 1, and what is wrong there.
+    /// Parses the text of a file; the error gives the line number, from 1, and the defect.
     ///
     /// # Errors
-    /// A line without the format of a calibration, or fewer than two rising rows with increasing bend.
+    /// If a line is malformed, or there are fewer than two rising rows with increasing bend.
     pub fn parse(text: &str) -> Result<Calibration, (usize, String)> {
         let mut lines = text.lines().enumerate();
         let header = lines.next().map_or("", |(_, line)| line);
@@ -126,13 +129,13 @@ impl Calibration {
         let calibration = Calibration { rows: rows? };
         let rising = calibration.rising();
         if rising.len() < 2 || rising.windows(2).any(|pair| pair[1].0 <= pair[0].0) {
-            let problem = "expected at least two rows `up`, each bent more than the one before";
+            let problem = "expected at least two `up` rows, each with more bend than the one before";
             return Err((text.lines().count(), problem.to_owned()));
         }
         Ok(calibration)
     }
 
-    /// The file's text.
+    /// Formats the rows as the text of a file.
     pub fn to_csv(&self) -> String {
         let mut text = COLUMNS.join(",");
         text.push('\n');
@@ -153,10 +156,11 @@ impl Calibration {
         text
     }
 
-    /// Tension that bends the tip to `bend_deg` while the tension rises, by linear interpolation between rows.
+    /// Returns the tension that bends the tip to `bend_deg` while the tension rises, by linear interpolation
+    /// between rows.
     ///
     /// # Errors
-    /// [`CalibrationError::OutOfReach`]: more than the last row's bend.
+    /// [`CalibrationError::OutOfReach`] if `bend_deg` exceeds the last row's bend.
     pub fn tension_for_bend_n(&self, bend_deg: f64) -> Result<f64, CalibrationError> {
         let rising = self.rising();
         let mut below = (0.0, 0.0);
@@ -170,7 +174,7 @@ impl Calibration {
         Err(CalibrationError::OutOfReach { wanted_deg: bend_deg, reached_deg: below.0 })
     }
 
-    /// Bend (deg) and tension (N) of the rising rows.
+    /// Returns bend (deg) and tension (N) of the rising rows.
     fn rising(&self) -> Vec<(f64, f64)> {
         self.rows.iter().filter(|row| row.rising).map(|row| (row.bend_deg, row.tension_n)).collect()
     }
@@ -186,7 +190,9 @@ fn row(line: &str) -> Result<CalibrationRow, String> {
     };
     let numbers: Result<Vec<f64>, String> = numbers
         .iter()
-        .map(|cell| cell.parse().ok().filter(|x: &f64| x.is_finite()).ok_or(format!("{cell:?} is no number")))
+        .map(|cell| {
+            cell.parse().ok().filter(|x: &f64| x.is_finite()).ok_or(format!("{cell:?} is not a number"))
+        })
         .collect();
     let numbers = numbers?;
     let [commanded, tension_n, displacement_mm, bend_deg, x, y, z, rx, ry, rz, rate_deg_per_s] = numbers[..]

@@ -1,12 +1,12 @@
 //! The reference controller: curved drilling.
 //!
-//! It feeds the tool at constant speed with the burr on and ramps tendon 0 over the inserted length. The ramp is one
-//! of tension, or, with a calibration, one of bend up to the bend of the planned path: the circular arc that leaves
-//! the insertion axis where the ramp begins and ends at the target. The lateral error against that path corrects the
-//! tension. The error comes from X-ray frames, from the measured shape, or is not used at all. In each frame the
-//! controller finds the burr and locates it in the manipulator's bending plane (the feed waits for the first frame).
-//! At the end it can retract the tool with the burr still turning and the tension following the same ramp down, so
-//! that the last frames show the tunnel.
+//! It feeds the tool at constant speed with the burr on and ramps tendon 0 over the inserted length. The ramp
+//! is in tension or, with a calibration, in bend up to the bend of the planned path: the circular arc that
+//! leaves the insertion axis where the ramp begins and ends at the target. The lateral error against that
+//! path corrects the tension. The error comes from X-ray frames, from the measured shape, or is not used at
+//! all. In each frame the controller finds the burr and locates it in the manipulator's bending plane (the
+//! feed waits for the first frame). At the end it can retract the tool with the burr still turning and the
+//! tension following the same ramp down, so that the last frames show the tunnel.
 
 use messages::{ArmMode, BurrMode, Command, Frame, Pose, State, TendonMode};
 use nalgebra::Vector3;
@@ -18,7 +18,7 @@ use crate::geometry::{back_project, position_m, rotation};
 use crate::reset::ResetWatch;
 use crate::tip_finder::find_tip;
 
-/// Fraction of the measured error that a single frame may correct.
+/// Fraction of the measured error that a single frame corrects.
 const CORRECTION_SHARE: f64 = 0.5;
 /// Interval between corrections from the measured shape.
 const SHAPE_PERIOD_S: f64 = 0.05;
@@ -66,11 +66,12 @@ struct Start {
 }
 
 impl CurvedDrillingController {
-    /// A controller for this plan in this scene; `read` returns the text of the calibration that the plan names.
+    /// Creates a controller for this plan in this scene; `read` returns the text of the calibration that the
+    /// plan names.
     ///
     /// # Errors
-    /// The plan's calibration cannot be read, or does not cover the bend of the arc to the target; the target lies on
-    /// the side that the tool cannot bend toward.
+    /// If the plan's calibration cannot be read or does not cover the bend of the arc to the target, or the
+    /// target lies on the side that the tool cannot bend toward.
     pub fn new(
         plan: &CurvedDrilling,
         scene: &Scene,
@@ -105,7 +106,7 @@ impl CurvedDrillingController {
         Ok(controller)
     }
 
-    /// Bend of the tip at the end of the arc to the target; 0 without a target.
+    /// Returns the bend of the tip at the end of the arc to the target; 0 without a target.
     fn arc_deg(&self, burr_m: &Vector3<f64>, along: &Vector3<f64>, bend: &Vector3<f64>) -> f64 {
         let Some(target_mm) = self.plan.target_mm else { return 0.0 };
         let target = Vector3::from(target_mm) * 1e-3 - burr_m;
@@ -117,7 +118,7 @@ impl CurvedDrillingController {
     fn begin(&mut self, state: &State) -> Start {
         if self.reset.was_reset(state) {
             (self.start, self.phase, self.correction_n, self.shape_due_s) = (None, Phase::Feeding, 0.0, 0.0);
-            self.remark = Some("the run was set back: begins anew".to_owned());
+            self.remark = Some("the run was reset: starting over".to_owned());
         }
         let turn = rotation(&state.t_world_base);
         let start = Start {
@@ -129,7 +130,7 @@ impl CurvedDrillingController {
         *self.start.get_or_insert(start)
     }
 
-    /// Target depth, and the speed to get there.
+    /// Returns the target depth, and the speed to get there.
     fn feed(&mut self, inserted_m: f64, time_s: f64) -> (f64, f64) {
         let plan = &self.plan;
         let end_m = plan.insertion_mm * 1e-3;
@@ -147,7 +148,7 @@ impl CurvedDrillingController {
         }
     }
 
-    /// Tension of the ramp at an inserted length.
+    /// Returns the ramp's tension at an inserted length.
     fn planned_tension_n(&self, start: &Start, inserted_m: f64) -> f64 {
         let plan = &self.plan;
         let ramp_mm = (plan.ramp_end_mm - plan.ramp_start_mm).max(1e-9);
@@ -162,7 +163,8 @@ impl CurvedDrillingController {
         }
     }
 
-    /// Lateral position of the planned path, `along_m` from the burr's start along the insertion axis.
+    /// Returns the lateral position of the planned path, `along_m` from the burr's start along the insertion
+    /// axis.
     fn planned_sideways_m(&self, start: &Start, along_m: f64) -> Option<f64> {
         let target = Vector3::from(self.plan.target_mm?) * 1e-3 - start.burr_m;
         let begin_m = self.plan.ramp_start_mm * 1e-3;
@@ -237,7 +239,7 @@ impl Controller for CurvedDrillingController {
         // The prior is the burr's pose from the kinematics at the frame's own tick.
         let prior = frame.t_world_burr;
         let Some(sighting) = find_tip(&frame.geometry, pixels, &prior, self.burr_radius_m) else {
-            self.remark = Some(format!("frame {}: no burr seen", frame.sequence));
+            self.remark = Some(format!("frame {}: burr not found", frame.sequence));
             return;
         };
         let normal = start.along.cross(&start.bend);
@@ -248,12 +250,13 @@ impl Controller for CurvedDrillingController {
         let error_m = self.correct(&start, &seen_m);
         self.remark = Some(match error_m {
             Some(error_m) => format!(
-                "frame {}: burr seen {offset_mm:.2} mm from the model, {:.2} mm off the planned path, correction {:+.2} N",
+                "frame {}: burr found {offset_mm:.2} mm from the model, {:.2} mm off the planned path, \
+                 correction {:+.2} N",
                 frame.sequence,
                 error_m * 1e3,
                 self.correction_n
             ),
-            None => format!("frame {}: burr seen {offset_mm:.2} mm from the model", frame.sequence),
+            None => format!("frame {}: burr found {offset_mm:.2} mm from the model", frame.sequence),
         });
     }
 

@@ -1,26 +1,26 @@
-//! Converts a message's plain numbers to vectors, and maps between the C-arm's image and the world.
+//! Conversions from a message's plain numbers to vectors, and between the C-arm's image and the world.
 
 use messages::{CArmGeometry, Pose};
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
 
-/// Origin of a pose.
+/// Returns the origin of a pose.
 pub fn position_m(pose: &Pose) -> Vector3<f64> {
     Vector3::from(pose.position_m)
 }
 
-/// Rotation of a pose.
+/// Returns the rotation of a pose.
 pub fn rotation(pose: &Pose) -> UnitQuaternion<f64> {
     let [x, y, z, w] = pose.orientation_xyzw;
     UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z))
 }
 
-/// Pose as a transform.
+/// Converts a pose to a transform.
 pub fn isometry(pose: &Pose) -> Isometry3<f64> {
     Isometry3::from_parts(Translation3::from(position_m(pose)), rotation(pose))
 }
 
-/// Column and row (pixel centres at integers) at which a world point appears, and the pixels per metre there. `None`
-/// behind the source.
+/// Projects a world point; returns its column and row (pixel centres at integers) and the pixels per metre
+/// there, or `None` behind the source.
 pub fn project(c_arm: &CArmGeometry, point_m: &Vector3<f64>) -> Option<([f64; 2], f64)> {
     let source = Vector3::from(c_arm.source_m);
     let row_axis = Vector3::from(c_arm.row_axis);
@@ -38,8 +38,8 @@ pub fn project(c_arm: &CArmGeometry, point_m: &Vector3<f64>) -> Option<([f64; 2]
     Some(([column, row], magnification / c_arm.pixel_pitch_m[0]))
 }
 
-/// Where the ray through a pixel meets the plane through `origin_m` with this normal; `None` if the ray is parallel to
-/// the plane.
+/// Intersects the ray through a pixel with the plane through `origin_m` with this normal; `None` if the ray
+/// is nearly parallel to the plane.
 pub fn back_project(
     c_arm: &CArmGeometry,
     pixel: [f64; 2],

@@ -3,7 +3,7 @@ use scene::Drives;
 
 use crate::Controller;
 
-/// Holds a tension, the places of arm and tube, and the burr at rest, as far as it drives them.
+/// Holds a tension, the positions of arm and tube, and the burr at rest, as far as it drives them.
 #[derive(Debug, Clone)]
 pub struct HoldController {
     tension_n: f64,
@@ -11,7 +11,7 @@ pub struct HoldController {
 }
 
 impl HoldController {
-    /// Holds `tension_n` on tendon 0.
+    /// Creates a controller that holds `tension_n` on tendon 0.
     pub fn new(tension_n: f64, drives: &[Drives]) -> HoldController {
         HoldController { tension_n, drives: drives.to_vec() }
     }

@@ -2,9 +2,9 @@
 //!
 //! A controller is anything that turns a [`State`] into a [`Command`] once per tick.
 //!
-//! **Boundary:** a controller sees what a client sees, and nothing of the simulation. This crate opens no files: its
-//! caller passes in a function that reads a text. **Invariant:** the controllers here are deterministic, with no
-//! clock and no randomness, so that a lockstep run repeats bit for bit.
+//! **Boundary:** a controller sees what a client sees, and nothing of the simulation. This crate opens no
+//! files: its caller passes in a function that reads a text. **Invariant:** the controllers here are
+//! deterministic, with no clock and no randomness, so that a lockstep run repeats bit for bit.
 //! ```
 //! use controllers::Controller;
 //! use messages::layout::Message;
@@ -50,27 +50,29 @@ use scene::Scene;
 
 /// A controller: answers states with commands.
 pub trait Controller {
-    /// Answers a state. `command` arrives with `sequence` and `state_tick` filled in and every mode set to "none".
+    /// Answers a state. `command` arrives with `sequence` and `state_tick` filled in and every mode set to
+    /// "none".
     fn step(&mut self, state: &State, command: &mut Command);
 
-    /// Receives a frame (mono16, rows top to bottom). Called before the step of the tick at which the frame is available.
+    /// Receives a frame (mono16, rows top to bottom). Called before the step of the tick at which the frame
+    /// is available.
     fn frame(&mut self, _frame: &Frame, _pixels: &[u16]) {}
 
     /// Receives a reading of a sensor. Called before the step of the state with which the reading arrives.
     fn reading(&mut self, _reading: &SensorReading) {}
 
-    /// A message for the log, if there is a new one since the last call.
+    /// Returns a message for the log, if there is a new one since the last call.
     fn remark(&mut self) -> Option<String> {
         None
     }
 }
 
-/// A built-in controller. A copy goes on from where the original stands.
+/// A built-in controller. A copy continues from the original's state.
 #[derive(Debug, Clone)]
 pub enum BuiltIn {
     /// Drills a curve.
     CurvedDrilling(Box<CurvedDrillingController>),
-    /// Skives.
+    /// Skives, measuring the burr's drift.
     Skiving(Box<SkivingController>),
     /// Sweeps the tension.
     TensionSweep(Box<TensionSweepController>),
@@ -78,16 +80,16 @@ pub enum BuiltIn {
     TubeDeployment(Box<TubeDeploymentController>),
     /// Holds still.
     Hold(Box<HoldController>),
-    /// Another one, which sees what sensors measure.
+    /// A built-in controller that sees sensor measurements instead of the exact state.
     Measuring(Box<MeasuringController>),
 }
 
 impl BuiltIn {
-    /// The scene's built-in controller of this name; `None` if it is not built in. `read` returns the text of the
-    /// calibration file that it may need.
+    /// Creates the scene's built-in controller of this name; `None` if it is not built in. `read` returns the
+    /// text of its calibration file, if it needs one.
     ///
     /// # Errors
-    /// Its calibration cannot be used.
+    /// If its calibration cannot be used.
     pub fn of(scene: &Scene, name: &str, read: &ReadText) -> Result<Option<BuiltIn>, CalibrationError> {
         let Some(entry) = scene.controller.iter().find(|entry| entry.name == name) else { return Ok(None) };
         let exact = BuiltIn::on_states(scene, entry, read)?;
@@ -99,7 +101,7 @@ impl BuiltIn {
         Ok(exact.map(measuring))
     }
 
-    /// The controller without its sensors.
+    /// Creates the controller without its sensors.
     fn on_states(
         scene: &Scene,
         entry: &scene::Controller,
@@ -154,10 +156,10 @@ impl Controller for BuiltIn {
     }
 }
 
-/// [`BuiltIn::of`] as any controller.
+/// As [`BuiltIn::of`], as a trait object.
 ///
 /// # Errors
-/// Its calibration cannot be used.
+/// If its calibration cannot be used.
 pub fn built_in(
     scene: &Scene,
     name: &str,

@@ -1,4 +1,4 @@
-//! A built-in controller that sees what sensors measure, not the exact state.
+//! A built-in controller that sees sensor measurements instead of the exact state.
 
 use messages::{Command, Frame, SensorReading, State};
 use scene::Scene;
@@ -7,7 +7,7 @@ use sensors::MeasuredState;
 use crate::reset::ResetWatch;
 use crate::{BuiltIn, Controller};
 
-/// Gives a controller the measured state. Until each of its sensors has measured, it asks for nothing.
+/// Passes the measured state to a controller. Sends empty commands until each of its sensors has measured.
 #[derive(Debug, Clone)]
 pub struct MeasuringController {
     inner: BuiltIn,
@@ -16,7 +16,7 @@ pub struct MeasuringController {
 }
 
 impl MeasuringController {
-    /// A controller with the sensors of these names.
+    /// Wraps a controller that sees the sensors of these names.
     pub fn new(inner: BuiltIn, scene: &Scene, sensors: &[String]) -> MeasuringController {
         let measured = MeasuredState::new(scene, sensors);
         MeasuringController { inner, measured, reset: ResetWatch::default() }

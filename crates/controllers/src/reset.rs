@@ -1,4 +1,4 @@
-//! Detects that the run was reset to its beginning: only then does removed bone come back.
+//! Detects a reset of the run: removed bone comes back only then.
 
 use messages::State;
 

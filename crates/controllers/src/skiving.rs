@@ -8,7 +8,7 @@ use crate::Controller;
 use crate::geometry::{position_m, rotation};
 use crate::reset::ResetWatch;
 
-/// Depth between two points.
+/// Depth between points.
 const REPORT_M: f64 = 1e-3;
 
 /// Position of the burr relative to the line of the feed.
@@ -42,13 +42,13 @@ struct Start {
 }
 
 impl SkivingController {
-    /// A controller for this plan.
+    /// Creates a controller for this plan.
     pub fn new(plan: &Skiving) -> SkivingController {
         let reset = ResetWatch::default();
         SkivingController { plan: plan.clone(), start: None, points: Vec::new(), reset, remark: None }
     }
 
-    /// The points so far: one per millimetre, and one at the end.
+    /// Returns the points so far: one per millimetre, and one at the end.
     pub fn points(&self) -> &[SkivingPoint] {
         &self.points
     }
@@ -58,7 +58,7 @@ impl SkivingController {
         let end_m = self.plan.depth_mm * 1e-3;
         let due_m = (self.points.len() as f64 * REPORT_M).min(end_m);
         let reported_m = self.points.last().map_or(-1.0, |point| point.depth_m);
-        // A nanometre: the arm reaches its end exactly, up to rounding.
+        // The tolerance of a nanometre covers rounding: the arm reaches its end exactly otherwise.
         if depth_m < due_m - 1e-9 || reported_m >= end_m - 1e-9 {
             return;
         }
@@ -67,8 +67,8 @@ impl SkivingController {
             SkivingPoint { depth_m, toward_bend_m: off.dot(&start.bend), across_m: off.dot(&start.across) };
         self.points.push(point);
         self.remark = Some(format!(
-            "skiving: at {:.2} mm the burr is {:+.3} mm off its line toward the bend, {:+.3} mm across; bend {:+.2} deg, \
-             force {:.2} N",
+            "skiving: at {:.2} mm the burr is {:+.3} mm off its line toward the bend, {:+.3} mm across; bend \
+             {:+.2} deg, force {:.2} N",
             depth_m * 1e3,
             point.toward_bend_m * 1e3,
             point.across_m * 1e3,

@@ -21,7 +21,7 @@ pub struct TensionSweepController {
 }
 
 impl TensionSweepController {
-    /// A controller for this plan that drives these parts.
+    /// Creates a controller for this plan that drives these parts.
     pub fn new(plan: &TensionSweep, drives: &[Drives]) -> TensionSweepController {
         let force = plan.most_n.zip(plan.step_n);
         let displacement = plan.most_mm.zip(plan.step_mm).map(|(most, step)| (most * 1e-3, step * 1e-3));
@@ -41,12 +41,12 @@ impl TensionSweepController {
         }
     }
 
-    /// The rows recorded so far.
+    /// Returns the rows recorded so far.
     pub fn calibration(&self) -> &Calibration {
         &self.calibration
     }
 
-    /// Whether every level has been recorded.
+    /// Returns whether every level has been recorded.
     pub fn is_done(&self) -> bool {
         self.calibration.rows.len() == self.levels.len()
     }
@@ -77,7 +77,7 @@ impl TensionSweepController {
         self.calibration.rows.push(row);
     }
 
-    /// Commanded level at `time_s` after the start: a ramp during the first half of each level.
+    /// Returns the commanded level at `time_s` after the start: a ramp during the first half of each level.
     fn commanded(&self, time_s: f64) -> f64 {
         let place = time_s / self.settle_s;
         let index = (place as usize).min(self.levels.len() - 1);

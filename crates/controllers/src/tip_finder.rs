@@ -1,9 +1,9 @@
 //! Finds the burr in an X-ray frame.
 //!
-//! The robot's kinematics give an approximate tip position and direction; the frame gives the actual position. The
-//! burr is solid metal, the darkest end of the tool. Within a window around the expected position, the end of the dark
-//! region along the expected direction is the burr's front, and the centroid of the dark pixels within one burr
-//! diameter of the front is the burr's centre.
+//! The robot's kinematics give an approximate tip position and direction; the frame gives the actual
+//! position. The burr is solid metal, the darkest end of the tool. Within a window around the expected
+//! position, the end of the dark region along the expected direction is the burr's front, and the centroid of
+//! the dark pixels within one burr diameter of the front is the burr's centre.
 
 use messages::{CArmGeometry, Pose};
 use nalgebra::Vector2;
@@ -19,7 +19,7 @@ const MAX_STRAY_PIXELS: usize = 2;
 /// Minimum number of dark pixels for a sighting.
 const MIN_PIXELS: usize = 20;
 
-/// Where the burr was seen.
+/// A detected burr.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TipSighting {
     /// Column and row of the burr's centre, pixel centres at integers.
@@ -28,8 +28,8 @@ pub struct TipSighting {
     pub dark_pixels: usize,
 }
 
-/// Looks for a burr of this radius near `t_world_burr` in a mono16 frame in which metal is dark. `None` if the window
-/// is outside the image or holds no metal.
+/// Searches for a burr of this radius near `t_world_burr` in a mono16 frame in which metal is dark. `None` if
+/// the window is outside the image or contains no metal.
 pub fn find_tip(
     c_arm: &CArmGeometry,
     pixels: &[u16],

@@ -1,4 +1,5 @@
-//! Drilling with a tool that slides out of its outer tube: turn it, slide it out with the burr on, draw it back.
+//! Drilling with a tool that slides out of its outer tube: turns it, slides it out with the burr on, and
+//! retracts it.
 
 use messages::{ArmMode, BurrMode, Command, State, TubeMode};
 use scene::{Drives, TubeDeployment};
@@ -6,10 +7,10 @@ use scene::{Drives, TubeDeployment};
 use crate::Controller;
 use crate::reset::ResetWatch;
 
-/// A goal nearer than this is reached, m and rad: the drive ends its motion there but for rounding.
+/// A goal closer than this counts as reached, m and rad: the drive ends its motion there, up to rounding.
 const REACHED: f64 = 1e-9;
 
-/// What the controller waits for.
+/// Phase of the procedure.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Phase {
     Turning,
@@ -18,7 +19,7 @@ enum Phase {
     Done,
 }
 
-/// Turns the tube, slides it out and draws it back; holds the arm if it drives that.
+/// Turns the tube, slides it out and retracts it; holds the arm if it drives that.
 #[derive(Debug, Clone)]
 pub struct TubeDeploymentController {
     deployed_m: f64,
@@ -33,7 +34,7 @@ pub struct TubeDeploymentController {
 }
 
 impl TubeDeploymentController {
-    /// A controller for this plan.
+    /// Creates a controller for this plan.
     pub fn new(plan: &TubeDeployment, drives: &[Drives]) -> TubeDeploymentController {
         TubeDeploymentController {
             deployed_m: plan.deployed_mm * 1e-3,
@@ -48,7 +49,7 @@ impl TubeDeploymentController {
         }
     }
 
-    /// Goes on to the next phase once this one's goal is reached.
+    /// Moves on to the next phase once this one's goal is reached.
     fn advance(&mut self, state: &State) {
         let is_at = |goal_m: f64| (state.tube_deployed_m - goal_m).abs() < REACHED;
         let is_turned = (state.tube_roll_rad - self.roll_rad).abs() < REACHED;

@@ -40,8 +40,8 @@ fn play(scene: &Scene, ct: Option<CtView>, controller: &mut dyn Controller) -> S
     *run.plant().state()
 }
 
-/// The block of the scenes, 40 × 40 × 60 mm of 0.5 mm voxels around the origin, its half at +x denser by `ratio`. (The
-/// drilling law's density is 131 + 1.067 HU kg/m³.)
+/// The scenes' block, 40 × 40 × 60 mm of 0.5 mm voxels around the origin, its half at +x denser by `ratio`.
+/// (The drilling law's density is 131 + 1.067 HU kg/m³.)
 fn block(ratio: f64) -> (GridGeometry, Vec<i16>) {
     let dims = [80, 80, 120];
     let origin = dims.map(|n| -0.25e-3 * (n as f64 - 1.0));
@@ -77,8 +77,9 @@ fn a_sweep_without_friction_measures_the_closed_form() {
         let expected = (row.commanded * parameters.tendon.offset_m * compliance).to_degrees();
         println!("{} N: {:.4} deg, closed form {expected:.4} deg", row.commanded, row.bend_deg);
         assert_eq!(row.tension_n, row.commanded);
-        // The tendon runs along chords between its holes, so its lever arm shrinks with the bend: cos(q/2) and the
-        // gap's part, below one hundredth at 2 degrees per flexure; the rest is the level's incomplete settling.
+        // The tendon runs along chords between its holes, so its lever arm shrinks with the bend: cos(q/2)
+        // and the gap's part, below one hundredth at 2 degrees per flexure; the rest is the level's
+        // incomplete settling.
         assert!((row.bend_deg - expected).abs() <= 0.02 * expected + 0.02);
     }
 }
@@ -95,10 +96,10 @@ fn a_sweep_by_displacement_reaches_its_levels_and_friction_shows_as_hysteresis()
     }
     let [up, down] = [&calibration.rows[1], &calibration.rows[3]];
     println!("1 mm: {:.3} N up, {:.3} N down", up.tension_n, down.tension_n);
-    assert!(up.tension_n > down.tension_n * 1.05, "friction: more to pull than to let go");
+    assert!(up.tension_n > down.tension_n * 1.05, "friction: pulling takes more than releasing");
 }
 
-/// The calibration file that the scenes use matches what their sweep measures.
+/// The calibration file that the scenes use must match what their sweep measures.
 #[test]
 fn the_calibration_of_the_scenes_is_that_of_the_present_model() {
     let stored = Calibration::load(&config("calibration/tension_sweep.csv"), &read).unwrap();
@@ -109,7 +110,7 @@ fn the_calibration_of_the_scenes_is_that_of_the_present_model() {
         // The file has six decimals; a deliberate change of the model needs a new file.
         assert!(
             (stored.bend_deg - measured.bend_deg).abs() < 0.02,
-            "at {} N the file says {} deg, the model bends {} deg; write it again with `trabecula calibrate`",
+            "at {} N the file has {} deg, the model bends {} deg; regenerate it with `trabecula calibrate`",
             stored.commanded,
             stored.bend_deg,
             measured.bend_deg
@@ -117,7 +118,7 @@ fn the_calibration_of_the_scenes_is_that_of_the_present_model() {
     }
 }
 
-/// Distance of the burr from the target at the end, mm.
+/// Returns the distance of the burr from the target at the end, mm.
 fn drill(name: &str) -> f64 {
     let scene = load(&config(name)).unwrap();
     let plan = scene.controller[0].curved_drilling.as_ref().unwrap();
@@ -176,7 +177,7 @@ fn a_target_beyond_the_calibration_is_refused() {
     let scene = Scene::parse(&far, &config("curved_open_loop.toml")).unwrap();
     let plan = scene.controller[0].curved_drilling.as_ref().unwrap();
     let error = CurvedDrillingController::new(plan, &scene, &read).err().unwrap().to_string();
-    assert!(error.contains("calibrate farther"), "{error}");
+    assert!(error.contains("extend the calibration"), "{error}");
     let missing = text.replace("tension_sweep.csv", "no_such.csv");
     let scene = Scene::parse(&missing, &config("curved_open_loop.toml")).unwrap();
     let plan = scene.controller[0].curved_drilling.as_ref().unwrap();
@@ -184,8 +185,8 @@ fn a_target_beyond_the_calibration_is_refused() {
     assert!(error.contains("no_such.csv") && error.contains("trabecula calibrate"), "{error}");
 }
 
-/// Regression: such a target gave an arc with a negative angle, for which the calibration's tension is 0 N, so the
-/// tool went straight on.
+/// Regression: such a target gave an arc with a negative angle, for which the calibration's tension is 0 N,
+/// so the tool went straight on.
 #[test]
 fn a_target_on_the_side_away_from_the_bend_is_refused() {
     let text = std::fs::read_to_string(config("curved_open_loop.toml")).unwrap();
@@ -198,11 +199,11 @@ fn a_target_on_the_side_away_from_the_bend_is_refused() {
     let ahead = text.replace("target_mm = [5.0, 0.0, 8.0]", "target_mm = [0.0, 0.0, 8.0]");
     let scene = Scene::parse(&ahead, &config("curved_open_loop.toml")).unwrap();
     let plan = scene.controller[0].curved_drilling.as_ref().unwrap();
-    assert!(CurvedDrillingController::new(plan, &scene, &read).is_ok(), "straight ahead is no side");
+    assert!(CurvedDrillingController::new(plan, &scene, &read).is_ok(), "straight ahead is neither side");
 }
 
-/// Regression: after a reset, a controller that had been drilling carried on where it was and pulled the tension of
-/// the ramp's end in front of the bone.
+/// Regression: after a reset, a controller that had been drilling continued where it was, and pulled the
+/// tension of the ramp's end in front of the bone.
 #[test]
 fn a_reset_sets_the_reference_controllers_back() {
     let scene = load(&config("curved_shape_feedback.toml")).unwrap();
@@ -237,13 +238,14 @@ fn a_reset_sets_the_reference_controllers_back() {
     assert_eq!(controller.points().len(), 1, "the first millimetre's report, again");
 }
 
-/// Turned before it slides out, out as far as the plan says with the burr on, and drawn back.
+/// The tube is turned before it slides out, slides out as far as planned with the burr on, and is retracted.
 #[test]
 fn a_tube_is_turned_slid_out_and_drawn_back() {
     let path = config("tools/bench.toml");
     let text = "name = \"tubes\"\nrun = { mode = \"lockstep\", duration_s = 9.0 }\n\
-        tool = { burr_start_mm = [0, 0, 0], direction = [0, 0, 1], bend_toward = [1, 0, 0] }\nmanipulator = { file = \"tube_in_tube.toml\" }\n\
-        [[controller]]\nname = \"tube\"\ndrives = [\"tube\", \"arm\", \"burr\"]\n[controller.tube_deployment]\n\
+        tool = { burr_start_mm = [0, 0, 0], direction = [0, 0, 1], bend_toward = [1, 0, 0] }\n\
+        manipulator = { file = \"tube_in_tube.toml\" }\n[[controller]]\nname = \"tube\"\n\
+        drives = [\"tube\", \"arm\", \"burr\"]\n[controller.tube_deployment]\n\
         deployed_mm = 20\nfeed_mm_per_s = 5\nroll_deg = 90\nretraction_mm = 8\nburr_speed_rpm = 3000\n";
     let scene = Scene::parse_with(text, &path, &|file| read(file)).unwrap();
     let entry = &scene.controller[0];
@@ -269,7 +271,7 @@ fn a_tube_is_turned_slid_out_and_drawn_back() {
     assert!(burr.y > 1e-3 && burr.x.abs() < 1e-6, "{burr}");
 }
 
-/// A controller that is looked at.
+/// A controller whose states and commands are observed.
 struct Watched<'a, F> {
     inner: &'a mut dyn Controller,
     look: F,

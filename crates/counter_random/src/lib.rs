@@ -1,8 +1,10 @@
-//! Random numbers that are a function of a key, of which no state is kept: any order of use and any number of threads gives the same.
+//! Counter-based random numbers: each is a pure function of a key and a counter, without generator state, so
+//! the results do not depend on the order of use or the number of threads.
 //!
-//! The noise of X-ray frames (key: seed and frame, counter: pixel) and of sensors (key: seed, sensor and tick, counter: channel) is this.
+//! Used for the noise of X-ray frames (key: seed and frame, counter: pixel) and of sensors (key: seed, sensor
+//! and tick, counter: channel).
 //!
-//! **Boundary:** it only computes.
+//! **Boundary:** pure computation; no I/O, clock or state.
 //!
 //! ```
 //! use counter_random::Key;
@@ -13,39 +15,39 @@
 //! assert!((0.0..1.0).contains(&key.uniform(0)));
 //! ```
 
-/// What the numbers of a series have in common, mixed.
+/// Key of a series of random numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Key(u64);
 
 impl Key {
-    /// The key of a seed.
+    /// Creates a key from a seed.
     #[inline(always)]
     pub const fn of(seed: u64) -> Key {
         Key(mix(seed))
     }
 
-    /// This key and one more number.
+    /// Mixes one more number into the key.
     #[inline(always)]
     #[must_use]
     pub const fn and(self, number: u64) -> Key {
         Key(mix(self.0 ^ number))
     }
 
-    /// The random word of a counter.
+    /// Returns the random word for a counter.
     #[inline(always)]
     pub const fn word(self, counter: u64) -> u64 {
         mix(self.0 ^ counter)
     }
 
-    /// A uniform number in the open interval (0, 1), a multiple of 2⁻⁵⁴.
+    /// Returns a uniform number in the open interval (0, 1), a multiple of 2⁻⁵⁴.
     #[inline]
     pub fn uniform(self, counter: u64) -> f64 {
         uniform(self.word(counter))
     }
 
-    /// A standard normal number (Box and Muller 1958, "A note on the generation of random normal deviates", Ann. Math. Stat. 29), at most
-    /// 8.7 in magnitude. It uses two words, those of twice the counter and of the next; a counter of it must not be one of
-    /// [`Key::uniform`] of the same key.
+    /// Returns a standard normal number (Box and Muller 1958, "A note on the generation of random normal
+    /// deviates", Ann. Math. Stat. 29), at most 8.7 in magnitude. It uses the words of the counters `2 *
+    /// counter` and `2 * counter + 1`, so none of these may be passed to [`Key::uniform`] of the same key.
     pub fn normal(self, counter: u64) -> f64 {
         let a = self.uniform(2 * counter);
         let b = self.uniform(2 * counter + 1);
@@ -53,8 +55,8 @@ impl Key {
     }
 }
 
-/// The finaliser of SplitMix64 (Steele, Lea and Flood, "Fast splittable pseudorandom number generators", OOPSLA 2014; constants of D.
-/// Stafford's variant 13), including its increment.
+/// Applies the finaliser of SplitMix64 (Steele, Lea and Flood, "Fast splittable pseudorandom number
+/// generators", OOPSLA 2014; constants of D. Stafford's variant 13), including its increment.
 #[inline(always)]
 pub const fn mix(x: u64) -> u64 {
     let x = x.wrapping_add(0x9E37_79B9_7F4A_7C15);
@@ -63,7 +65,7 @@ pub const fn mix(x: u64) -> u64 {
     x ^ x >> 31
 }
 
-/// The uniform number in the open interval (0, 1) of a random word.
+/// Converts a random word to a uniform number in the open interval (0, 1).
 #[inline(always)]
 pub fn uniform(word: u64) -> f64 {
     ((word >> 11) as f64 + 0.5) / (1_u64 << 53) as f64
@@ -73,7 +75,8 @@ pub fn uniform(word: u64) -> f64 {
 mod tests {
     use super::*;
 
-    /// The first outputs of SplitMix64 seeded with 0, as its authors' C program prints them (prng.di.unimi.it/splitmix64.c).
+    /// The first outputs of SplitMix64 seeded with 0, as printed by its authors' C program
+    /// (prng.di.unimi.it/splitmix64.c).
     #[test]
     fn words_are_those_of_splitmix64() {
         let step = 0x9E37_79B9_7F4A_7C15_u64;
@@ -81,7 +84,8 @@ mod tests {
         assert_eq!([0, 1, 2_u64].map(|n| mix(n.wrapping_mul(step))), want);
     }
 
-    /// Mean, variance and fourth moment of a million numbers, within four standard errors of those of the normal law.
+    /// Mean, variance and fourth moment of a million numbers, within four standard errors of those of the
+    /// normal distribution.
     #[test]
     fn normal_numbers_have_the_moments_of_the_normal_law() {
         let count = 1_000_000_u64;

@@ -1,7 +1,9 @@
-//! Which messages a receiver gets, when, and what it misses: X-ray frames, and what the clients of a viewer see.
+//! Delivery decisions: which messages a receiver gets and when, and what it misses. Covers X-ray frames and
+//! the clients of a viewer.
 //!
-//! **Boundary:** it only decides. The processes of the X-ray, the controllers and the viewer take the messages, render and send; the
-//! schedules of `hub_simulator` hold the same decisions against an oracle. None of them decides a tick.
+//! **Boundary:** decisions only. The DRR process, the controllers and the viewer take the messages, render
+//! and send; the schedules of `hub_simulator` check the same decisions against an oracle. None of them
+//! decides a tick.
 //!
 //! | module | what it holds |
 //! |---|---|

@@ -12,7 +12,7 @@ pub struct Axis {
     pub title: String,
     /// Labelled ticks: value and label.
     pub ticks: Vec<(f64, String)>,
-    /// Ticks that are labelled where there is room: value and label.
+    /// Ticks that are labelled if there is room: value and label.
     pub fine: Vec<(f64, String)>,
     /// Ticks without a label.
     pub minor: Vec<f64>,
@@ -22,8 +22,8 @@ pub struct Axis {
 }
 
 impl Axis {
-    /// A linear axis from `low` to `high` with at most about `count` labelled ticks. An empty or non-finite range
-    /// becomes one of width 1.
+    /// Creates a linear axis from `low` to `high` with about `count` labelled ticks at most. An empty or
+    /// non-finite range is replaced by one of width 1.
     pub fn linear(title: &str, low: f64, high: f64, count: usize) -> Axis {
         let (low, high) = widened(low, high);
         let step = round_step((high - low) / count.max(1) as f64);
@@ -46,22 +46,23 @@ impl Axis {
         }
     }
 
-    /// A linear axis around the values, with a margin of 6 %, starting at 0 if none is negative.
+    /// Creates a linear axis around the values with a margin of 6 %, starting at 0 if no value is negative.
     pub fn around(title: &str, values: impl Iterator<Item = f64>, count: usize) -> Axis {
         let (low, high) = bounds(values).unwrap_or((0.0, 1.0));
         let margin = 0.06 * (high - low.min(0.0)).max(1e-9);
         Axis::linear(title, if low < 0.0 { low - margin } else { 0.0 }, high + margin, count)
     }
 
-    /// A linear axis over the values, with this share of their range to both sides.
+    /// Creates a linear axis over the values, with this share of their range as margin on both sides.
     pub fn over(title: &str, values: impl Iterator<Item = f64>, share: f64, count: usize) -> Axis {
         let (low, high) = bounds(values).unwrap_or((0.0, 1.0));
         let margin = share * (high - low).max(1e-12);
         Axis::linear(title, low - margin, high + margin, count)
     }
 
-    /// A logarithmic axis, from slightly below the smallest to slightly above the largest positive value; `label`
-    /// formats a tick. Ticks are powers of ten; where there is room also twice and five times these.
+    /// Creates a logarithmic axis from slightly below the smallest to slightly above the largest positive
+    /// value; `label` formats a tick. Ticks are powers of ten and, if there is room, two and five times
+    /// these.
     pub fn logarithmic(title: &str, values: impl Iterator<Item = f64>, label: fn(f64) -> String) -> Axis {
         let (low, high) = bounds(values.filter(|&value| value > 0.0)).unwrap_or((1.0, 100.0));
         let (low, high) = (low.log10() - 0.15, high.log10() + 0.15);
@@ -88,8 +89,8 @@ impl Axis {
         self.minor.retain(|value| keep(*value));
     }
 
-    /// The axis on `length` figure units with as many labels as fit: the fine ticks' too, the ticks' alone, each second of them and so on.
-    /// `extent` is what a label takes of the length.
+    /// Returns the axis for `length` figure units with as many labels as fit: ticks and fine ticks, only
+    /// ticks, every second tick, and so on. `extent` returns the length that a label takes.
     pub fn labelled(mut self, length: f64, extent: fn(&str) -> f64) -> Axis {
         let mut all = [self.ticks.clone(), std::mem::take(&mut self.fine)].concat();
         all.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -109,18 +110,18 @@ impl Axis {
         self
     }
 
-    /// What a label takes of a horizontal axis.
+    /// Returns the length that a label takes on a horizontal axis.
     pub fn beside(label: &str) -> f64 {
         text_width(label, TextSize::Label) + 10.0
     }
 
-    /// What a label takes of a vertical axis.
+    /// Returns the length that a label takes on a vertical axis.
     pub fn above(_label: &str) -> f64 {
         TextSize::Label.units() + 2.0
     }
 
-    /// Position of a value as a fraction of the length: 0 at the low end, 1 at the high end, outside that range
-    /// beyond. A value that a logarithmic axis cannot show maps to its low end.
+    /// Returns the position of a value as a fraction of the length: 0 at the low end, 1 at the high end,
+    /// beyond that outside. A value that a logarithmic axis cannot show maps to its low end.
     pub fn share(&self, value: f64) -> f64 {
         let value = if !self.logarithmic {
             value
@@ -133,7 +134,7 @@ impl Axis {
     }
 }
 
-/// Smallest and largest finite value.
+/// Returns the smallest and largest finite value.
 pub fn bounds(values: impl Iterator<Item = f64>) -> Option<(f64, f64)> {
     let start = (f64::INFINITY, f64::NEG_INFINITY);
     let (low, high) =
@@ -153,7 +154,7 @@ fn widened(low: f64, high: f64) -> (f64, f64) {
     }
 }
 
-/// The smallest of 1, 2, 5 times a power of ten that is not below `step`.
+/// Returns the smallest of 1, 2, 5 times a power of ten that is not below `step`.
 fn round_step(step: f64) -> f64 {
     let power = 10f64.powf(step.log10().floor());
     [1.0, 2.0, 5.0]
@@ -163,7 +164,7 @@ fn round_step(step: f64) -> f64 {
         .unwrap_or(10.0 * power)
 }
 
-/// Formats a duration in microseconds as briefly as is readable.
+/// Formats a duration in microseconds with a suitable unit.
 pub fn duration_label(microseconds: f64) -> String {
     let (value, unit) = if microseconds < 1.0 {
         (microseconds * 1e3, "ns")
@@ -200,7 +201,7 @@ mod tests {
         assert_eq!(labels(&Axis::linear("", f64::NAN, 1.0, 2)), ["0.0", "0.5", "1.0"]);
         let axis = Axis::logarithmic("", [0.0, f64::NAN, 30.0, 2000.0].into_iter(), duration_label);
         assert_eq!(labels(&axis), ["100 µs", "1 ms"]);
-        // Of three decades from 30 / 1.41 to 2000 * 1.41; 100 and 1000 are the ticks.
+        // From 30 / 1.41 to 2000 * 1.41; the ticks are 100 and 1000.
         assert_eq!((axis.minor.len(), axis.fine.len()), (12, 4));
         assert!((axis.share(30.0) + axis.share(2000.0) - 1.0).abs() < 1e-12, "the same margin on both sides");
         assert_eq!(labels(&Axis::logarithmic("", [30.0].into_iter(), count_label)), [] as [&str; 0]);

@@ -1,10 +1,11 @@
-//! Whether a figure can be read: no text over another.
+//! Checks that a figure is readable: no overlapping texts.
 
 use super::panel::Rect;
 use super::shapes::{Anchor, Figure, Shape, WIDTH, text_width};
 
 impl Figure {
-    /// Texts that lie over another or reach out of the figure, each with the other's words: none, in a figure that can be read.
+    /// Returns texts that overlap another or extend beyond the figure, each with the other text; empty for a
+    /// readable figure.
     pub fn collisions(&self) -> Vec<(String, String)> {
         let texts: Vec<(&str, Rect)> = self.shapes().iter().filter_map(text_box).collect();
         let page = Rect { x: 0.0, y: 0.0, width: WIDTH, height: self.height() };
@@ -20,7 +21,7 @@ impl Figure {
     }
 }
 
-/// The words of a text and the place that its letters cover, roughly: two thirds of the font's height.
+/// Returns a text and the approximate area of its letters, two thirds of the font's height.
 fn text_box(shape: &Shape) -> Option<(&str, Rect)> {
     let Shape::Text { at: (x, y), text, size, anchor, upwards, .. } = shape else { return None };
     let (along, across) = (text_width(text, *size), 0.66 * size.units());

@@ -1,6 +1,8 @@
-//! Figures: axes, panels with curves and legends, texts, drawn to PNG and SVG without a font on the machine; pictures as PNG.
+//! Figures with axes, panels, curves, legends and text, drawn to PNG and SVG without fonts on the machine;
+//! and pictures as PNG.
 //!
-//! **Invariant:** the same shapes give the same bytes; texts of a figure that passes [`Figure::collisions`] lie over nothing.
+//! **Invariant:** the same shapes give the same bytes; texts of a figure that passes [`Figure::collisions`]
+//! do not overlap.
 
 mod axis;
 mod collisions;
@@ -17,31 +19,32 @@ pub use axis::{Axis, bounds, count_label, duration_label};
 pub use panel::{COLOURS, DASHES, EDGES, INK, Key, Panel, Rect, clip};
 pub use shapes::{Anchor, Figure, HEAD, Point, Shape, Stroke, TextSize, WIDTH, text_width};
 
-/// Why a file of a figure, or of what stands beside one, could not be written.
+/// Errors of writing a figure or an accompanying file.
 #[derive(Debug, thiserror::Error)]
 pub enum FigureError {
     /// A file could not be written.
     #[error(transparent)]
     Output(#[from] OutputError),
-    /// The content of a file could not be made.
+    /// The content of a file could not be created.
     #[error("{}: cannot be {what}: {cause}", path.display())]
     Content {
         /// The file.
         path: PathBuf,
-        /// What it cannot be, such as "drawn".
+        /// The failed operation, such as "drawn".
         what: &'static str,
-        /// The reason of the library that makes it.
+        /// The library's error.
         cause: String,
     },
-    /// The built-in font was refused.
+    /// The built-in font was rejected.
     #[error(
-        "the built-in font of the figures cannot be read by the drawing library; rebuild with the locked dependencies"
+        "the drawing library cannot read the built-in font of the figures; rebuild with the locked \
+         dependencies"
     )]
     Font,
 }
 
 impl FigureError {
-    /// The content of a file could not be made, with the cause.
+    /// Returns a constructor for content errors of a file.
     pub fn content<C: ToString>(path: &Path, what: &'static str) -> impl FnOnce(C) -> FigureError {
         move |cause| FigureError::Content { path: path.into(), what, cause: cause.to_string() }
     }

@@ -1,4 +1,4 @@
-//! A panel of a figure: two axes with a frame, lines, and a legend.
+//! A panel of a figure: a frame with two axes, lines and a legend.
 
 use plotters::style::{RGBColor, WHITE};
 
@@ -22,7 +22,7 @@ const LEFT: f64 = 68.0;
 const RIGHT: f64 = 14.0;
 const TOP: f64 = 30.0;
 const BOTTOM: f64 = 48.0;
-/// What titles and labels take of a panel's width and height.
+/// Width and height that titles and labels take of a panel.
 pub const EDGES: (f64, f64) = (LEFT + RIGHT, TOP + BOTTOM);
 
 /// A rectangle in figure units.
@@ -39,18 +39,18 @@ pub struct Rect {
 }
 
 impl Rect {
-    /// The area left for the plot after titles and labels.
+    /// Returns the plot area without titles and labels.
     pub fn plot_area(self) -> Rect {
         Rect { x: self.x + LEFT, y: self.y + TOP, width: self.width - EDGES.0, height: self.height - EDGES.1 }
     }
 
-    /// Whether two have an area in common.
+    /// Returns whether two rectangles overlap.
     pub fn overlaps(self, other: Rect) -> bool {
         let along = |a: f64, a_length: f64, b: f64, b_length: f64| a < b + b_length && b < a + a_length;
         along(self.x, self.width, other.x, other.width) && along(self.y, self.height, other.y, other.height)
     }
 
-    /// Whether another lies in it as a whole.
+    /// Returns whether another rectangle is completely inside.
     pub fn holds(self, other: Rect) -> bool {
         self.contains((other.x, other.y)) && self.contains((other.x + other.width, other.y + other.height))
     }
@@ -77,12 +77,12 @@ pub enum Key {
     Cross(Stroke),
     /// A vertical bar.
     Bar(Stroke),
-    /// Nothing.
+    /// No symbol.
     None,
 }
 
 impl Key {
-    /// Draws it about a place.
+    /// Draws the symbol centred on a point.
     pub fn draw(self, figure: &mut Figure, (x, y): Point) {
         let mut disc = |radius: f64, fill: RGBColor| figure.add(Shape::Disc { centre: (x, y), radius, fill });
         let lines: &[[Point; 2]] = match self {
@@ -110,7 +110,7 @@ pub struct Panel<'a> {
     x: Axis,
     y: Axis,
     legend: Vec<(Key, String)>,
-    /// Points along the curves, used to place the legend.
+    /// Points along the curves, for placing the legend.
     seen: Vec<Point>,
     title_width: f64,
 }
@@ -121,7 +121,7 @@ impl Stroke {
         Stroke { colour, width, dash: &[] }
     }
 
-    /// Colour and dash number `index` of the palette.
+    /// A line with colour and dashes `index` of the palette.
     pub fn of_palette(index: usize, width: f64) -> Stroke {
         Stroke { colour: COLOURS[index % COLOURS.len()], width, dash: DASHES[index % DASHES.len()] }
     }
@@ -161,7 +161,7 @@ impl<'a> Panel<'a> {
     fn labels(&mut self, outer: Rect) {
         let Rect { x, y, width, height } = self.area;
         for (value, label) in self.x.ticks.clone() {
-            // A label at the end of the axis stays in the panel.
+            // Keep a label at the end of the axis within the panel.
             let half = 0.5 * text_width(&label, TextSize::Label);
             let along = (x + self.x.share(value) * width).min(outer.x + outer.width - half - 1.0);
             let at = (along, y + height + 13.0);
@@ -180,18 +180,18 @@ impl<'a> Panel<'a> {
         self.figure.add(label);
     }
 
-    /// Position of a data point in the figure.
+    /// Returns the position of a data point in the figure.
     pub fn place(&self, (x, y): Point) -> Point {
         let Rect { x: left, y: top, width, height } = self.area;
         (left + self.x.share(x) * width, top + (1.0 - self.y.share(y)) * height)
     }
 
-    /// Figure units per unit of the x axis, if it is linear.
+    /// Returns the figure units per unit of a linear x axis.
     pub fn scale(&self) -> f64 {
         (self.x.share(1.0) - self.x.share(0.0)) * self.area.width
     }
 
-    /// A curve through data points; the legend names it unless `label` is empty.
+    /// Draws a curve through data points, with a legend entry unless `label` is empty.
     pub fn line(&mut self, values: &[Point], stroke: Stroke, label: &str) {
         let points: Vec<Point> = values.iter().map(|&value| self.place(value)).collect();
         for run in clip(&points, self.area) {
@@ -201,7 +201,7 @@ impl<'a> Panel<'a> {
         self.key(Key::Line(stroke), label);
     }
 
-    /// Records where a curve runs, every few units.
+    /// Records points along a curve every few units.
     fn mark_occupied(&mut self, run: &[Point]) {
         for (a, b) in run.iter().zip(&run[1..]) {
             let pieces = ((b.0 - a.0).hypot(b.1 - a.1) / 8.0).ceil().clamp(1.0, 1000.0);
@@ -211,7 +211,7 @@ impl<'a> Panel<'a> {
         }
     }
 
-    /// A filled area between two curves over the same x: (x, low, high).
+    /// Fills the area between two curves over the same x: (x, low, high).
     pub fn band(&mut self, values: &[(f64, f64, f64)], fill: RGBColor) {
         let clamped = |point: Point| {
             let (x, y) = self.place(point);
@@ -224,7 +224,7 @@ impl<'a> Panel<'a> {
         self.figure.add(Shape::Area { corners, fill });
     }
 
-    /// A disc at a data point; its radius is in figure units.
+    /// Draws a disc at a data point; the radius is in figure units.
     pub fn disc(&mut self, value: Point, radius: f64, fill: RGBColor) {
         let centre = self.place(value);
         if self.area.contains(centre) {
@@ -233,7 +233,7 @@ impl<'a> Panel<'a> {
         }
     }
 
-    /// A symbol at a data point.
+    /// Draws a symbol at a data point.
     pub fn mark(&mut self, value: Point, key: Key) {
         let at = self.place(value);
         if self.area.contains(at) {
@@ -242,7 +242,7 @@ impl<'a> Panel<'a> {
         }
     }
 
-    /// A vertical line over the whole height at an x.
+    /// Draws a vertical line over the whole height at an x.
     pub fn upright(&mut self, x: f64, stroke: Stroke) {
         let (at, _) = self.place((x, 1.0));
         let Rect { y, height, .. } = self.area;
@@ -251,7 +251,7 @@ impl<'a> Panel<'a> {
         }
     }
 
-    /// A word in the upper end of the frame, beside an x.
+    /// Draws a short text at the top of the frame, next to an x.
     pub fn tag(&mut self, x: f64, text: &str) {
         let (at, _) = self.place((x, 1.0));
         let Rect { y, .. } = self.area;
@@ -260,7 +260,7 @@ impl<'a> Panel<'a> {
         }
     }
 
-    /// A short bar on the x axis.
+    /// Draws a short bar on the x axis.
     pub fn bar(&mut self, x: f64, stroke: Stroke) {
         let (at, _) = self.place((x, 1.0));
         let foot = self.area.y + self.area.height;
@@ -269,7 +269,7 @@ impl<'a> Panel<'a> {
         }
     }
 
-    /// A centred remark, in place of curves.
+    /// Draws a centred remark instead of curves.
     pub fn remark(&mut self, text: &str) {
         let Rect { x, y, width, height } = self.area;
         self.figure.text((x + 0.5 * width, y + 0.5 * height), text, TextSize::Label, INK, Anchor::Centre);
@@ -282,7 +282,7 @@ impl<'a> Panel<'a> {
         }
     }
 
-    /// Draws the frame, and the legend in the corner where the fewest curves run.
+    /// Draws the frame, and the legend in the corner with the fewest curves.
     pub fn finish(mut self) {
         self.frame();
         let legend = std::mem::take(&mut self.legend);
@@ -299,7 +299,7 @@ impl<'a> Panel<'a> {
         }
     }
 
-    /// Draws the frame, and the legend in a row above it, on the right; inside, where the title leaves no room for it.
+    /// Draws the frame, and the legend in a row above it on the right, or inside if the title leaves no room.
     pub fn finish_with_row(mut self) {
         let entry = |(_, label): &(Key, String)| KEY_WIDTH + 16.0 + text_width(label, TextSize::Label);
         let row: f64 = self.legend.iter().map(entry).sum();
@@ -339,7 +339,7 @@ impl<'a> Panel<'a> {
     }
 }
 
-/// The pieces of a polyline that lie inside a rectangle.
+/// Returns the pieces of a polyline inside a rectangle.
 pub fn clip(points: &[Point], area: Rect) -> Vec<Vec<Point>> {
     let mut runs: Vec<Vec<Point>> = Vec::new();
     let mut open = false;
@@ -357,8 +357,8 @@ pub fn clip(points: &[Point], area: Rect) -> Vec<Vec<Point>> {
     runs
 }
 
-/// Clips a line segment to a rectangle (Liang and Barsky 1984); also returns whether the result reaches the segment's
-/// end.
+/// Clips a line segment to a rectangle (Liang and Barsky 1984); also returns whether the result reaches the
+/// segment's end.
 fn clip_piece(a: Point, b: Point, area: Rect) -> Option<(Point, Point, bool)> {
     let d = (b.0 - a.0, b.1 - a.1);
     let (mut enter, mut leave) = (0.0f64, 1.0f64);

@@ -2,7 +2,7 @@
 
 use png::{BitDepth, ColorType, Compression, EncodingError};
 
-/// A PNG of these samples, row by row from the top left; those of 16 bits are big-endian.
+/// Encodes samples as PNG, row by row from the top left; 16-bit samples are big-endian.
 pub fn encode(
     [columns, rows]: [u32; 2],
     (colour, depth): (ColorType, BitDepth),
@@ -20,14 +20,14 @@ pub fn encode(
     Ok(bytes)
 }
 
-/// A PNG of 16 bits with these values.
+/// Encodes a 16-bit PNG.
 pub fn grey16(columns: u32, rows: u32, greys: impl Iterator<Item = u16>) -> Result<Vec<u8>, String> {
     let bytes: Vec<u8> = greys.flat_map(u16::to_be_bytes).collect();
     let kind = (ColorType::Grayscale, BitDepth::Sixteen);
     encode([columns, rows], kind, Compression::default(), &bytes).map_err(|cause| cause.to_string())
 }
 
-/// A PNG of 8 bits: 0 stays 0 and 65535 becomes 255.
+/// Encodes an 8-bit PNG; 0 stays 0 and 65535 becomes 255.
 pub fn grey8(columns: u32, rows: u32, greys: impl Iterator<Item = u16>) -> Result<Vec<u8>, String> {
     let bytes: Vec<u8> = greys.map(narrow).collect();
     let kind = (ColorType::Grayscale, BitDepth::Eight);
@@ -47,8 +47,8 @@ pub struct GreyImage {
 }
 
 impl GreyImage {
-    /// From little-endian `mono16` rows without padding; none if there are no pixels, or fewer than the size requires
-    /// (a log that keeps only hashes).
+    /// Creates a picture from little-endian `mono16` rows without padding. Returns `None` if there are no or
+    /// too few pixels (a log that keeps only hashes).
     pub fn from_mono16(columns: u32, rows: u32, mono16: &[u8]) -> Option<GreyImage> {
         let count = (columns as usize).checked_mul(rows as usize)?;
         let bytes = mono16.get(..count.checked_mul(2)?)?;
@@ -56,7 +56,7 @@ impl GreyImage {
         (count > 0).then_some(GreyImage { size: [columns, rows], pixels })
     }
 
-    /// The picture as PNG.
+    /// Encodes the picture as PNG.
     pub fn png(&self) -> Result<Vec<u8>, EncodingError> {
         encode(self.size, (ColorType::Grayscale, BitDepth::Eight), Compression::Fast, &self.pixels)
     }

@@ -16,14 +16,14 @@ use super::FigureError;
 use super::panel::{INK, Rect};
 use super::picture::encode;
 
-/// Width of every figure. Shown as wide as a page, about 830 pixels, its smallest text is 13 pixels high.
+/// Width of every figure. Shown at page width, about 830 pixels, the smallest text is 13 pixels high.
 pub const WIDTH: f64 = 880.0;
 
 const FONT: &str = "sans-serif";
 /// Pixels per figure unit while drawing; plotters snaps shapes to whole pixels.
 const SCALE: usize = 4;
-/// Squares of this many pixels are averaged into one pixel of the PNG file, because plotters does not antialias wide
-/// lines.
+/// Side of the pixel squares averaged into one pixel of the PNG file, because plotters does not antialias
+/// wide lines.
 const SHRINK: usize = 2;
 
 /// Height of a figure's title.
@@ -32,19 +32,19 @@ pub const HEAD: f64 = 40.0;
 /// A point of the figure: right and down from the top left corner, in units of half a pixel of the PNG file.
 pub type Point = (f64, f64);
 
-/// Height of a text's font. There is none below a label's: it could not be read at the width of a page.
+/// Font size of a text. Anything smaller than a label would be unreadable at page width.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum TextSize {
-    /// Of a whole figure.
+    /// Title of a figure.
     Title,
-    /// Of a panel.
+    /// Title of a panel.
     Heading,
     /// Ticks, axes, legends.
     Label,
 }
 
 impl TextSize {
-    /// In figure units.
+    /// Returns the size in figure units.
     pub fn units(self) -> f64 {
         match self {
             TextSize::Title => 18.0,
@@ -65,18 +65,18 @@ pub struct Stroke {
     pub dash: &'static [f64],
 }
 
-/// Which point of a text is at its position.
+/// Anchor point of a text.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Anchor {
     /// Left end, half height.
     Left,
-    /// Middle.
+    /// Centre.
     Centre,
     /// Right end, half height.
     Right,
 }
 
-/// One thing to draw.
+/// A drawing primitive.
 #[derive(Debug, Clone)]
 pub enum Shape {
     /// A line through points.
@@ -102,7 +102,7 @@ pub enum Shape {
         /// Its colour.
         fill: RGBColor,
     },
-    /// Pixels, each a square or rectangle of one colour.
+    /// A bitmap, each pixel drawn as a rectangle of one colour.
     Picture {
         /// Its upper left corner.
         corner: Point,
@@ -121,20 +121,20 @@ pub enum Shape {
     Text {
         /// Position of its anchor.
         at: Point,
-        /// What it says.
+        /// Content.
         text: String,
         /// Height of its font.
         size: TextSize,
         /// Its colour.
         colour: RGBColor,
-        /// Which point of it lies at `at`.
+        /// Which point of the text is at `at`.
         anchor: Anchor,
         /// True if the text runs upwards.
         upwards: bool,
     },
 }
 
-/// A figure of [`WIDTH`] on white.
+/// A figure of [`WIDTH`] on a white background.
 #[derive(Debug, Clone)]
 pub struct Figure {
     height: f64,
@@ -146,7 +146,7 @@ fn register() -> Result<(), FigureError> {
     register_font(FONT, FontStyle::Normal, epaint_default_fonts::UBUNTU_LIGHT).map_err(|_| FigureError::Font)
 }
 
-/// Width of a text in figure units.
+/// Returns the approximate width of a text in figure units.
 pub fn text_width(text: &str, size: TextSize) -> f64 {
     let size = size.units();
     let drawn = (FONT, size * SCALE as f64).into_font().box_size(text);
@@ -155,20 +155,20 @@ pub fn text_width(text: &str, size: TextSize) -> f64 {
 }
 
 impl Figure {
-    /// An empty figure of this height, in figure units.
+    /// Creates an empty figure of this height in figure units.
     pub fn new(height: f64) -> Result<Figure, FigureError> {
         register()?;
         Ok(Figure { height: height.ceil(), shapes: Vec::new() })
     }
 
-    /// One with a title over everything.
+    /// Creates a figure with a title at the top.
     pub fn titled(height: f64, title: &str) -> Result<Figure, FigureError> {
         let mut figure = Figure::new(height)?;
         figure.text((14.0, 0.5 * HEAD), title, TextSize::Title, INK, Anchor::Left);
         Ok(figure)
     }
 
-    /// Rectangles that share the figure below [`HEAD`] and above `foot` evenly, row by row.
+    /// Divides the figure between [`HEAD`] and `foot` evenly into rectangles, row by row.
     pub fn cells(&self, columns: usize, rows: usize, foot: f64) -> Vec<Rect> {
         let (width, height) = (WIDTH / columns as f64, (self.height - HEAD - foot) / rows as f64);
         let cell = |index: usize| Rect {
@@ -180,17 +180,17 @@ impl Figure {
         (0..columns * rows).map(cell).collect()
     }
 
-    /// Its shapes, in the order of drawing.
+    /// Returns its shapes in drawing order.
     pub fn shapes(&self) -> &[Shape] {
         &self.shapes
     }
 
-    /// Its height, in figure units.
+    /// Returns its height in figure units.
     pub fn height(&self) -> f64 {
         self.height
     }
 
-    /// Draws over existing shapes. Shapes with a non-finite coordinate are skipped.
+    /// Adds a shape over existing ones. Shapes with a non-finite coordinate are skipped.
     pub fn add(&mut self, shape: Shape) {
         let finite = |points: &[Point]| points.iter().all(|(x, y)| x.is_finite() && y.is_finite());
         let sound = match &shape {
@@ -224,7 +224,7 @@ impl Figure {
         self.add(Shape::Text { at, text: text.to_string(), size, colour, anchor, upwards: false });
     }
 
-    /// Writes a PNG file alone: SVG would hold a [`Shape::Picture`] as a rectangle a pixel.
+    /// Writes only a PNG file, because SVG would store a [`Shape::Picture`] as one rectangle per pixel.
     pub fn write_png(&self, file: &Path) -> Result<(), FigureError> {
         Ok(output_file::write(file, self.png(file)?)?)
     }
@@ -234,7 +234,7 @@ impl Figure {
         Ok(output_file::write_all(&self.files(folder, stem)?)?)
     }
 
-    /// `<stem>.png` and `<stem>.svg`, with their contents.
+    /// Returns `<stem>.png` and `<stem>.svg` with their contents.
     pub fn files(&self, folder: &Path, stem: &str) -> Result<[(PathBuf, Vec<u8>); 2], FigureError> {
         let [png, svg] = ["png", "svg"].map(|ending| folder.join(format!("{stem}.{ending}")));
         let bytes = (self.png(&png)?, self.svg(&svg)?.into_bytes());
@@ -255,7 +255,7 @@ impl Figure {
             .map_err(FigureError::content(path, "written as PNG"))
     }
 
-    /// The figure as SVG; errors name this file.
+    /// Renders the figure as SVG; errors name this file.
     pub fn svg(&self, path: &Path) -> Result<String, FigureError> {
         let size = (WIDTH as u32 * SCALE as u32, self.height as u32 * SCALE as u32);
         let mut text = String::new();
@@ -281,7 +281,7 @@ impl Figure {
     }
 }
 
-/// What a figure is drawn as.
+/// Output format of a figure.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Medium {
     Bitmap,
@@ -354,7 +354,7 @@ fn draw_shape<DB: DrawingBackend>(
                 font = font.transform(FontTransform::Rotate270);
             }
             let style = TextStyle::from(font).color(colour).pos(Pos::new(horizontal, VPos::Center));
-            // In a bitmap, plotters places the middle of a text too high by about an eighth of its height.
+            // In a bitmap, plotters centres text too high by about an eighth of its height.
             let lower = if medium == Medium::Bitmap { 0.12 * size } else { 0.0 };
             let at = if *upwards { (at.0 + lower, at.1) } else { (at.0, at.1 + lower) };
             area.draw_text(text, &style, pixel(at))
@@ -362,7 +362,7 @@ fn draw_shape<DB: DrawingBackend>(
     }
 }
 
-/// RGB pixels at another size; each new pixel has the colour of the one that it lies in.
+/// Resizes RGB pixels by nearest neighbour.
 fn stretched(rgb: &[u8], [columns, rows]: [usize; 2], [wide, tall]: [usize; 2]) -> Vec<u8> {
     let mut out = Vec::with_capacity(wide * tall * 3);
     for y in 0..tall {
@@ -375,8 +375,8 @@ fn stretched(rgb: &[u8], [columns, rows]: [usize; 2], [wide, tall]: [usize; 2]) 
     out
 }
 
-/// Draws dashes one by one. In a bitmap, draws each segment separately with round joints, because plotters' outline of
-/// a dense polyline has spikes.
+/// Draws dashes one by one. In a bitmap, draws each segment separately with round joints, because plotters'
+/// outline of a dense polyline has spikes.
 fn draw_line<DB: DrawingBackend>(
     area: &DrawingArea<DB, Shift>,
     points: &[Point],
@@ -449,7 +449,8 @@ mod tests {
 
     #[test]
     fn dashes_keep_the_shares_of_the_pattern() {
-        // A corner inside a dash: 7 right, 5 down; total 12 with pattern 2 on, 1 off: 8 of 12 drawn in 4 dashes.
+        // A corner inside a dash: 7 right, 5 down; total 12 with pattern 2 on, 1 off: 8 of 12 drawn in 4
+        // dashes.
         let line = [(0.0, 0.0), (7.0, 0.0), (7.0, 5.0)];
         let cut = dashes(&line, &[2.0, 1.0]);
         assert_eq!(cut.len(), 4);

@@ -1,14 +1,16 @@
 //! Makes untrusted text safe to show on a terminal.
 //!
-//! A name in a log, a field of a volume's header or the last words of a program may hold escape sequences that move the cursor, change
-//! the window's title or inject input as if the user had typed it, line ends that forge a line of ours, or characters that reverse or
-//! hide their neighbours. All of these are shown as escapes like `\u001b`: harmless, visible, and in JSON still the same character.
+//! A name in a log, a field of a volume's header or the output of a program may contain escape sequences that
+//! move the cursor, change the window's title or inject input as if the user had typed it, line ends that
+//! forge an output line, or characters that reverse or hide their neighbours. All of these are shown as
+//! escapes like `\u001b`: harmless, visible, and the same character in JSON.
 //!
-//! [`foreign`] shows one value within a line of ours. [`Plain`] is the last gate before the terminal: everything that a command prints
-//! goes through it.
+//! [`foreign`] formats a single value within a line. [`Plain`] is the last filter before the terminal:
+//! everything that a command prints goes through it.
 //!
-//! **Boundary:** texts only; it opens nothing and prints nothing. **Invariant:** the output holds no control characters except our own
-//! line ends and tabs, no zero-width characters and no direction marks; a value has a bounded length.
+//! **Boundary:** text only; opens nothing and prints nothing. **Invariant:** the output holds no control
+//! characters except our own line ends and tabs, no zero-width characters and no direction marks; a value has
+//! a bounded length.
 //!
 //! ```
 //! use foreign_text::foreign;
@@ -20,28 +22,28 @@ use std::fmt::{self, Display, Write as _};
 use std::io::{self, Write};
 use std::path::Path;
 
-/// Most characters shown of a value.
+/// Largest number of characters shown of a value.
 pub const MOST_CHARACTERS: usize = 200;
 
-/// Most characters shown of a line that a program wrote.
+/// Largest number of characters shown of a program's output line.
 pub const MOST_OF_A_LINE: usize = 4096;
 
-/// An untrusted value for use within one line of ours: no line ends, at most [`MOST_CHARACTERS`].
+/// Formats an untrusted value for use within a line: no line ends, at most [`MOST_CHARACTERS`].
 pub fn foreign(text: &str) -> Foreign<'_> {
     Foreign { text, most: MOST_CHARACTERS }
 }
 
-/// A path that may contain untrusted names, in full.
+/// Formats a path that may contain untrusted names, in full.
 pub fn foreign_path(path: &Path) -> String {
     foreign_line(&path.to_string_lossy()).to_string()
 }
 
-/// A line from an untrusted program: at most [`MOST_OF_A_LINE`] characters.
+/// Formats a line from an untrusted program: at most [`MOST_OF_A_LINE`] characters.
 pub fn foreign_line(text: &str) -> Foreign<'_> {
     Foreign { text, most: MOST_OF_A_LINE }
 }
 
-/// A number of a file as people write it: with a power of ten where its digits would fill lines (1e300).
+/// Formats a number from a file: in scientific notation if it would be very long (1e300).
 pub fn number(value: f64) -> String {
     let plain = value == 0.0 || !value.is_finite() || (1e-6..1e9).contains(&value.abs());
     if plain { value.to_string() } else { format!("{value:e}") }
@@ -68,8 +70,8 @@ impl Display for Foreign<'_> {
     }
 }
 
-/// Our own text, of any length, which may contain untrusted values. Keeps line ends and tabs, and escapes every other character that a
-/// terminal would obey, hide or reverse.
+/// Escapes our own text, of any length, which may contain untrusted values. Keeps line ends and tabs, and
+/// escapes every other character that a terminal would interpret, hide or reverse.
 pub fn plain(text: &str) -> String {
     let mut shown = String::with_capacity(text.len());
     for c in text.chars() {
@@ -88,13 +90,13 @@ fn push(shown: &mut String, c: char) {
     }
 }
 
-/// Whether a character is visible as itself. The standard library knows which are not: controls, bidirectional marks, zero-width
-/// characters, and separators other than the space.
+/// Whether a character is visible as itself. The standard library knows which are not: controls,
+/// bidirectional marks, zero-width characters, and separators other than the space.
 fn is_plain(c: char) -> bool {
     if c.is_ascii() {
         return !c.is_ascii_control();
     }
-    // Placed after a letter, because a combining mark at the start of a text is escaped, too.
+    // Placed after a letter, because a combining mark at the start of a text is escaped too.
     let mut bytes = [b'a'; 5];
     let length = c.encode_utf8(&mut bytes[1..]).len();
     std::str::from_utf8(&bytes[..=length]).is_ok_and(|text| text.escape_debug().nth(2).is_none())
@@ -161,7 +163,8 @@ mod tests {
             "a\\u001b[2J\\u001b]0;owned\\u0007\\u000d\\u000aend marker: completed"
         );
         assert_eq!(plain(HOSTILE), "a\\u001b[2J\\u001b]0;owned\\u0007\\u000d\nend marker: completed");
-        // C1 controls, bidirectional marks and isolates, zero widths, a tag, line separators, a private character.
+        // C1 controls, bidirectional marks and isolates, zero widths, a tag, line separators, a private
+        // character.
         for c in
             "\u{7f}\u{9b}\u{85}\u{202e}\u{2066}\u{200b}\u{200f}\u{feff}\u{ad}\u{e0041}\u{2028}\u{a0}\u{e000}"
                 .chars()

@@ -10,14 +10,15 @@ use scene::Drives;
 
 const MAX_JOINT_RAD: f64 = core::f64::consts::TAU;
 const MAX_JOINT_RATE_RAD_PER_S: f64 = core::f64::consts::TAU;
-/// Quaternions are stored rounded; this is far above rounding and far below any real mistake.
+/// Tolerance for the length of a quaternion, which is stored rounded: far above rounding and far below any
+/// real mistake.
 const QUATERNION_TOLERANCE: f64 = 1e-6;
 
 /// Why a command is refused. A refused command changes nothing.
 #[derive(Debug, Clone, PartialEq, Error)]
 pub enum CommandRefusal {
     /// A number is not finite or out of range.
-    #[error("`{field}` is {value}, allowed is {lowest} to {highest}")]
+    #[error("`{field}` is {value}; allowed: {lowest} to {highest}")]
     OutOfRange {
         /// Field with its index.
         field: String,
@@ -28,8 +29,8 @@ pub enum CommandRefusal {
         /// Highest allowed.
         highest: f64,
     },
-    /// A number that has to be positive is not, or is above its range.
-    #[error("`{field}` is {value}, allowed is above 0 and at most {highest}")]
+    /// A number is not positive, or is above its range.
+    #[error("`{field}` is {value}; allowed: above 0 and at most {highest}")]
     NotPositive {
         /// Field.
         field: &'static str,
@@ -53,9 +54,10 @@ pub enum CommandRefusal {
         /// Its length.
         length: f64,
     },
-    /// The scene assigns this part of the tool to another controller, or to none.
+    /// The scene assigns this part of the tool to another controller, or to no controller.
     #[error(
-        "`{field}` drives the {part}, which the scene does not give to this controller; add it to its `drives`"
+        "`{field}` drives the {part}, which the scene does not assign to this controller; add it to the \
+         controller's `drives`"
     )]
     NotItsPart {
         /// Field.
@@ -104,8 +106,8 @@ fn ranges(name: &str, values: &[f64], lowest: f64, highest: f64) -> Result<(), C
         .try_for_each(|(i, value)| range(|| format!("{name}[{i}]"), *value, lowest, highest))
 }
 
-/// Checks ranges, modes, order and authority. `last_sequence` is the number of the newest accepted command (0 before the first),
-/// `newest_tick` the tick of the newest state.
+/// Checks ranges, modes, order and authority. `last_sequence` is the number of the newest accepted command (0
+/// before the first), `newest_tick` the tick of the newest state.
 ///
 /// # Errors
 /// The first [`CommandRefusal`] found.
@@ -127,7 +129,7 @@ pub fn check(
     check_values(command, &modes)
 }
 
-/// What a command asks of each part of the tool.
+/// The modes of a command, one for each part of the tool.
 struct Modes {
     tendon: TendonMode,
     arm: ArmMode,

@@ -1,10 +1,10 @@
-//! Which parts must take every state, and how far each one has got.
+//! The parts that must take every state, and how far each one has got.
 
 use messages::{Part, Tick};
 
 use crate::environment::Environment;
 
-/// Most reports read per poll.
+/// Maximum number of reports read per poll.
 const REPORTS_PER_POLL: usize = 64;
 
 /// The parts that must take every state.
@@ -48,18 +48,18 @@ impl Consumers {
         Ok(())
     }
 
-    /// Reports from programs that are not consumers, since the last call.
+    /// Returns the number of reports since the last call that came from programs other than the consumers.
     pub(crate) fn new_foreign_reports<E: Environment>(&mut self, env: &E) -> u64 {
         let foreign = env.foreign_reports();
         foreign - std::mem::replace(&mut self.foreign, foreign)
     }
 
-    /// The first consumer that has not connected.
+    /// Returns the first consumer that has not connected.
     pub(crate) fn missing(&self) -> Option<Part> {
         self.list.iter().find(|consumer| consumer.tick.is_none()).map(|consumer| consumer.part)
     }
 
-    /// The first of these that has not taken the state of `tick`.
+    /// Returns the first of these consumers that has not taken the state of `tick`.
     pub(crate) fn behind(&self, tick: Tick, whom: Whom) -> Option<Part> {
         let mut these =
             self.list.iter().filter(|consumer| whom == Whom::Everybody || consumer.part == Part::Recorder);

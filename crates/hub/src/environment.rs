@@ -1,4 +1,4 @@
-//! What the hub needs from outside: ports, a clock, and the request to end the run.
+//! The interface to the hub's surroundings: ports, a clock, and the request to end the run.
 
 use messages::{
     Blame, Command, ControllerIndex, EventCode, Keyframe, Latched, Part, Removed, RunControl,
@@ -16,7 +16,7 @@ pub trait Outputs {
     /// Sends u_k, before the state it leads to.
     ///
     /// # Errors
-    /// The message could not be sent; the run ends.
+    /// If the message could not be sent; the run ends.
     fn send_latched(&mut self, latched: &Latched) -> Result<(), Self::Error>;
 
     /// Sends the voxels that a tick removed, by linear index.
@@ -47,9 +47,10 @@ pub trait Outputs {
 /// A received message.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Incoming<M> {
-    /// A copy of the message and its sender. A copy, because the sender could change shared memory between the check and the use.
+    /// A copy of the message and its sender. A copy, because the sender could change shared memory between
+    /// the check and the use.
     Message(M, Connection),
-    /// Not a valid message, and why.
+    /// Not a valid message; holds the reason.
     Malformed(String),
 }
 
@@ -62,31 +63,31 @@ pub struct Report {
     pub tick: Tick,
 }
 
-/// An event in words for the operator.
+/// An event described for the operator.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Note<'t> {
     /// Tick at which the hub noticed it.
     pub tick: Tick,
-    /// How serious it is.
+    /// Its severity.
     pub severity: Severity,
-    /// What kind of event it is.
+    /// The kind of event.
     pub code: EventCode,
-    /// Text.
+    /// Description.
     pub text: &'t str,
 }
 
-/// The hub's surroundings. No call blocks; what to wait for is returned by [`Hub::advance`](crate::Hub::advance).
+/// The hub's surroundings. No call blocks; [`Hub::advance`](crate::Hub::advance) returns what to wait for.
 pub trait Environment: Outputs {
-    /// Monotonic clock, ns.
+    /// Reads the monotonic clock, ns.
     fn now_ns(&self) -> u64;
 
-    /// Whether the process has been asked to end.
+    /// Returns whether the process has been asked to end.
     fn end_requested(&self) -> bool;
 
     /// Takes the oldest command in a controller's queue.
     ///
     /// # Errors
-    /// The queue cannot be read; the run ends.
+    /// If the queue cannot be read; the run ends.
     fn receive_command(
         &mut self,
         controller: ControllerIndex,
@@ -104,7 +105,7 @@ pub trait Environment: Outputs {
     /// As [`Environment::receive_command`].
     fn receive_report(&mut self) -> Result<Option<Report>, Self::Error>;
 
-    /// Reports so far from programs that are not consumers.
+    /// Returns the number of reports so far from programs that are not consumers.
     fn foreign_reports(&self) -> u64;
 
     /// Sends the run's status.
@@ -131,7 +132,8 @@ pub trait Environment: Outputs {
     /// As [`Outputs::send_latched`].
     fn send_event(&mut self, note: &Note<'_>) -> Result<(), Self::Error>;
 
-    /// Leaves word of why the run ends early, before the end is told: whoever hears of the end finds the reason.
+    /// Stores why the run ends early before announcing the end, so that a client that sees the end can read
+    /// the reason.
     fn leave_blame(&mut self, blame: &Blame);
 
     /// Wakes sleeping controllers.
@@ -155,12 +157,14 @@ pub trait Environment: Outputs {
     /// Called in real time when a tick's work is done and the thread is about to wait for the next deadline.
     fn work_ends(&mut self) {}
 
-    /// Called in real time when a tick begins. Fills in what the kernel reports about the thread since the last tick began.
+    /// Called in real time when a tick begins. Fills in what the kernel reports about the thread since the
+    /// last tick began.
     fn tick_begins(&mut self, start_ns: u64, start: Start, timing: &mut TickTiming) {
         let _ = (start_ns, start, timing);
     }
 
-    /// Called in lockstep when a tick's state has been published. Fills in what the kernel reports about the thread since the last one was.
+    /// Called in lockstep when a tick's state has been published. Fills in what the kernel reports about the
+    /// thread since the last state was published.
     fn tick_made(&mut self, timing: &mut TickTiming) {
         let _ = timing;
     }

@@ -1,4 +1,5 @@
-//! Lockstep in one thread, without processes: controllers answer each state as function calls, and the plant steps.
+//! Lockstep in one thread, without processes: controllers answer each state as function calls, and the plant
+//! steps.
 
 use messages::{Command, CommandSource, ControllerIndex, Latched, LatchedCommand, Plant, Reset, State, Tick};
 use scene::{Mode, Scene};
@@ -10,7 +11,7 @@ use crate::latch::Latch;
 /// How a controller answers a state.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Answer {
-    /// Send the command it filled in.
+    /// Send the command that it filled in.
     Command,
     /// Send nothing; its last command is held.
     Nothing,
@@ -79,7 +80,7 @@ pub struct InProcess<P> {
     commands: Commands,
 }
 
-/// What the controllers have sent: all of a run's state but the plant's.
+/// The controllers' commands: all of a run's state except the plant's.
 #[derive(Debug, Clone)]
 pub struct Commands {
     latch: Latch,
@@ -88,7 +89,8 @@ pub struct Commands {
 }
 
 impl<P: Plant> InProcess<P> {
-    /// A run of the scene's controllers with this plant. Always lockstep, whatever mode the scene sets.
+    /// Creates a run of the scene's controllers with this plant. Always lockstep, whatever mode the scene
+    /// sets.
     pub fn new(scene: &Scene, plant: P) -> InProcess<P> {
         let sequences = vec![0; scene.controller.len()];
         let mut scene = scene.clone();
@@ -96,38 +98,38 @@ impl<P: Plant> InProcess<P> {
         InProcess { plant, commands: Commands { latch: Latch::new(&scene), sequences } }
     }
 
-    /// The plant.
+    /// Returns the plant.
     pub fn plant(&self) -> &P {
         &self.plant
     }
 
-    /// The plant, to publish its steps or to move it to another state.
+    /// Returns the plant, to publish its steps or to move it to another state.
     pub fn plant_mut(&mut self) -> &mut P {
         &mut self.plant
     }
 
-    /// The controllers' commands; a copy and the plant's state bring the run back here.
+    /// Returns the controllers' commands; a copy of them and the plant's state suffice to return here later.
     pub fn commands(&self) -> &Commands {
         &self.commands
     }
 
-    /// Continues from these commands, of a run of the same scene.
+    /// Continues from these commands, which must come from a run of the same scene.
     pub fn restore_commands(&mut self, commands: &Commands) {
         self.commands.clone_from(commands);
     }
 
-    /// Checks a controller's command as [`InProcess::latch`] would, and changes nothing.
+    /// Checks a controller's command as [`InProcess::latch`] would, without changing anything.
     ///
     /// # Errors
-    /// Why it would be refused.
+    /// The reason why it would be refused.
     pub fn check(&self, controller: ControllerIndex, command: &Command) -> Result<(), CommandRefusal> {
         let tick = self.plant.state().tick;
         let command = Command { sequence: self.commands.next(controller), state_tick: tick, ..*command };
         self.commands.latch.check(controller, &command, Tick(tick))
     }
 
-    /// Latches u_k. Calls `answer` once per controller of the scene, with the controller's index, x_k, and a command that has `sequence`
-    /// and `state_tick` filled in and every mode at "none".
+    /// Latches u_k. Calls `answer` once per controller of the scene, with the controller's index, x_k, and a
+    /// command that has `sequence` and `state_tick` filled in and every mode at "none".
     ///
     /// # Errors
     /// [`InProcessError::Refused`].
@@ -148,7 +150,8 @@ impl<P: Plant> InProcess<P> {
         Ok(self.commands.latch.latch(tick, Reset::No))
     }
 
-    /// Takes the commands that a log's tick latched, so that the run can go on after it; the caller steps the plant with them.
+    /// Adopts the commands that a log's tick latched, so that the run can continue after it; the caller steps
+    /// the plant with them.
     pub fn follow(&mut self, latched: &Latched) {
         for (controller, entry) in
             ControllerIndex::first(self.commands.sequences.len()).zip(&latched.commands)
@@ -203,9 +206,9 @@ impl Commands {
         let tick = Tick(command.state_tick);
         if entry.source() == Ok(CommandSource::Fresh) && self.latch.offer(controller, command, tick).is_err()
         {
-            // A controller that came back began its numbers again.
+            // A controller that reconnected restarted its sequence numbers.
             self.latch.connect(controller);
-            // The log's own commands are valid; otherwise its states differ, which is found.
+            // The log's own commands are valid; if not, the states will differ, which is detected.
             let _ = self.offer(controller, command, tick);
         }
     }

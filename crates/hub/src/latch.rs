@@ -1,7 +1,8 @@
-//! Latching: decides u_k, the commands in force at tick k.
+//! Latching: decides u_k, the commands in effect at tick k.
 //!
-//! Pure: the result depends only on which commands were offered and in which order. A controller's newest valid command is held; once it
-//! answers a state more than `hold_ticks` old, or the controller is released, the safe command replaces it.
+//! Pure: the result depends only on which commands were offered and in which order. A controller's newest
+//! valid command is held; once it answers a state more than `hold_ticks` old, or the controller is released,
+//! the safe command replaces it.
 
 use messages::{
     ArmMode, BurrMode, Command, CommandSource, ControllerIndex, Latched, LatchedCommand, MAX_CONTROLLERS,
@@ -25,7 +26,7 @@ struct Slot {
     /// Sequence number of the newest accepted command on this connection.
     last_sequence: u64,
     last_state_tick: Tick,
-    /// Not latched yet.
+    /// The newest command has not been latched yet.
     fresh: bool,
     /// Replaced by the safe command until the next one: see [`Latch::release`].
     released: bool,
@@ -33,7 +34,8 @@ struct Slot {
 }
 
 impl Latch {
-    /// A latch for the scene's controllers. In lockstep no command is late, so the safe command never replaces one for its age.
+    /// Creates a latch for the scene's controllers. In lockstep no command is late, so the safe command never
+    /// replaces one because of its age.
     pub fn new(scene: &Scene) -> Latch {
         let slot = |drives: &Vec<Drives>| Slot {
             drives: drives.clone(),
@@ -53,7 +55,7 @@ impl Latch {
     /// Accepts a controller's command if it is valid; `tick` is that of the newest state.
     ///
     /// # Errors
-    /// The [`CommandRefusal`]; nothing has changed then.
+    /// The [`CommandRefusal`]; the latch is then unchanged.
     pub fn offer(
         &mut self,
         controller: ControllerIndex,
@@ -73,7 +75,7 @@ impl Latch {
     /// Checks a controller's command; `tick` is that of the newest state.
     ///
     /// # Errors
-    /// Why [`Latch::offer`] would refuse it.
+    /// The reason why [`Latch::offer`] would refuse it.
     pub fn check(
         &self,
         controller: ControllerIndex,
@@ -88,7 +90,8 @@ impl Latch {
         check(command, &slot.drives, slot.last_sequence, tick)
     }
 
-    /// A controller has reconnected and restarts its sequence numbers. Its last command stays in force until its next one.
+    /// Registers that a controller has reconnected and restarts its sequence numbers. Its last command stays
+    /// in effect until its next one.
     pub fn connect(&mut self, controller: ControllerIndex) {
         let slot = &mut self.slots[controller.slot()];
         (slot.last_sequence, slot.last_state_tick) = (0, Tick::START);
@@ -99,22 +102,22 @@ impl Latch {
         self.slots[controller.slot()].released = true;
     }
 
-    /// Whether a controller has been released and has sent no command since.
+    /// Returns whether a controller has been released and has sent no command since.
     pub fn is_released(&self, controller: ControllerIndex) -> bool {
         self.slots[controller.slot()].released
     }
 
-    /// Whether a controller's newest command answers the state of this tick.
+    /// Returns whether a controller's newest command answers the state of this tick.
     pub fn has_answer(&self, controller: ControllerIndex, tick: Tick) -> bool {
         self.slots[controller.slot()].newest.is_some_and(|command| command.state_tick == tick.0)
     }
 
-    /// Whether any command of a controller has been accepted.
+    /// Returns whether any command of a controller has been accepted.
     pub fn has_command(&self, controller: ControllerIndex) -> bool {
         self.slots[controller.slot()].newest.is_some()
     }
 
-    /// Source that the last [`Latch::latch`] chose for a controller.
+    /// Returns the source that the last [`Latch::latch`] chose for a controller.
     pub fn source(&self, controller: ControllerIndex) -> CommandSource {
         self.slots[controller.slot()].source
     }
@@ -153,7 +156,8 @@ impl Slot {
         LatchedCommand { source: source.code(), controller_index: 0, age_ticks, command }
     }
 
-    /// Burr off, arm and tube stopped, tension held at its current value; only for what the controller drives.
+    /// Returns the safe command: burr off, arm and tube stopped, tension held at its current value; only for
+    /// the parts that the controller drives.
     fn safe_command(&self, last: &Command) -> Command {
         let mut safe = Command { sequence: last.sequence, state_tick: last.state_tick, ..Command::zeroed() };
         if self.drives.contains(&Drives::Burr) {

@@ -1,5 +1,6 @@
-//! Rate-limits the notes about a late controller: the first at once, then at most one a second, each with the number left out since. A
-//! controller slower than the tick is late at nearly every tick; `TickTiming.late_controllers` lists them all.
+//! Rate-limits the notes about a late controller: the first at once, then at most one a second, each with the
+//! number suppressed since. A controller slower than the tick is late at nearly every tick;
+//! `TickTiming.late_controllers` lists them all.
 
 use messages::Tick;
 

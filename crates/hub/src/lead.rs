@@ -3,8 +3,8 @@
 use messages::services::{FRAME, KEYFRAME, KEYFRAME_PART_BYTES, MAX_KEYFRAME_BYTES, RECORDER_QUEUE_TICKS};
 use scene::{OnFull, Scene};
 
-/// Lead in ticks, in real time, at which none of the recorder's queues overflows; `None` if there is no limit. At most a quarter of each
-/// per-tick queue, and half of the frame and keyframe queues.
+/// Returns the maximum lead in ticks, in real time, at which none of the recorder's queues overflows; `None`
+/// if unlimited. At most a quarter of each per-tick queue, and half of the frame and keyframe queues.
 pub fn recorder_lead_ticks(scene: &Scene) -> Option<u64> {
     if scene.recording.on_full == OnFull::Gap {
         return None;
@@ -26,7 +26,8 @@ mod tests {
 
     fn scene(more: &str) -> Scene {
         let text = format!(
-            "name = \"a\"\n[run]\nmode = \"realtime\"\nduration_s = 1.0\n[tool]\nburr_start_mm = [0.0, 0.0, 0.0]\n\
+            "name = \"a\"\n[run]\nmode = \"realtime\"\nduration_s = 1.0\n[tool]\n\
+             burr_start_mm = [0.0, 0.0, 0.0]\n\
              direction = [0.0, 0.0, 1.0]\nbend_toward = [1.0, 0.0, 0.0]\n[[controller]]\nname = \"b\"\n\
              drives = [\"tendon\", \"arm\", \"burr\"]\nhold = {{ tension_n = 1.0 }}\n{more}"
         );
@@ -41,8 +42,8 @@ mod tests {
         assert_eq!(wait(""), Some(RECORDER_QUEUE_TICKS / 4));
         // Two of the longest keyframes fit into their queue.
         assert_eq!(wait("keyframe_interval_s = 0.01"), Some(10));
-        let frames = "[volume]\nphantom = \"block\"\n[drr]\nrate_hz = 100.0\nisocentre_mm = [0.0, 0.0, 0.0]\ncolumns = 16\n\
-                      rows = 16\npixel_pitch_mm = 1.0\n";
+        let frames = "[volume]\nphantom = \"block\"\n[drr]\nrate_hz = 100.0\nisocentre_mm = [0.0, 0.0, 0.0]\n\
+                      columns = 16\nrows = 16\npixel_pitch_mm = 1.0\n";
         assert_eq!(wait(frames), Some(320));
     }
 }

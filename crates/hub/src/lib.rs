@@ -1,15 +1,17 @@
-//! The tick as a state machine without I/O: latching, run control, pacing, what is published when.
+//! The tick as a state machine without I/O: latching, run control, pacing, and the order of publication.
 //!
-//! [`Hub`] owns the tick. It waits for nothing, reads no clock and knows no transport: [`Hub::advance`] does what can be done now
-//! through an [`Environment`] and returns what to wait for. The physics process drives it with shared memory and the machine's clock; the
-//! tests drive it with queues in memory and a simulated clock.
+//! [`Hub`] owns the tick. It does not wait, read a clock or know the transport: [`Hub::advance`] does what
+//! can be done now through an [`Environment`] and returns what to wait for. The physics process drives it
+//! with shared memory and the machine's clock; the tests drive it with queues in memory and a simulated
+//! clock.
 //!
-//! **Boundary:** the hub only decides. Shared memory, sleeping, rendering and writing belong to the environment; computing a step
-//! belongs to the [`Plant`](messages::Plant). Times are nanoseconds of the environment's clock.
+//! **Boundary:** the hub only decides. Shared memory, sleeping, rendering and writing belong to the
+//! environment; computing a step belongs to the [`Plant`](messages::Plant). Times are nanoseconds of the
+//! environment's clock.
 //!
-//! **Invariants**, held against every schedule of `hub_simulator`: u_k is published before its effect and x_{k+1} after it, each once and
-//! in order; a refused command changes nothing; no tick is made while the run is paused or ending; no consumer falls too far behind; every
-//! ending has a reason; every wait has a limit.
+//! **Invariants**, tested against every schedule of `hub_simulator`: u_k is published before its effect and
+//! x_{k+1} after it, each once and in order; a refused command changes nothing; no tick runs while the run is
+//! paused or ending; no consumer falls too far behind; every ending has a reason; every wait has a limit.
 //!
 //! ```text
 //! connect:  publish x_0 until every consumer and every controller has answered
@@ -24,11 +26,11 @@
 //!
 //! With a recorder, a keyframe follows the state every `recording.keyframe_interval_s`.
 //!
-//! A missed deadline is never made up silently: a tick that begins more than one period late counts as missed, and the schedule moves by
-//! the time lost, so ticks never bunch up.
+//! A missed deadline is never made up silently: a tick that begins more than one period late counts as
+//! missed, and the schedule shifts by the time lost, so ticks never bunch up.
 //!
-//! The latch on its own, in real time: a command is fresh in the tick that takes it, then held; once it is too old, the safe command
-//! replaces it.
+//! The latch on its own, in real time: a command is fresh in the tick that takes it, then held; once it is
+//! too old, the safe command replaces it.
 //!
 //! ```
 //! use std::path::Path;

@@ -1,4 +1,4 @@
-//! When ticks begin in real time.
+//! The schedule of ticks in real time.
 
 /// Absolute deadlines on the monotonic clock, one per period.
 #[derive(Debug, Clone)]
@@ -18,7 +18,7 @@ pub struct Start {
 }
 
 impl Schedule {
-    /// A schedule whose first deadline is `now_ns`.
+    /// Creates a schedule whose first deadline is `now_ns`.
     pub fn new(period_ns: u64, now_ns: u64) -> Schedule {
         Schedule { period_ns, next_ns: now_ns, missed: 0 }
     }
@@ -28,7 +28,7 @@ impl Schedule {
         self.next_ns = now_ns;
     }
 
-    /// Deadline of the next tick.
+    /// Returns the deadline of the next tick.
     pub fn deadline_ns(&self) -> u64 {
         self.next_ns
     }
@@ -45,7 +45,7 @@ impl Schedule {
         Start { lateness_ns, missed }
     }
 
-    /// Ticks that began more than a period late.
+    /// Returns the number of ticks that began more than a period late.
     pub fn missed(&self) -> u64 {
         self.missed
     }

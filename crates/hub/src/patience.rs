@@ -1,8 +1,9 @@
-//! Timeouts that count only time in which the process ran.
+//! Timeouts that count only the time in which the process ran.
 
 const MS: u64 = 1_000_000;
-/// Most time between two polls that counts toward a limit, capped at half of the limit. A longer gap means the process was stopped (Ctrl-Z,
-/// SIGSTOP, a frozen container); then the other side was stopped too, or could not be heard.
+/// Longest time between two polls that counts toward a limit, capped at half of the limit. A longer gap means
+/// that the process was stopped (Ctrl-Z, SIGSTOP, a frozen container); then the other side was stopped too,
+/// or its messages could not be received.
 const LONGEST_LOOK_NS: u64 = 1000 * MS;
 /// Poll interval.
 const LOOK_NS: u64 = 200 * MS;
@@ -19,29 +20,30 @@ pub struct Patience {
 }
 
 impl Patience {
-    /// A timeout that starts now.
+    /// Creates a timeout that starts now.
     pub fn new(limit_ns: u64, now_ns: u64) -> Patience {
         Patience { limit_ns, left_ns: limit_ns, looked_ns: now_ns }
     }
 
-    /// Whether the timeout has expired. Call again before [`next_look_ns`](Patience::next_look_ns).
+    /// Returns whether the timeout has expired. Call it again before
+    /// [`next_look_ns`](Patience::next_look_ns).
     pub fn is_over(&mut self, now_ns: u64) -> bool {
         let passed_ns = now_ns.saturating_sub(std::mem::replace(&mut self.looked_ns, now_ns));
         self.left_ns = self.left_ns.saturating_sub(passed_ns.min(LONGEST_LOOK_NS).min(self.limit_ns / 2));
         self.left_ns == 0
     }
 
-    /// Latest time of the next call to [`is_over`](Patience::is_over).
+    /// Returns the latest time of the next call to [`is_over`](Patience::is_over).
     pub fn next_look_ns(&self, now_ns: u64) -> u64 {
         now_ns + LOOK_NS.min(self.limit_ns / 4).min(self.left_ns)
     }
 
-    /// When it was started or last asked whether it is over.
+    /// Returns the time at which it was started or last checked.
     pub fn looked_ns(&self) -> u64 {
         self.looked_ns
     }
 
-    /// The full limit, ns.
+    /// Returns the full limit, ns.
     pub fn limit_ns(&self) -> u64 {
         self.limit_ns
     }

@@ -1,12 +1,14 @@
-//! Rate limits per sender and for warnings, so that a flooding client can neither stall the tick nor fill the log.
+//! Rate limits per sender and for warnings, so that a flooding client can neither stall the tick nor fill the
+//! log.
 
 const MS: u64 = 1_000_000;
 
-/// Most messages read per poll from a queue that every client may write to. Taking and skipping a message is faster than sending one, so
-/// even a queue under constant flood runs empty now and then.
+/// Maximum number of messages read per poll from a queue that every client may write to. Taking and skipping
+/// a message is faster than sending one, so even a queue under constant flood runs empty now and then.
 pub const LOOKED_AT: usize = 256;
 
-/// Messages accepted from one connection within [`PERIOD_NS`]: more than a program can send that waits for its replies.
+/// Messages accepted from one connection within [`PERIOD_NS`]: more than a program that waits for its replies
+/// can send.
 const EACH: usize = 64;
 const PERIOD_NS: u64 = 10 * MS;
 /// Warnings sent individually within [`WARNING_PERIOD_NS`].
@@ -27,7 +29,7 @@ pub struct RateLimit {
 }
 
 impl RateLimit {
-    /// Whether one more message of this connection is within its limit.
+    /// Counts a message against the connection's limit; returns false if the limit is exceeded.
     pub fn allows(&mut self, connection: Connection, now_ns: u64) -> bool {
         if now_ns.saturating_sub(self.began_ns) >= PERIOD_NS {
             self.began_ns = now_ns;
@@ -46,7 +48,7 @@ impl RateLimit {
     }
 }
 
-/// Rate limit for warnings: those over the limit are counted, and their number is sent.
+/// Rate limit for warnings: suppressed ones are counted, and their number is reported.
 #[derive(Debug, Clone, Default)]
 pub struct WarningLimit {
     began_ns: u64,
@@ -55,7 +57,7 @@ pub struct WarningLimit {
 }
 
 impl WarningLimit {
-    /// Whether to send one more warning; if not, counts it as suppressed.
+    /// Returns whether to send one more warning; if not, counts it as suppressed.
     pub fn allows(&mut self, now_ns: u64) -> bool {
         if self.suppressed == 0 && now_ns.saturating_sub(self.began_ns) >= WARNING_PERIOD_NS {
             *self = WarningLimit { began_ns: now_ns, ..WarningLimit::default() };
@@ -66,8 +68,8 @@ impl WarningLimit {
         allowed
     }
 
-    /// The number of suppressed warnings, when it is time to report it. Reads the clock only if there are any: this is asked several times
-    /// in every tick.
+    /// Returns the number of suppressed warnings when it is time to report it. Reads the clock only if there
+    /// are any, because it is called several times in every tick.
     pub fn take_suppressed(&mut self, now_ns: impl FnOnce() -> u64) -> Option<u64> {
         let suppressed = self.suppressed;
         if suppressed == 0 {
@@ -86,14 +88,15 @@ impl WarningLimit {
 mod tests {
     use super::*;
 
-    /// In lockstep the queue is polled many thousand times a second, so a limit per poll alone bounds nothing.
+    /// In lockstep the queue is polled many thousand times a second, so a limit per poll alone bounds
+    /// nothing.
     #[test]
     fn warnings_beyond_the_first_are_counted_and_said_once() {
         let mut limit = WarningLimit::default();
         let start_ns = 5 * WARNING_PERIOD_NS;
         assert_eq!((0..1000).filter(|_| limit.allows(start_ns)).count(), WARNINGS);
         let later_ns = start_ns + WARNING_PERIOD_NS;
-        assert!(!limit.allows(later_ns), "not before those that wait have been said");
+        assert!(!limit.allows(later_ns), "not before the suppressed ones have been reported");
         assert_eq!(limit.take_suppressed(|| later_ns), Some(1001 - WARNINGS as u64));
         assert_eq!(limit.take_suppressed(|| later_ns), None);
         assert!(limit.allows(later_ns));

@@ -1,4 +1,4 @@
-//! One tick of the run lane: what it steps, and what it publishes in which order.
+//! One tick of the run lane: its step, and the order of publication.
 //!
 //! ```text
 //! publish u_k
@@ -7,7 +7,8 @@
 //! if due, publish the keyframe of x_{k+1}
 //! ```
 //!
-//! Real processes, replays and the hub's simulator all publish through [`RunLane`], so a log and its replay agree to the byte.
+//! Real processes, replays and the hub's simulator all publish through [`RunLane`], so a log and its replay
+//! agree byte for byte.
 
 use messages::services::{KEYFRAME_PART_BYTES, MAX_KEYFRAME_BYTES, MAX_REMOVED_PER_MESSAGE};
 use messages::{Keyframe, Latched, Plant, Removed, Reset, Restores, State, Tick};
@@ -40,7 +41,7 @@ pub struct TickMarks {
     pub published_ns: u64,
 }
 
-/// The voxels that a tick removed, for one message.
+/// Voxels that a tick removed, for one message.
 struct RemovedInTick<'v> {
     tick: Tick,
     /// Voxels drilled since the start or the last reset, these included.
@@ -61,18 +62,18 @@ pub struct RunLane {
 }
 
 impl RunLane {
-    /// A lane with a keyframe every `keyframe_period_ticks` ticks, or without keyframes.
+    /// Creates a lane with a keyframe every `keyframe_period_ticks` ticks, or without keyframes.
     pub fn new(keyframe_period_ticks: Option<u64>) -> RunLane {
         let buffer = vec![0; if keyframe_period_ticks.is_some() { MAX_KEYFRAME_BYTES } else { 0 }];
         RunLane { removed_messages: 0, keyframe_parts: 0, keyframe_period_ticks, buffer }
     }
 
-    /// A lane whose caller decides when a keyframe is due: a replay follows its log.
+    /// Creates a lane whose caller decides when a keyframe is due: a replay follows its log.
     pub fn with_keyframes_on_demand() -> RunLane {
         RunLane { buffer: vec![0; MAX_KEYFRAME_BYTES], ..RunLane::new(None) }
     }
 
-    /// `Removed` messages sent so far.
+    /// Returns the number of `Removed` messages sent so far.
     pub fn removed_messages(&self) -> u64 {
         self.removed_messages
     }
@@ -89,7 +90,8 @@ impl RunLane {
         self.send_with_readings(plant, out).map_err(LaneError::Output)
     }
 
-    /// Makes a tick and publishes everything but its keyframe. `now_ns` reads the caller's clock, for the tick's timing.
+    /// Executes a tick and publishes everything except its keyframe. `now_ns` reads the caller's clock, for
+    /// the tick's timing.
     ///
     /// # Errors
     /// Any [`LaneError`]; the tick is then lost and the plant unusable.
@@ -113,7 +115,7 @@ impl RunLane {
     /// Publishes the keyframe of the current state if one is due.
     ///
     /// # Errors
-    /// [`LaneError::Plant`]: the state does not fit into a keyframe; nothing has changed.
+    /// [`LaneError::Plant`] if the state does not fit into a keyframe; nothing has changed.
     pub fn keyframe_if_due<P: Plant, O: Outputs>(&mut self, plant: &P, out: &mut O) -> Outcome<O, P> {
         match self.keyframe_period_ticks {
             Some(period) if plant.state().tick.is_multiple_of(period) => self.keyframe(plant, out),
@@ -144,13 +146,14 @@ impl RunLane {
         Ok(())
     }
 
-    /// Publishes the present state, after the readings that arrive with it: who reads the state finds them.
+    /// Publishes the present state, preceded by the readings that arrive with it, so that a reader of the
+    /// state finds them.
     fn send_with_readings<P: Plant, O: Outputs>(&self, plant: &P, out: &mut O) -> Result<(), O::Error> {
         plant.readings().iter().try_for_each(|reading| out.send_reading(reading))?;
         out.send_state(plant.state())
     }
 
-    /// Publishes what a tick removed, in as many messages as it needs; their totals rise to the state's.
+    /// Publishes what a tick removed, in as many messages as needed; their totals rise to the state's.
     fn send_tick_removals<O: Outputs>(
         &mut self,
         latched: &Latched,

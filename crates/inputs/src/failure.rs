@@ -21,8 +21,8 @@ pub struct Failure {
 /// Exit code after Ctrl-C, as shells have it: 128 + SIGINT.
 pub const EXIT_INTERRUPTED: u8 = 130;
 
-/// A full or broken disk, or a system limit: no other argument fixes these. Any other system error, such as a missing
-/// file or a denied permission, is bad input.
+/// Whether an error is the machine's: a full or broken disk, or a system limit, which no other argument
+/// fixes. Any other system error, such as a missing file or denied permission, is bad input.
 fn is_of_the_machine(cause: &std::io::Error) -> bool {
     let faults = [
         Errno::NOSPC,
@@ -48,7 +48,7 @@ impl From<OutputError> for Failure {
     }
 }
 
-/// Errors that the caller can fix with another argument are bad input; damage and machine faults are not.
+/// Errors that another argument fixes are bad input; damage and machine faults are not.
 impl From<LogError> for Failure {
     fn from(error: LogError) -> Failure {
         match &error {
@@ -82,12 +82,12 @@ impl Failure {
         Failure { message: message.to_string(), code: EXIT_FAILED }
     }
 
-    /// The system refuses to let the program handle its signals.
+    /// The system does not let the program handle its signals.
     pub fn signals(cause: std::io::Error) -> Failure {
-        Failure::failed(format!("signals cannot be handled: {cause}"))
+        Failure::failed(format!("cannot install signal handlers: {cause}"))
     }
 
-    /// Failed or bad input, by whether another argument of the user's would do.
+    /// A failure or bad input, depending on whether another argument would fix it.
     pub fn by_kind(is_bad_input: bool, message: impl ToString) -> Failure {
         if is_bad_input { Failure::bad_input(message) } else { Failure::failed(message) }
     }

@@ -1,4 +1,5 @@
-//! Whether a scene makes sense (`simulation::findings`): what cannot work is refused, what is most likely a mistake is said.
+//! Checks whether a scene is feasible (`simulation::findings`): what cannot work is refused, what is probably
+//! a mistake gives a warning.
 
 use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
@@ -14,11 +15,11 @@ use xray::from_scene::scene_c_arm;
 
 use crate::failure::Failure;
 
-/// Checks a scene with its volume; without one, what does not depend on bone. Returns a warning for everything unlikely. `source` names the
-/// scene in messages.
+/// Checks a scene with its volume; without one, only what does not depend on bone. Returns a warning for
+/// everything improbable. `source` names the scene in messages.
 ///
 /// # Errors
-/// Bad input: something in it is impossible; the message names all of it, each on a line.
+/// Bad input: something in it is impossible; the message lists every such finding on its own line.
 pub fn check(
     scene: &Scene,
     source: &dyn std::fmt::Display,
@@ -57,18 +58,20 @@ pub fn check(
     Ok(unlikely.map(|finding| format!("warning: {source}: {finding}")).collect())
 }
 
-/// Refuses a target beside the volume: nothing is there to drill, and a plan was made in another CT or says the wrong frame.
+/// Refuses a target outside the volume: there is nothing to drill, and the plan is from another CT or in the
+/// wrong frame.
 fn refuse_outside(scene: &Scene, source: &dyn std::fmt::Display, volume: &Volume) -> Result<(), Failure> {
     let mut targets = drillings(scene).filter_map(|drilling| drilling.target_mm);
     match targets.find(|target_mm| !volume.holds(target_mm.map(|x| x * 1e-3))) {
         None => Ok(()),
         Some([x, y, z]) => Err(Failure::bad_input(format!(
-            "{source}: `controller.curved_drilling.target_mm` is [{x:.1}, {y:.1}, {z:.1}], expected a place within the volume"
+            "{source}: `controller.curved_drilling.target_mm` is [{x:.1}, {y:.1}, {z:.1}], expected a point \
+             within the volume"
         ))),
     }
 }
 
-/// The renderer's error; of a length in metres, in millimetres.
+/// Converts the renderer's error, with lengths in millimetres.
 pub fn in_millimetres(cause: DrrError) -> String {
     match cause {
         DrrError::OutOfRange {
@@ -91,7 +94,7 @@ fn drillings(scene: &Scene) -> impl Iterator<Item = &CurvedDrilling> {
     scene.controller.iter().filter_map(|controller| controller.curved_drilling.as_ref())
 }
 
-/// Whether a program's name is that of an executable file: a path, or a name in one of the folders of `PATH`.
+/// Whether a program name is an executable file: a path, or a name in one of the folders of `PATH`.
 pub fn is_program(name: &str) -> bool {
     if name.contains('/') {
         return is_executable(Path::new(name));

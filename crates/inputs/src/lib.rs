@@ -1,16 +1,17 @@
-//! Scenes, volumes and logs as every command takes them: found, read, checked, with one wording for what is wrong.
+//! Loads and checks scenes, volumes and logs for every command, with uniform error messages.
 //!
-//! **Boundary:** it opens the files that a scene or a log names, and the user's cache of volumes; it starts no part, prints nothing, and
-//! knows no session. The program (`trabecula`) and the simulator in one process (`sim`) stand on it. **Invariant:** what is refused here is
-//! refused before anything is written, with the exit code that its [`failure::Failure`] carries.
+//! **Boundary:** opens the files that a scene or a log names, and the user's cache of volumes; starts no
+//! process, prints nothing, and knows nothing about sessions. Used by the program (`trabecula`) and the
+//! in-process simulator (`sim`). **Invariant:** whatever is refused here is refused before anything is
+//! written, with the exit code of its [`failure::Failure`].
 //!
-//! | module | what it holds |
+//! | module | contents |
 //! |---|---|
 //! | [`failure`] | how a command fails: a message and an exit code |
 //! | [`scenes`] | built-in scenes, scene files, settings of the command line |
 //! | [`plan`] | the cheapest settings that meet a scene's tolerance |
-//! | [`volume_source`], [`suspicions`], [`cache`] | a scene's volume; what looks wrong about it; volumes that take long, kept |
-//! | [`feasibility`] | what of a checked scene cannot be, or is most likely a mistake |
+//! | [`volume_source`], [`suspicions`], [`cache`] | volumes, warnings about them, and their cache |
+//! | [`feasibility`] | impossible and improbable settings of a checked scene |
 //! | [`log`] | a log with its scene and volume, and where it does not match this build |
 
 pub mod cache;

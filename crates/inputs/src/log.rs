@@ -44,8 +44,8 @@ impl OpenedLog {
     /// Opens a log, its scene and its volume.
     ///
     /// # Errors
-    /// Bad input: not a log; or a different build, layout, scene or volume, by name, unless mismatches are allowed.
-    /// Damage: nothing of the log can be replayed.
+    /// Bad input: not a log; or a different build, layout, scene or volume, listed by name, unless mismatches
+    /// are allowed. Damage: no part of the log can be replayed.
     pub fn open(given: &Path, overrides: &Overrides) -> Result<OpenedLog, Failure> {
         let path = log_path(given);
         let options = ReadOptions { allow_other_layouts: overrides.allow_mismatch };
@@ -71,7 +71,8 @@ impl OpenedLog {
             let list = mismatches.join("\n  ");
             let originals = original_build(&reader.header().build, &build_info::current());
             return Err(Failure::bad_input(format!(
-                "{}: this log does not match this build or its inputs:\n  {list}\nuse the originals{originals}, or --allow-mismatch",
+                "{}: this log does not match this build or its inputs:\n  {list}\nuse the \
+                 originals{originals}, or --allow-mismatch",
                 path.display()
             )));
         }
@@ -125,8 +126,9 @@ fn build_mismatch(reader: &LogReader) -> Vec<String> {
     vec![format!("build: the log was written by {}, this is {}", name(theirs), name(&ours))]
 }
 
-/// What to install to have the build that wrote a log, in brackets; empty if this is it. The log's text becomes part of a command that
-/// users paste, so only what a version is made of does; and the command takes a file, since no index need hold the version.
+/// Advice, in parentheses, on how to get the build that wrote a log; empty if it is this build. The log's
+/// text becomes part of a command that users paste, so it is used only if it looks like a version; and the
+/// command installs a file, because no index need have the version.
 fn original_build(theirs: &BuildInfo, ours: &BuildInfo) -> String {
     if theirs == ours {
         return String::new();
@@ -208,7 +210,7 @@ mod tests {
         let advice = |version: &str| original_build(&build(version), &ours);
         assert_eq!(advice("0.2.0+aaaaaaaaaaaa"), "");
         assert!(advice("0.1.0+bbbbbbbbbbbb").contains("`pip install trabecula-0.1.0-*.whl`"));
-        // The same number on other sources: no package says which.
+        // The same version number with other sources: no package matches.
         let unreleased = advice("0.2.0+cccccccccccc");
         assert!(
             unreleased.contains("says 0.2.0+cccccccccccc") && !unreleased.contains("pip"),

@@ -1,8 +1,7 @@
-//! The built-in scenes, and which scene a command uses.
+//! The built-in scenes, and the choice of a command's scene.
 //!
-//! A command that needs no scene file uses one of these, so it works in any folder. Each is one file of `configs/` and
-//! refers to no other file (no CT, no calibration), so it is complete wherever it is written and its paths cannot
-//! point elsewhere.
+//! A command without a scene file uses one of these, so it works in any folder. Each is a file of `configs/`
+//! that refers to no other file (no CT, no calibration), so it is self-contained wherever it is written.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -62,9 +61,9 @@ pub enum SceneSource {
     File(PathBuf),
     /// The user named no file.
     BuiltIn(BuiltIn),
-    /// Another source, with keys that the command line has set.
+    /// Another source, with keys set on the command line.
     Changed {
-        /// The scene before.
+        /// The original scene.
         source: Box<SceneSource>,
         /// Its text with the keys set.
         text: String,
@@ -77,17 +76,18 @@ impl SceneSource {
         file.map_or(SceneSource::BuiltIn(built_in), |file| SceneSource::File(file.to_owned()))
     }
 
-    /// The same scene with keys set, each by a line `KEY=VALUE`: the key with its path, a number for a table of an array (from 0), and the
-    /// value as in TOML.
+    /// The same scene with keys set, each by a line `KEY=VALUE`: the key's path, with an index (from 0) for a
+    /// table of an array, and the value as in TOML.
     ///
     /// # Errors
-    /// Bad input: not such a line, a path through something that is no table, or a scene that is no TOML.
+    /// Bad input: a malformed line, a path through something that is not a table, or a scene that is not
+    /// TOML.
     pub fn with(self, settings: &[String]) -> Result<SceneSource, Failure> {
         if settings.is_empty() {
             return Ok(self);
         }
         let original = self.text()?;
-        // A text that is no TOML is refused as it would be without the settings.
+        // A text that is not TOML is refused as it would be without the settings.
         let Ok(mut scene) = original.parse::<toml::Table>() else { return Ok(self) };
         for line in settings {
             let refused = |why: String| Failure::bad_input(format!("--set {line}: {why}"));
@@ -97,7 +97,8 @@ impl SceneSource {
             let value = value.ok().and_then(|mut table| table.remove("value"));
             let value = value.ok_or_else(|| {
                 refused(
-                    "the value is not TOML; a text needs quotes inside the shell's, as in 'name=\"a\"'"
+                    "the value is not TOML; a string needs quotes inside the shell's quotes, as in \
+                     'name=\"a\"'"
                         .to_owned(),
                 )
             })?;
@@ -107,7 +108,7 @@ impl SceneSource {
         Ok(SceneSource::Changed { source: Box::new(self), text })
     }
 
-    /// The name of the scene's file in errors; relative paths in the scene start from its folder.
+    /// The scene's file name in errors; relative paths in the scene are relative to its folder.
     fn path(&self) -> PathBuf {
         match self {
             SceneSource::File(file) => file.clone(),
@@ -116,7 +117,7 @@ impl SceneSource {
         }
     }
 
-    /// The scene, validated.
+    /// Loads and validates the scene.
     ///
     /// # Errors
     /// Bad input: the file is not a scene.
@@ -124,7 +125,7 @@ impl SceneSource {
         self.parsed().map_err(|error| self.refused(error))
     }
 
-    /// Checks that a scene has these keys, with values of their types; not whether the values are in their ranges.
+    /// Checks only that a scene has known keys with values of the right types, not their ranges.
     ///
     /// # Errors
     /// Bad input: an unknown or missing key, or a value of a wrong type.
@@ -146,7 +147,7 @@ impl SceneSource {
 
     fn refused(&self, error: SceneError) -> Failure {
         Failure::bad_input(match (self, error) {
-            // The line is one of a text that nobody has seen.
+            // The line refers to a generated text that the user has not seen.
             (SceneSource::Changed { .. }, SceneError::Malformed { file, cause, .. }) => {
                 format!("{} with --set: {cause}", file.display())
             }
@@ -166,7 +167,7 @@ impl SceneSource {
         }
     }
 
-    /// The argument that names the scene on another call of the same command; none for a built-in one.
+    /// The argument that names the scene in another call of the same command; `None` for a built-in one.
     pub fn argument(&self) -> Option<&Path> {
         match self {
             SceneSource::File(file) => Some(file),
@@ -176,7 +177,7 @@ impl SceneSource {
     }
 }
 
-/// Sets a key of a table, and makes the tables on its path.
+/// Sets a key of a table, and creates the tables on its path.
 fn set(table: &mut toml::Table, path: &str, value: toml::Value) -> Result<(), String> {
     let Some((first, rest)) = path.split_once('.') else {
         if path.is_empty() {
@@ -198,10 +199,10 @@ fn set(table: &mut toml::Table, path: &str, value: toml::Value) -> Result<(), St
                     *entry = value;
                     Ok(())
                 }
-                _ => Err(format!("`{first}` has {count} entries: expected the number of one, from 0")),
+                _ => Err(format!("`{first}` has {count} entries; expected an index from 0")),
             }
         }
-        _ => Err(format!("`{first}` is no table")),
+        _ => Err(format!("`{first}` is not a table")),
     }
 }
 
@@ -247,13 +248,13 @@ mod tests {
         for (line, said) in [
             ("run.duration_s", "expected KEY=VALUE"),
             ("run.duration_s=long", "the value is not TOML"),
-            ("run.duration_s=-1", "`run.duration_s` is -1, allowed is 0.001 to 86400"),
+            ("run.duration_s=-1", "`run.duration_s` is -1; allowed: 0.001 to 86400"),
             (
                 "run.duration_s=\"long\"",
                 "with --set: `run.duration_s`: invalid type: string \"long\", expected a number",
             ),
-            ("name.x=1", "`name` is no table"),
-            ("controller.7.name=\"a\"", "`controller` has 1 entries: expected the number of one, from 0"),
+            ("name.x=1", "`name` is not a table"),
+            ("controller.7.name=\"a\"", "`controller` has 1 entries; expected an index from 0"),
             ("run.=1", "a key is empty"),
         ] {
             let error = with(&[line]).unwrap_err();

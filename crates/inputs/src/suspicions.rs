@@ -1,9 +1,10 @@
-//! What is valid in a volume and most likely a mistake. Nothing is refused for it: each is said, with what to do.
+//! Warnings about a volume that is valid but probably a mistake. Nothing is refused; each warning says what
+//! to do.
 
 use ipc_types::scene::Scene;
 use voxel_grid::Volume;
 
-/// A volume of two values, as a mask has.
+/// Detects a volume of two values, typical of a mask.
 pub fn of_a_mask(volume: &Volume) -> Option<String> {
     let first = volume.hu.first().copied()?;
     let other = volume.hu.iter().copied().find(|value| *value != first)?;
@@ -11,13 +12,14 @@ pub fn of_a_mask(volume: &Volume) -> Option<String> {
     let (low, high) = (first.min(other), first.max(other));
     (two && low == 0 && high <= 255).then(|| {
         format!(
-            "warning: every voxel is 0 or {high}: this looks like a mask, and is read as Hounsfield units; a scene fills a mask with \
-             `volume.mask = true`"
+            "warning: every voxel is 0 or {high}: this looks like a mask, but is read as Hounsfield units; \
+             to fill a mask, set \
+             `volume.mask = true` in the scene"
         )
     })
 }
 
-/// Places of the scene that lie outside of the volume, but inside with the signs of RAS.
+/// Finds points of the scene outside the volume that would be inside with x and y negated (RAS).
 pub fn of_places(volume: &Volume, scene: &Scene) -> Vec<String> {
     let isocentre = scene.drr.as_ref().filter(|drr| drr.carm.is_none()).map(|drr| drr.isocentre_mm);
     let target =
@@ -35,8 +37,9 @@ pub fn of_places(volume: &Volume, scene: &Scene) -> Vec<String> {
         .filter(|(_, place)| !is_inside(*place) && is_inside(mirrored(*place)))
         .map(|(key, [x, y, z])| {
             format!(
-                "warning: `{key}` = [{x}, {y}, {z}] lies outside of the volume, and [{}, {}, {z}] inside: scenes are in LPS; a point from a \
-                 program in RAS needs x and y negated",
+                "warning: `{key}` = [{x}, {y}, {z}] lies outside the volume, but [{}, {}, {z}] lies inside: \
+                 scenes use LPS; for a point in \
+                 RAS, negate x and y",
                 -x, -y
             )
         })
@@ -56,7 +59,8 @@ mod tests {
 
     fn scene(burr_start_mm: &str) -> Scene {
         let text = format!(
-            "name = \"s\"\n[run]\nmode = \"lockstep\"\nduration_s = 0.1\n[volume]\nphantom = \"block\"\n[tool]\nburr_start_mm = {burr_start_mm}\n\
+            "name = \"s\"\n[run]\nmode = \"lockstep\"\nduration_s = 0.1\n[volume]\nphantom \
+             = \"block\"\n[tool]\nburr_start_mm = {burr_start_mm}\n\
              direction = [0.0, 0.0, 1.0]\nbend_toward = [1.0, 0.0, 0.0]\n"
         );
         Scene::parse(&text, std::path::Path::new("s.toml")).unwrap()
@@ -77,7 +81,7 @@ mod tests {
         let ct = volume([0; 8]);
         let said = |start: &str| of_places(&ct, &scene(start)).join("");
         assert!(said("[-45.0, -45.0, 5.0]").contains(
-            "`tool.burr_start_mm` = [-45, -45, 5] lies outside of the volume, and [45, 45, 5] inside"
+            "`tool.burr_start_mm` = [-45, -45, 5] lies outside the volume, but [45, 45, 5] lies inside"
         ));
         assert_eq!(said("[45.0, 45.0, 5.0]"), "");
         assert_eq!(said("[-45.0, 45.0, 5.0]"), "");

@@ -1,4 +1,4 @@
-//! Texts that a command's arguments name.
+//! Reads text files named by command-line arguments.
 
 use std::path::Path;
 

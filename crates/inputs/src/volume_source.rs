@@ -14,23 +14,24 @@ use volume_io::{
 };
 use voxel_grid::{Ct, Volume, density};
 
-/// Which files a volume may refer to. A command-line option and not a scene key, because a scene may be as untrusted as
-/// its volume.
+/// Which files a volume may refer to. A command-line option rather than a scene key, because a scene can be
+/// as untrusted as its volume.
 #[derive(Debug, Clone, Copy, Default, clap::Args)]
 pub struct VolumeFiles {
-    /// Allow a volume header to name data files outside its own folder, and a slice folder to contain links that leave it.
+    /// Allow a volume header to name data files outside its own folder, and a slice folder to contain links
+    /// out of it.
     #[arg(long)]
     pub allow_elsewhere: bool,
 }
 
 impl VolumeFiles {
-    /// As the volume readers expect it.
+    /// In the form that the volume readers expect.
     pub fn allowed(self) -> DataFiles {
         if self.allow_elsewhere { DataFiles::Anywhere } else { DataFiles::Beside }
     }
 }
 
-/// What of a file is read as a volume, for commands that take a file and no scene.
+/// How to read a file as a volume, for commands that take a file and no scene.
 #[derive(Debug, Clone, Default, clap::Args)]
 pub struct VolumeChoice {
     /// Which files it may name.
@@ -39,20 +40,20 @@ pub struct VolumeChoice {
     /// SeriesInstanceUID of the series to read, if the DICOM folder holds several.
     #[arg(long, value_name = "UID")]
     pub series: Option<String>,
-    /// Resample slices that are unevenly spaced or stacked askew (a tilted gantry) to a rectangular grid.
+    /// Resample unevenly spaced or sheared slices (tilted gantry) to a rectangular grid.
     #[arg(long)]
     pub rectify: bool,
 }
 
 impl VolumeChoice {
-    /// As the volume readers expect it.
+    /// In the form that the volume readers expect.
     pub fn options(&self) -> ReadOptions {
         let slices = if self.rectify { Slices::Rectify } else { Slices::AsTheyLie };
         ReadOptions { data_files: self.files.allowed(), series: self.series.clone(), slices, label: None }
     }
 }
 
-/// What a scene asks of its file.
+/// Read options for a scene's volume file.
 fn options(source: &SceneVolume, files: VolumeFiles) -> ReadOptions {
     ReadOptions {
         data_files: files.allowed(),
@@ -68,7 +69,8 @@ fn options(source: &SceneVolume, files: VolumeFiles) -> ReadOptions {
     }
 }
 
-/// Refuses a scene whose volume is not there, and says where one is to be had; `file` names the scene's file.
+/// Refuses a scene whose volume file does not exist, and says where to get one; `file` names the scene's
+/// file.
 ///
 /// # Errors
 /// Bad input (2).
@@ -76,13 +78,15 @@ pub fn refuse_missing(file: &dyn std::fmt::Display, scene: &Scene) -> Result<(),
     let path = scene.volume.as_ref().and_then(|volume| volume.path.as_ref());
     let Some(path) = path.filter(|path| !path.exists()) else { return Ok(()) };
     Err(Failure::bad_input(format!(
-        "{file}: `volume.path` is {}, which does not exist. A synthetic pelvis in its place: `trabecula phantom pelvis -o pelvis.nrrd`, then \
-         `trabecula run … --set 'volume.path=\"'$PWD/pelvis.nrrd'\"'`; a free CT of a patient: docs/volumes.md, \"Where to get a CT\"",
+        "{file}: `volume.path` is {}, which does not exist. For a synthetic pelvis instead: `trabecula \
+         phantom pelvis -o pelvis.nrrd`, then \
+         `trabecula run … --set 'volume.path=\"'$PWD/pelvis.nrrd'\"'`; for free patient CTs see \
+         docs/volumes.md, \"Where to get a CT\"",
         foreign_path(path)
     )))
 }
 
-/// The CT of a scene; `None` if the scene has none.
+/// Loads the CT of a scene; `None` if the scene has none.
 ///
 /// # Errors
 /// The file is not a volume, or cannot be read.
@@ -90,23 +94,24 @@ pub fn load(scene: &Scene, files: VolumeFiles) -> Result<Option<Ct>, VolumeError
     Ok(load_with_notes(scene, files)?.map(|loaded| loaded.ct))
 }
 
-/// A CT, and what is noteworthy about it.
+/// A CT, and notes about it.
 #[derive(Debug, Clone)]
 pub struct Loaded {
     /// The CT.
     pub ct: Ct,
-    /// What its reader assumed or changed, and what looks wrong about it for a scene.
+    /// Assumptions and changes of its reader, and what looks wrong about it for a scene.
     pub notes: Vec<String>,
 }
 
 impl Loaded {
-    /// With the hash of this volume.
+    /// Adds the hash of the volume.
     pub(crate) fn of(volume: Volume, notes: Vec<String>) -> Loaded {
         Loaded { ct: identified(volume), notes }
     }
 }
 
-/// The same, with what its reader assumed or changed, and what looks wrong about it for this scene.
+/// As [`load`], with the assumptions and changes of the reader, and what looks wrong about the volume for
+/// this scene.
 ///
 /// # Errors
 /// As [`load`].
@@ -128,7 +133,7 @@ pub fn load_with_notes(scene: &Scene, files: VolumeFiles) -> Result<Option<Loade
     Ok(Some(loaded))
 }
 
-/// The bone where it truly lies: `[truth]` has it elsewhere than the plan.
+/// Moves the bone to its true pose, if `[truth]` gives one that differs from the plan.
 fn moved(loaded: Loaded, scene: &Scene) -> Result<Loaded, VolumeError> {
     let Loaded { ct: Ct { volume: Volume { grid, hu }, .. }, notes } = loaded;
     let origin_m = scene.in_bone_mm(grid.origin_m().map(|x| x * 1e3)).map(|x| x * 1e-3);
@@ -137,7 +142,7 @@ fn moved(loaded: Loaded, scene: &Scene) -> Result<Loaded, VolumeError> {
     Ok(Loaded::of(Volume { grid, hu }, notes))
 }
 
-/// The volume of a file, as the scene wants it: from the cache if it takes long to decode.
+/// The volume of a file with the scene's options: from the cache if it takes long to decode.
 fn of_file(path: &Path, source: &SceneVolume, files: VolumeFiles) -> Result<Loaded, VolumeError> {
     let options = options(source, files);
     let treatment = match (source.mask, source.resample_mm) {
@@ -164,8 +169,8 @@ fn of_file(path: &Path, source: &SceneVolume, files: VolumeFiles) -> Result<Load
     }
 }
 
-/// Synthetic bone for a mask: cancellous down to the middle of a femoral head (22 mm deep), so that there is something
-/// to drill; marrow only in thicker regions.
+/// Fill for a mask: cancellous bone down to the middle of a femoral head (22 mm deep), so that there is
+/// something to drill; marrow only in thicker regions.
 const MASK_MODEL: MaskModel = MaskModel {
     cortical_thickness_m: 2.0e-3,
     cortical_hu: 1500,

@@ -1,27 +1,27 @@
-//! Why markups are refused.
+//! Errors of markups files and plans.
 
 use foreign_text::{foreign, foreign_line};
 use thiserror::Error;
 
-/// Why a text is not a file of markups. The caller names the file.
+/// Why a text is not a markups file. The caller names the file.
 #[derive(Debug, Clone, PartialEq, Error)]
 pub enum MarkupsError {
     /// It begins like neither format.
     #[error(
-        "is no file of markups: it begins with {}, expected `{{` (.mrk.json) or `#` (.fcsv) of 3D Slicer",
+        "is not a 3D Slicer markups file: it begins with {}, expected `{{` (.mrk.json) or `#` (.fcsv)",
         foreign(.begins)
     )]
     Neither {
         /// The first characters.
         begins: String,
     },
-    /// It is not JSON; also a number beyond what 64 bits hold.
+    /// It is not JSON, or has a number out of the 64-bit range.
     #[error("is not JSON: {}; save the markups again from 3D Slicer", foreign_line(.cause))]
     NotJson {
         /// What is wrong, with line and column.
         cause: String,
     },
-    /// A field is not there.
+    /// A field is missing.
     #[error("has no `{field}`, expected {expected}")]
     Missing {
         /// The field with its path; in `.fcsv` with its line.
@@ -29,61 +29,63 @@ pub enum MarkupsError {
         /// What is allowed.
         expected: &'static str,
     },
-    /// A field has a value that it must not have.
+    /// A field has an invalid value.
     #[error("`{field}` is {}, expected {expected}", foreign_line(.given))]
     Field {
         /// The field with its path; in `.fcsv` with its line.
         field: String,
-        /// What is there.
+        /// The value found.
         given: String,
         /// What is allowed.
         expected: &'static str,
     },
 }
 
-/// Why markups make no plan. The caller names the file.
+/// Why markups do not define a plan. The caller names the file.
 #[derive(Debug, Clone, PartialEq, Error)]
 pub enum PlanError {
-    /// Neither named points nor a line or curve that says which is which.
+    /// Neither named points nor a line or curve that identifies them.
     #[error(
-        "holds no plan: there are {}; expected control points named `entry` and `target` (and `bend`, where a curve begins), or one line \
+        "holds no plan: found {}; expected control points named `entry` and `target` (and `bend`, where a \
+         curve begins), or one line \
          from entry to target, or one curve of two or three points (entry, bend, target)",
         foreign_line(.found)
     )]
     NoPlan {
-        /// The markups that there are.
+        /// The markups found.
         found: String,
     },
-    /// One of the two ends has a name and the other has not.
+    /// Only one of the two ends is named.
     #[error(
-        "has a control point named `{there}` and none named `{lacking}`; name the other end, too (there are {})",
+        "has a control point named `{there}` but none named `{lacking}`; name the other end too (found {})",
         foreign_line(.found)
     )]
     Half {
-        /// The point that has its name.
+        /// The point that is named.
         there: &'static str,
-        /// The one that is missing.
+        /// The missing point.
         lacking: &'static str,
-        /// The markups that there are.
+        /// The markups found.
         found: String,
     },
-    /// Two points have one name.
-    #[error("has {count} control points named `{name}`, expected one")]
+    /// Several points have the same name.
+    #[error("has {count} control points named `{name}`, expected only one")]
     Twice {
         /// The name.
         name: &'static str,
-        /// How often it is there.
+        /// Number of points with this name.
         count: usize,
     },
-    /// A point of the plan was never set.
-    #[error("`{name}` has no position (Slicer's status is `{}`), expected `defined`; place the point", foreign(.status))]
+    /// A point of the plan has not been placed.
+    #[error("`{name}` has no position (Slicer's status is `{}`, expected `defined`); place the \
+             point", foreign(.status))]
     Undefined {
         /// The point.
         name: &'static str,
-        /// Slicer's word for it.
+        /// Slicer's status.
         status: String,
     },
-    /// Two points lie in one place, so that there is no direction.
+    /// Two points coincide, so that there is no direction.
     #[error("`{first}` and `{second}` are {distance_mm:.3} mm apart, expected 1 mm or more")]
     TooClose {
         /// A point.
@@ -93,12 +95,13 @@ pub enum PlanError {
         /// Their distance.
         distance_mm: f64,
     },
-    /// The curve would have to turn back.
+    /// The target lies behind the bend.
     #[error(
-        "`target` lies {ahead_mm:.2} mm ahead of `bend` along the line from `entry` to `bend`, expected 1 mm or more: the tool bends forward"
+        "`target` lies {ahead_mm:.2} mm ahead of `bend` along the line from `entry` to `bend`, expected 1 mm \
+         or more: the tool cannot bend backward"
     )]
     Behind {
-        /// Along the line; negative is behind.
+        /// Distance along the line; negative is behind.
         ahead_mm: f64,
     },
 }

@@ -1,15 +1,16 @@
-//! `.fcsv`: points alone, as Slicer wrote them before version 5 and still reads them.
+//! `.fcsv`: point lists, as written by Slicer before version 5 and still supported.
 
 use crate::error::MarkupsError;
 use crate::markup::{Frame, Kind, Markup, POSITION, Point, position};
 
-const FRAME: &str = "LPS or RAS (in files before Slicer 4.11: 1 or 0): the frame of the positions is not assumed; IJK counts voxels of a \
+const FRAME: &str = "LPS or RAS (in files before Slicer 4.11: 1 or 0): the frame of the positions is not \
+                     assumed; IJK refers to a \
                      volume that the file does not name";
 
-/// Columns of a file that does not name them, as all versions wrote them.
+/// Columns of a file that does not list them, the same in all versions.
 const COLUMNS: &str = "id,x,y,z,ow,ox,oy,oz,vis,sel,lock,label,desc,associatedNodeID";
 
-/// Where the columns that count are.
+/// Indices of the columns used.
 struct Columns {
     position: [usize; 3],
     label: usize,
@@ -76,7 +77,7 @@ fn point(number: usize, row: &str, columns: &Columns, frame: Frame) -> Result<Po
     Ok(Point { label, position_mm: Some(place), status: "defined".to_owned() })
 }
 
-/// The cells of a row. A cell that holds a comma or a quote is quoted, and a quote in it doubled.
+/// Splits a row into cells. A cell with a comma or a quote is quoted, and a quote in it doubled.
 fn cells(row: &str) -> Vec<String> {
     let mut cells = vec![String::new()];
     let mut quoted = false;

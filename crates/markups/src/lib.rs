@@ -1,13 +1,15 @@
-//! Markups of 3D Slicer: points, lines and curves that a surgeon sets in a CT, and the plan of a drilling that they make.
+//! 3D Slicer markups (points, lines and curves placed in a CT), and the drilling plan that they define.
 //!
-//! Sources: the JSON schema of `.mrk.json`, markups-schema-v1.0.3 (github.com/Slicer/Slicer, Modules/Loadable/Markups/Resources/Schema);
-//! `.fcsv`, the older format for points alone, is described in Slicer's user guide, "Markups module, file format".
+//! Sources: the JSON schema of `.mrk.json`, markups-schema-v1.0.3 (github.com/Slicer/Slicer,
+//! Modules/Loadable/Markups/Resources/Schema); `.fcsv`, the older format for points alone, is described in
+//! Slicer's user guide, "Markups module, file format".
 //!
-//! [`read`] takes the text of either and returns [`Markup`]s; [`Plan::of`] finds the points named entry, bend and target in them;
-//! [`curve_json`] and [`points_fcsv`] write what Slicer opens.
+//! [`read`] takes the text of either and returns [`Markup`]s; [`Plan::of`] finds the points named entry, bend
+//! and target in them; [`curve_json`] and [`points_fcsv`] write what Slicer opens.
 //!
-//! **Boundary:** text in, values out; no file. **Invariants:** the frame of a file is read and never assumed: a file that does not say LPS or
-//! RAS is refused; every position that comes out is in LPS, finite and within 100 m; a [`Plan`] has a direction and a target ahead of it.
+//! **Boundary:** text in, values out; no files. **Invariants:** a file's frame is read, never assumed: a file
+//! that states neither LPS nor RAS is refused; every returned position is in LPS, finite and within 100 m; a
+//! [`Plan`] has a direction and a target ahead of it.
 //!
 //! ```
 //! use markups::{Plan, read};

@@ -7,7 +7,7 @@ use crate::markup::{Frame, Kind, Markup, POSITION, Point, position};
 
 const FRAME: &str =
     "\"LPS\" or \"RAS\": the frame of the positions is not assumed; save the markups again from 3D Slicer";
-const MARKUPS: &str = "a list of one or more markups, as 3D Slicer writes it";
+const MARKUPS: &str = "a list of one or more markups, as written by 3D Slicer";
 const POINTS: &str = "a list of control points";
 
 /// Reads a file's text.

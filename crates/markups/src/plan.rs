@@ -1,20 +1,23 @@
-//! The plan of a drilling: where it enters, where it bends, where it ends.
+//! A drilling plan: entry, bend and target.
 //!
-//! The tool goes straight from the entry to the bend, in a pilot hole, and from there on a circular arc that leaves that line as its
-//! tangent and ends at the target. Without a bend all of it is straight: a pilot hole, and the last 10 mm for the tool. A tool that bends
-//! does not begin a hole in a slanting surface: it slides off.
+//! The tool goes straight from the entry to the bend, in a pilot hole, and from there on a circular arc that
+//! is tangent to that line and ends at the target. Without a bend the path is straight: a pilot hole, and the
+//! last 10 mm drilled by the tool. A flexible tool does not start a hole in a slanted surface: it slides off.
 
 use crate::error::PlanError;
 use crate::markup::{Kind, Markup, Point};
 use crate::vector::{across, dot, length, minus, plus, unit};
 
-/// Shortest straight part, mm: what is set by hand is not more exact, and below it a direction means nothing.
+/// Shortest straight part, mm: points placed by hand are no more accurate, and below it a direction is
+/// meaningless.
 const SHORTEST_MM: f64 = 1.0;
-/// A target this near the line, mm, is on it.
+/// A target this close to the line, mm, is on it.
 const ON_THE_LINE_MM: f64 = 0.05;
-/// What the tool drills itself of a straight plan, mm: so short a piece of it sticks out of the pilot hole that it stays on the line.
+/// Length of a straight plan that the tool drills itself, mm: such a short part of it protrudes from the
+/// pilot hole that it stays on the line.
 const LAST_MM: f64 = 10.0;
-/// The pilot hole begins this far outside of the entry, mm: surfaces of bone are rough, and the entry is set by hand.
+/// The pilot hole begins this far outside the entry, mm: bone surfaces are rough, and the entry is placed by
+/// hand.
 const OUTSIDE_MM: f64 = 10.0;
 
 /// A plan. It always has a direction, and its target lies ahead.
@@ -25,17 +28,18 @@ pub struct Plan {
     target_mm: [f64; 3],
 }
 
-/// An arc that leaves a line as its tangent.
+/// An arc tangent to a line.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Arc {
     /// Its length.
     pub length_mm: f64,
-    /// The angle by which it turns.
+    /// Its angle.
     pub turn_deg: f64,
 }
 
 impl Arc {
-    /// The arc to a point that lies `ahead_mm` along the tangent and `beside_mm` across it: its chord turns by half its angle.
+    /// The arc to a point that lies `ahead_mm` along the tangent and `beside_mm` across it: its chord is at
+    /// half its angle.
     pub fn to(ahead_mm: f64, beside_mm: f64) -> Arc {
         let half_rad = libm::atan2(beside_mm, ahead_mm);
         let chord_mm = libm::hypot(ahead_mm, beside_mm);
@@ -45,11 +49,12 @@ impl Arc {
 }
 
 impl Plan {
-    /// The plan in a file's markups: the control points named `entry`, `bend` and `target` in whatever list they are (case does not count),
-    /// or the two ends of the only line, or the two or three points of the only curve.
+    /// Finds the plan in a file's markups: control points named `entry`, `bend` and `target` in any list
+    /// (case-insensitive), or the two ends of the only line, or the two or three points of the only curve.
     ///
     /// # Errors
-    /// [`PlanError`]: no such points, a name that stands twice, points too close to each other or a target behind the bend.
+    /// [`PlanError`]: no such points, a duplicate name, points too close to each other, or a target behind
+    /// the bend.
     pub fn of(markups: &[Markup]) -> Result<Plan, PlanError> {
         let [entry, bend, target] =
             [named(markups, "entry")?, named(markups, "bend")?, named(markups, "target")?];
@@ -79,7 +84,7 @@ impl Plan {
     ) -> Result<Plan, PlanError> {
         let apart = |first, second, a, b| {
             let distance_mm = length(minus(b, a));
-            // Written so that NaN fails.
+            // Negated, so that NaN fails.
             if distance_mm >= SHORTEST_MM {
                 Ok(())
             } else {
@@ -110,7 +115,7 @@ impl Plan {
         self.bend_mm
     }
 
-    /// Where the burr's centre is to end, LPS, mm.
+    /// Where the burr's centre ends, LPS, mm.
     pub fn target_mm(&self) -> [f64; 3] {
         self.target_mm
     }
@@ -120,7 +125,8 @@ impl Plan {
         unit(minus(self.bend_mm.unwrap_or(self.target_mm), self.entry_mm))
     }
 
-    /// Where the burr's centre starts: at the bend, or, in a straight plan, 10 mm before the target, but not before the entry. LPS, mm.
+    /// Where the burr's centre starts: at the bend, or, in a straight plan, 10 mm before the target, but not
+    /// before the entry. LPS, mm.
     pub fn burr_start_mm(&self) -> [f64; 3] {
         let straight = || {
             let hole_mm = length(minus(self.target_mm, self.entry_mm)) - LAST_MM;
@@ -134,14 +140,14 @@ impl Plan {
         self.beside().is_some()
     }
 
-    /// The part of the target across the line, where there is one.
+    /// The lateral offset of the target from the line, if any.
     fn beside(&self) -> Option<[f64; 3]> {
         let beside = across(minus(self.target_mm, self.burr_start_mm()), self.direction());
         (length(beside) > ON_THE_LINE_MM).then_some(beside)
     }
 
-    /// The side to which the tool bends, a unit vector across the direction: that of the target. A straight plan has none, and any will
-    /// do: the one nearest to +z (head), or nearest to -y (front) for a direction along z.
+    /// The side to which the tool bends, a unit vector across the direction: toward the target. A straight
+    /// plan can use any: the one nearest to +z (head), or nearest to -y (front) for a direction along z.
     pub fn bend_toward(&self) -> [f64; 3] {
         let direction = self.direction();
         let up = across([0.0, 0.0, 1.0], direction);
@@ -149,25 +155,25 @@ impl Plan {
         unit(self.beside().unwrap_or(any))
     }
 
-    /// The pilot hole, from 10 mm outside of the entry to the burr's start; LPS, mm.
+    /// The pilot hole, from 10 mm outside the entry to the burr's start; LPS, mm.
     pub fn pilot_hole_mm(&self) -> [[f64; 3]; 2] {
         [plus(self.entry_mm, -OUTSIDE_MM, self.direction()), self.burr_start_mm()]
     }
 
-    /// The middle between the burr's start and the target, LPS, mm.
+    /// The midpoint between the burr's start and the target, LPS, mm.
     pub fn middle_mm(&self) -> [f64; 3] {
         let start_mm = self.burr_start_mm();
         plus(start_mm, 0.5, minus(self.target_mm, start_mm))
     }
 
-    /// The arc from `after_mm` ahead of the burr's start to the target; straight where the plan is.
+    /// The arc from `after_mm` ahead of the burr's start to the target; straight for a straight plan.
     pub fn arc(&self, after_mm: f64) -> Arc {
         let ahead_mm = dot(minus(self.target_mm, self.burr_start_mm()), self.direction()) - after_mm;
         Arc::to(ahead_mm, self.beside().map_or(0.0, length))
     }
 }
 
-/// The only point of this name.
+/// The only point with a name.
 fn named<'m>(markups: &'m [Markup], name: &'static str) -> Result<Option<&'m Point>, PlanError> {
     let points = markups.iter().flat_map(|markup| &markup.points);
     let all: Vec<&Point> = points.filter(|point| point.label.trim().eq_ignore_ascii_case(name)).collect();
@@ -194,17 +200,17 @@ fn place(name: &'static str, point: &Point) -> Result<[f64; 3], PlanError> {
     point.position_mm.ok_or_else(|| PlanError::Undefined { name, status: point.status.clone() })
 }
 
-/// The markups in words, for messages.
+/// Describes the markups for messages.
 fn found(markups: &[Markup]) -> String {
     let one = |markup: &Markup| {
         let kind = match &markup.kind {
-            Kind::Points => "points",
+            Kind::Points => "list",
             Kind::Line => "line",
             Kind::Curve => "curve",
             Kind::Other(name) => name,
         };
         let labels: Vec<&str> = markup.points.iter().take(6).map(|point| point.label.as_str()).collect();
-        format!("{kind} of {} ({})", markup.points.len(), labels.join(", "))
+        format!("{kind} with {} point(s) ({})", markup.points.len(), labels.join(", "))
     };
     markups.iter().map(one).collect::<Vec<_>>().join("; ")
 }

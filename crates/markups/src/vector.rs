@@ -1,6 +1,6 @@
-//! Three numbers as a vector.
+//! 3D vectors as arrays.
 
-/// Sum of products.
+/// Dot product.
 pub fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
@@ -26,7 +26,7 @@ pub fn unit(a: [f64; 3]) -> [f64; 3] {
     a.map(|x| x / length)
 }
 
-/// The part of `a` across a unit vector.
+/// The part of `a` perpendicular to a unit vector.
 pub fn across(a: [f64; 3], unit: [f64; 3]) -> [f64; 3] {
     plus(a, -dot(a, unit), unit)
 }

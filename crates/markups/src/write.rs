@@ -1,4 +1,4 @@
-//! Markups that 3D Slicer opens.
+//! Writes markups for 3D Slicer.
 
 use std::fmt::Write;
 
@@ -8,8 +8,8 @@ use serde_json::{Value, json};
 const SCHEMA: &str = "https://raw.githubusercontent.com/slicer/slicer/master/Modules/Loadable/Markups/Resources/Schema/\
                       markups-schema-v1.0.3.json#";
 
-/// An open curve through these points (LPS, mm), as the text of a `.mrk.json`. Slicer draws a smooth line
-/// through the points, so they should lie close together.
+/// Writes an open curve through points (LPS, mm) as the text of a `.mrk.json`. Slicer draws a smooth line
+/// through the points, so they should be close together.
 pub fn curve_json(name: &str, points_mm: &[[f64; 3]]) -> String {
     let point = |(index, position): (usize, &[f64; 3])| {
         json!({
@@ -40,7 +40,7 @@ pub fn curve_json(name: &str, points_mm: &[[f64; 3]]) -> String {
     format!("{file:#}\n")
 }
 
-/// Points (LPS, mm) as the text of a `.fcsv`.
+/// Writes points (LPS, mm) as the text of a `.fcsv`.
 pub fn points_fcsv(name: &str, points_mm: &[[f64; 3]]) -> String {
     let mut text = "# Markups fiducial file version = 4.11\n# CoordinateSystem = LPS\n\
                     # columns = id,x,y,z,ow,ox,oy,oz,vis,sel,lock,label,desc,associatedNodeID\n"

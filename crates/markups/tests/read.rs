@@ -1,10 +1,10 @@
-//! Markups as 3D Slicer writes them, and what is refused.
+//! Tests of markups as written by 3D Slicer, and of what is refused.
 #![allow(clippy::unwrap_used, reason = "a test fails by it")]
 
 use markups::{Frame, Kind, MarkupsError, Plan, curve_json, points_fcsv, read};
 use proptest::prelude::*;
 
-/// As Slicer 5.6 writes a line, shortened to what a reader may look at.
+/// A line as written by Slicer 5.6, shortened to what is relevant to a reader.
 fn line(frame: &str) -> String {
     format!(
         r#"{{"@schema": "https://raw.githubusercontent.com/slicer/slicer/master/Modules/Loadable/Markups/Resources/Schema/markups-schema-v1.0.3.json#",
@@ -40,7 +40,7 @@ fn the_frame_is_read_and_positions_come_out_in_lps() {
     }
 }
 
-/// A frame that is assumed is a mirrored plan.
+/// Assuming a frame could mirror the plan.
 #[test]
 fn a_frame_that_is_not_said_or_is_no_patients_is_refused_with_the_choices() {
     for text in [
@@ -96,7 +96,10 @@ fn points_that_were_not_placed_have_no_position() {
     let markups = read(&text).unwrap();
     assert_eq!(markups[0].points[0].position_mm, None);
     let said = Plan::of(&markups).unwrap_err().to_string();
-    assert!(said.contains("`entry` has no position (Slicer's status is `undefined`)"), "{said}");
+    assert!(
+        said.contains("`entry` has no position (Slicer's status is `undefined`, expected `defined`)"),
+        "{said}"
+    );
 }
 
 #[test]
@@ -106,12 +109,14 @@ fn cells_of_an_fcsv_may_be_quoted() {
 }
 
 proptest! {
-    /// serde_json's quick way to read a number is off by up to one unit in its last place: 1e-11 mm at 100 m.
+    /// serde_json's fast number parser is off by at most one unit in the last place: 1e-11 mm at 100 m.
     #[test]
     fn what_is_written_reads_as_the_same_places(
         points_mm in prop::collection::vec(prop::array::uniform3(-1e5..1e5), 1..20)
     ) {
-        for (text, within) in [(curve_json("tip", &points_mm), f64::EPSILON), (points_fcsv("tip", &points_mm), 0.0)] {
+        for (text, within) in
+            [(curve_json("tip", &points_mm), f64::EPSILON), (points_fcsv("tip", &points_mm), 0.0)]
+        {
             let markups = read(&text).unwrap();
             prop_assert_eq!(markups[0].points.len(), points_mm.len());
             for (point, given) in markups[0].points.iter().zip(&points_mm) {

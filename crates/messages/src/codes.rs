@@ -1,9 +1,10 @@
 //! The codes of `uint32` fields, each as an enum.
 //!
-//! A message carries a plain number, because any program may write any number. Whoever takes a message off a port converts it once
-//! ([`Command::tendon_mode`](crate::Command::tendon_mode), [`RunControl::action`](crate::RunControl::action), …) and decides there what an
-//! unknown code means; from there on it is an enum. The constants are what clients of every language write into the fields; both come from
-//! one declaration.
+//! A message carries a plain number, because any program can write any number. The receiver converts it once
+//! when it takes the message off a port ([`Command::tendon_mode`](crate::Command::tendon_mode),
+//! [`RunControl::action`](crate::RunControl::action), …) and decides there how to treat an unknown code; from
+//! there on it is an enum. Clients of every language write the constants into the fields; enum and constants
+//! come from one declaration.
 
 use core::fmt::{self, Display, Formatter};
 
@@ -16,25 +17,25 @@ use crate::{
     RunControlReply, RunStatus, SensorReading, State,
 };
 
-/// One code of a field: its constant's name, its number, and the word for it.
+/// One code of a field: its constant's name, its number, and its name in messages.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Code {
     /// Name of the constant, in every language.
     pub constant: &'static str,
     /// The number on the wire.
     pub number: u32,
-    /// The word for it in texts.
+    /// Its name in messages.
     pub word: &'static str,
 }
 
-/// The codes of a field, under the name of their enum.
+/// A field's codes and the name of their enum.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct CodeSet {
     /// Name of the enum.
     pub name: &'static str,
-    /// What it says.
+    /// Documentation of the enum.
     pub doc: &'static str,
-    /// All codes, rising.
+    /// All codes, ascending.
     pub codes: &'static [Code],
 }
 
@@ -49,19 +50,19 @@ pub struct CodeField {
     pub codes: &'static str,
 }
 
-/// A field holds a number that is no code of it.
+/// A field holds a number that is not one of its codes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
 #[error("`{field}` is {number}, expected {}", Expected(.known))]
 pub struct UnknownCode {
-    /// The field.
+    /// Name of the field.
     pub field: &'static str,
-    /// The number that it holds.
+    /// The invalid number.
     pub number: u32,
-    /// The codes that it may hold.
+    /// The codes that the field may hold.
     pub known: &'static [Code],
 }
 
-/// Codes as a choice: `0 none, 1 servo_jf or 2 servo_jp`.
+/// Displays codes as a choice: `0 none, 1 servo_jf or 2 servo_jp`.
 struct Expected<'c>(&'c [Code]);
 
 impl Display for Expected<'_> {
@@ -79,7 +80,7 @@ impl Display for Expected<'_> {
     }
 }
 
-/// Declares the codes of a field: the enum, and the constant of each code for the wire.
+/// Declares the codes of a field: the enum, and each code's wire constant.
 macro_rules! codes {
     (
         $(#[doc = $doc:literal])*
@@ -100,21 +101,21 @@ macro_rules! codes {
         )*
 
         impl $name {
-            /// All codes, rising.
+            /// All codes, ascending.
             pub const CODES: &'static [Code] = &[$(
                 Code { constant: stringify!($constant), number: $number, word: $word },
             )*];
 
-            /// The codes with the enum's name and text.
+            /// The codes with the enum's name and documentation.
             pub const SET: CodeSet =
                 CodeSet { name: stringify!($name), doc: concat!($($doc),*), codes: $name::CODES };
 
-            /// The number on the wire.
+            /// Returns the number on the wire.
             pub const fn code(self) -> u32 {
                 self as u32
             }
 
-            /// The word for it in texts.
+            /// Returns its name in messages.
             pub const fn word(self) -> &'static str {
                 match self {
                     $( $name::$variant => $word, )*
@@ -136,7 +137,7 @@ macro_rules! codes {
 }
 
 codes! {
-    /// What a [`SensorReading`] measures.
+    /// Kind of sensor that a [`SensorReading`] comes from.
     pub enum SensorKind of "kind" {
         /// Curvature along the tool by fibre-Bragg gratings.
         Fbg = SENSOR_FBG, 1, "fbg";
@@ -152,7 +153,7 @@ codes! {
 }
 
 codes! {
-    /// What [`Command::tendon_mode`] asks of the tendons; CRTK verbs.
+    /// Values of [`Command::tendon_mode`]: how the tendons are driven; CRTK verbs.
     pub enum TendonMode of "tendon_mode" {
         /// This command does not drive the tendons.
         None = TENDON_NONE, 0, "none";
@@ -166,7 +167,8 @@ codes! {
 }
 
 codes! {
-    /// What [`Command::arm_mode`] asks of the arm, and what [`State::arm_mode`] says it follows; CRTK verbs and some more.
+    /// Values of [`Command::arm_mode`] (requested) and [`State::arm_mode`] (in effect): how the arm is
+    /// driven; CRTK verbs and a few more.
     pub enum ArmMode of "arm_mode" {
         /// This command does not drive the arm.
         None = ARM_NONE, 0, "none";
@@ -184,13 +186,14 @@ codes! {
         ServoJv = ARM_SERVO_JV, 6, "servo_jv";
         /// Insert along an axis at a given feed rate, without rotating.
         Insert = ARM_INSERT, 7, "insert";
-        /// Tool base goal with a remote centre of motion: the tool's axis passes through the pivot throughout the motion.
+        /// Tool base goal with a remote centre of motion: the tool's axis passes through the pivot throughout
+        /// the motion.
         Rcm = ARM_RCM, 8, "rcm";
     }
 }
 
 codes! {
-    /// What [`Command::burr_mode`] asks of the burr.
+    /// Values of [`Command::burr_mode`]: how the burr is driven.
     pub enum BurrMode of "burr_mode" {
         /// This command does not drive the burr.
         None = BURR_NONE, 0, "none";
@@ -200,7 +203,7 @@ codes! {
 }
 
 codes! {
-    /// What [`Command::tube_mode`] asks of a tube that slides in an outer one.
+    /// Values of [`Command::tube_mode`]: how a tube that slides in an outer one is driven.
     pub enum TubeMode of "tube_mode" {
         /// This command does not drive the tube.
         None = TUBE_NONE, 0, "none";
@@ -212,31 +215,33 @@ codes! {
 }
 
 codes! {
-    /// [`State::arm_status`]: how far the arm's motion has come.
+    /// [`State::arm_status`]: progress of the arm's motion.
     pub enum ArmStatus of "arm_status" {
         /// Moving.
         Moving = ARM_MOVING, 0, "moving";
         /// At its goal and at rest.
         Done = ARM_DONE, 1, "at its goal and at rest";
-        /// It aborted its motion and stopped, or stopped a joint at the end of its range; an event gives the reason.
+        /// The arm aborted its motion and stopped, or stopped a joint at the end of its range; an event gives
+        /// the reason.
         Fault = ARM_FAULT, 2, "motion aborted or a joint stopped at the end of its range";
     }
 }
 
 codes! {
-    /// [`State::arm_protective_stop`]: whether the arm stopped because the tool pressed too hard on its flange.
+    /// [`State::arm_protective_stop`]: whether the arm stopped because the tool pressed too hard on its
+    /// flange.
     pub enum ArmProtectiveStop of "arm_protective_stop" {
-        /// It did not.
+        /// Not stopped.
         None = PROTECTIVE_STOP_NONE, 0, "none";
-        /// It stands, and takes no command but `hold`.
+        /// The arm stands still and accepts only `hold`.
         Stopped = PROTECTIVE_STOP_STOPPED, 1, "stopped";
-        /// `hold` released it: it may move away; the force is not below the limit yet.
+        /// Released by `hold`: the arm can move away; the force is not yet below the limit.
         Released = PROTECTIVE_STOP_RELEASED, 2, "released";
     }
 }
 
 codes! {
-    /// [`LatchedCommand::source`], [`AppliedCommand::source`]: where the command in force comes from.
+    /// [`LatchedCommand::source`], [`AppliedCommand::source`]: the origin of the command in effect.
     pub enum CommandSource of "source" {
         /// No command has arrived yet; nothing is driven.
         None = SOURCE_NONE, 0, "none";
@@ -250,7 +255,7 @@ codes! {
 }
 
 codes! {
-    /// [`Contact::part`]: the part of the tool that touches.
+    /// [`Contact::part`]: the part of the tool in contact.
     pub enum ContactPart of "part" {
         /// A sphere of the rigid shaft.
         Shaft = PART_SHAFT, 0, "shaft";
@@ -262,7 +267,7 @@ codes! {
 }
 
 codes! {
-    /// [`RunControl::action`]: what is asked of the run.
+    /// [`RunControl::action`]: the requested action.
     pub enum ControlAction of "action" {
         /// Pause before the next tick until resumed; pending steps are cancelled.
         Pause = CONTROL_PAUSE, 1, "pause";
@@ -278,7 +283,7 @@ codes! {
 }
 
 codes! {
-    /// [`RunControlReply::status`]: what came of it.
+    /// [`RunControlReply::status`]: the outcome of the request.
     pub enum ControlStatus of "status" {
         /// Done.
         Done = CONTROL_DONE, 0, "done";
@@ -288,7 +293,7 @@ codes! {
 }
 
 codes! {
-    /// [`DrrRequest::use_geometry`]: whose C-arm the frame shows.
+    /// [`DrrRequest::use_geometry`]: the C-arm geometry that the frame uses.
     pub enum GeometryChoice of "use_geometry" {
         /// The scene's C-arm.
         Scene = GEOMETRY_SCENE, 0, "the scene's C-arm";
@@ -298,7 +303,7 @@ codes! {
 }
 
 codes! {
-    /// [`DrrReply::status`]: what came of a request for a frame.
+    /// [`DrrReply::status`]: the outcome of a frame request.
     pub enum DrrStatus of "status" {
         /// The frame follows.
         Accepted = DRR_ACCEPTED, 0, "accepted";
@@ -310,7 +315,7 @@ codes! {
 }
 
 codes! {
-    /// [`RunStatus::phase`]: where the run stands. Phases only rise, but for pauses.
+    /// [`RunStatus::phase`]: the phase of the run. Phases only increase, except when a pause ends.
     pub enum Phase of "phase" {
         /// Waiting for the parts to connect.
         Connecting = PHASE_CONNECTING, 0, "connecting";
@@ -336,15 +341,15 @@ codes! {
 }
 
 codes! {
-    /// [`Event::code`]: what kind of event.
+    /// [`Event::code`]: the kind of event.
     pub enum EventCode of "code" {
-        /// A command was refused; `text` says which field and why.
+        /// A command was refused; `text` names the field and the reason.
         CommandRefused = EVENT_COMMAND_REFUSED, 1, "command_refused";
         /// A controller was late; its last command is held.
         CommandHeld = EVENT_COMMAND_HELD, 2, "command_held";
         /// A controller has been late for longer than the scene allows; the safe command applies.
         SafeCommand = EVENT_SAFE_COMMAND, 3, "safe_command";
-        /// Messages were lost; `text` says which and how many.
+        /// Messages were lost; `text` gives the kind and number.
         MessagesLost = EVENT_MESSAGES_LOST, 4, "messages_lost";
         /// A part of the run connected, or the run was paused, resumed or stopped.
         Run = EVENT_RUN, 5, "run";
@@ -352,22 +357,25 @@ codes! {
         Controller = EVENT_CONTROLLER, 6, "controller";
         /// A frame request was refused.
         RequestRefused = EVENT_REQUEST_REFUSED, 7, "request_refused";
-        /// A capacity was reached during the run; `text` says which, and what follows from it.
+        /// A capacity was reached during the run; `text` names it and the consequence.
         CapacityReached = EVENT_CAPACITY_REACHED, 8, "capacity_reached";
-        /// The run waits for a controller; `text` says for which, and how long it may take.
+        /// The run waits for a controller; `text` names it and the time limit.
         Waiting = EVENT_WAITING, 9, "waiting";
         /// The run ends: a controller did not join in time.
         ControllerMissing = EVENT_CONTROLLER_MISSING, 10, "controller_missing";
         /// The run ends: in lockstep, a controller did not answer in time.
         ControllerLate = EVENT_CONTROLLER_LATE, 11, "controller_late";
-        /// The simulation was reset before this tick; `text` says which tick began from the initial state.
+        /// The simulation was reset before this tick; `text` gives the tick that began from the initial
+        /// state.
         Reset = EVENT_RESET, 12, "reset";
-        /// The run ends: the simulation could not compute a tick, or its result was no state of the tool; `text` says which tick, and why.
+        /// The run ends: the simulation could not compute a tick, or its result is not a valid state of the
+        /// tool; `text` gives the tick and the reason.
         SimulationFailed = EVENT_SIMULATION_FAILED, 13, "simulation_failed";
-        /// A link of the arm, the holder or the shaft behind the tool's base has entered bone, where nothing collides; `text` says which, and
-        /// how deep.
+        /// A link of the arm, the holder or the shaft behind the tool's base has entered bone, where there is
+        /// no collision; `text` gives the part and the depth.
         ArmInBone = EVENT_ARM_IN_BONE, 14, "arm_in_bone";
-        /// The model of the tool is not valid from here on, because a flexure is past its stop; `text` says which, and how far.
+        /// The model of the tool is invalid from here on, because a flexure is past its stop; `text` gives
+        /// the flexure and the excess.
         ModelNotValid = EVENT_MODEL_NOT_VALID, 15, "model_not_valid";
     }
 }
@@ -392,7 +400,7 @@ pub const CLIENT_CODES: &[CodeSet] = &[
     EventCode::SET,
 ];
 
-/// Declares the conversion of the fields of messages that hold a code.
+/// Declares the conversion of message fields that hold a code.
 macro_rules! fields {
     ($( $message:ident { $( $field:ident: $codes:ident ),* } )*) => {
         /// Every field of a message that holds a code.
@@ -408,7 +416,7 @@ macro_rules! fields {
             #[doc = concat!("The code in `", stringify!($field), "`.")]
             ///
             /// # Errors
-            /// The field holds a number that is no code of it.
+            /// If the field holds a number that is not one of its codes.
             pub fn $field(&self) -> Result<$codes, UnknownCode> {
                 $codes::try_from(self.$field)
             }
@@ -432,14 +440,14 @@ fields! {
 }
 
 impl Event {
-    /// Who sent it; `None` if the number is no sender's.
+    /// Returns the sender; `None` if the number is not a sender's.
     pub fn sender(&self) -> Option<Participant> {
         Participant::of(self.sender)
     }
 }
 
 impl Progress {
-    /// Which part reports; `None` if the number is none's.
+    /// Returns the reporting part; `None` if the number is not a part's.
     pub fn consumer(&self) -> Option<Part> {
         match Participant::of(self.consumer) {
             Some(Participant::Part(part)) => Some(part),
@@ -471,7 +479,7 @@ mod tests {
         assert_eq!(ControlAction::try_from(0).map_err(|unknown| unknown.number), Err(0));
     }
 
-    /// The reference of the messages prints these documentations.
+    /// The message reference prints these docs.
     #[test]
     fn the_documentation_of_a_field_lists_its_codes() {
         let fields = [

@@ -14,14 +14,14 @@ pub const MAX_POSITION_M: f64 = 10.0;
 pub const MAX_SPEED_M_PER_S: f64 = 1.0;
 /// Largest depth of an insertion, in either direction.
 pub const MAX_DEPTH_M: f64 = 0.5;
-/// Largest length of tube that a command may ask for in front of the outer tube.
+/// Largest length of tube that a command may deploy from the outer tube.
 pub const MAX_DEPLOYED_M: f64 = 0.5;
-/// Largest roll of the tube that a command may ask for, in either direction: one turn.
+/// Largest roll of the tube that a command may request, in either direction: one turn.
 pub const MAX_ROLL_RAD: f64 = core::f64::consts::TAU;
 
 message! {
-    /// A controller's command. Mode names follow CRTK. Mode 0 leaves tendons, arm, burr or tube at their previous command; a
-    /// controller may drive only what the scene's `drives` allows.
+    /// A controller's command. Mode names follow CRTK. Mode 0 leaves tendons, arm, burr or tube at their
+    /// previous command; a controller may drive only what the scene's `drives` allows.
     pub struct Command = "trabecula_msgs/msg/Command" {
         /// Sequence number of this controller's commands: 1, 2, 3 and so on.
         sequence: u64,
@@ -43,7 +43,8 @@ message! {
         arm_joint_position_rad: [f64; MAX_ARM_JOINTS],
         /// Joint velocities for the arm's servo_jv.
         arm_joint_velocity_rad_per_s: [f64; MAX_ARM_JOINTS],
-        /// Goal of the arm's servo_cp, move_cp and rcm: pose of the tool base, not counting the mount's deflection.
+        /// Goal of the arm's servo_cp, move_cp and rcm: pose of the tool base, not counting the mount's
+        /// deflection.
         t_world_base: Pose,
         /// Speed limit of move_cp and rcm; 0 selects the scene's limit. Feed rate of insert, above 0.
         arm_speed_m_per_s: f64,
@@ -59,7 +60,7 @@ message! {
         tube_deployed_m: f64,
         /// Goal of the tube's move_jp: its angle about its own axis.
         tube_roll_rad: f64,
-        /// Speed limit of its sliding; 0 selects the tool's limit.
+        /// Speed limit of the tube's sliding; 0 selects the tool's limit.
         tube_speed_m_per_s: f64,
     }
 }
@@ -67,14 +68,14 @@ message! {
 /// Whether a tick begins from the initial state.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Reset {
-    /// The simulation is set back to its initial state first.
+    /// The simulation is first reset to its initial state.
     Yes,
-    /// It goes on from the last state.
+    /// The simulation continues from the last state.
     No,
 }
 
 impl Reset {
-    /// [`Latched::reset`] of it.
+    /// Returns its value of [`Latched::reset`].
     pub const fn code(self) -> u32 {
         match self {
             Reset::No => 0,
@@ -84,7 +85,7 @@ impl Reset {
 }
 
 impl Latched {
-    /// Whether this tick begins from the initial state.
+    /// Returns whether this tick begins from the initial state.
     pub fn reset(&self) -> Reset {
         if self.reset != 0 { Reset::Yes } else { Reset::No }
     }
@@ -105,8 +106,8 @@ message! {
 }
 
 message! {
-    /// u_k: all external input of tick k, and the only non-deterministic input of a run. Published before the state that
-    /// it leads to.
+    /// u_k: all external input of tick k, and the only non-deterministic input of a run. Published before the
+    /// state that it leads to.
     pub struct Latched = "trabecula_msgs/msg/Latched" {
         /// k: the tick that advances `State.tick` from k to k+1.
         tick: u64,

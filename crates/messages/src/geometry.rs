@@ -12,7 +12,7 @@ message! {
 }
 
 impl Pose {
-    /// The identity.
+    /// The identity pose.
     pub const IDENTITY: Pose = Pose { position_m: [0.0; 3], orientation_xyzw: [0.0, 0.0, 0.0, 1.0] };
 }
 

@@ -29,7 +29,8 @@ message! {
 }
 
 message! {
-    /// Status of the run. Published on each change and ten times a second; late joiners receive the newest one.
+    /// Status of the run. Published on each change and ten times a second; late joiners receive the newest
+    /// one.
     pub struct RunStatus = "trabecula_msgs/msg/RunStatus" {
         /// Number of ticks done.
         tick: u64,
@@ -68,8 +69,8 @@ message! {
 }
 
 message! {
-    /// Progress of a consumer of the lossless streams. In lockstep the physics never runs further ahead than the queues
-    /// can hold. The first message also announces the consumer.
+    /// Progress of a consumer of the lossless streams. In lockstep the physics never runs further ahead than
+    /// the queues can hold. The first message also announces the consumer.
     pub struct Progress = "trabecula_msgs/msg/Progress" {
         /// Every state up to this tick has been received.
         tick: u64,
@@ -87,7 +88,7 @@ message! {
 pub struct Blame {
     /// The kind of event: a controller is missing or late, or the simulation failed.
     pub code: EventCode,
-    /// The controller's name; `None`: the simulation failed.
+    /// The controller's name; `None` if the simulation failed.
     pub controller: Option<String>,
     /// The event's text.
     pub text: String,

@@ -22,8 +22,9 @@ message! {
 }
 
 message! {
-    /// The same C-arm as a camera and as DICOM positioner angles. Camera: s (u, v, 1) = K (R x + t), z towards the
-    /// detector, pixel centres at integers (OpenCV); fx is negative if the image is seen from the detector's side.
+    /// The same C-arm as a camera and as DICOM positioner angles. Camera: s (u, v, 1) = K (R x + t), z
+    /// towards the detector, pixel centres at integers (OpenCV); fx is negative if the image is seen from the
+    /// detector's side.
     pub struct CArmProjection = "trabecula_msgs/msg/CArmProjection" {
         /// K in pixels, row-major.
         intrinsics: [f64; 9],
@@ -31,7 +32,8 @@ message! {
         rotation: [f64; 9],
         /// t: the world origin in the camera frame.
         translation_m: [f64; 3],
-        /// DICOM (0018,1510): at 0 the detector is in front of the chest; positive towards the patient's left.
+        /// DICOM (0018,1510): at 0 the detector is in front of the chest; positive towards the patient's
+        /// left.
         primary_angle_rad: f64,
         /// DICOM (0018,1511): positive is cranial.
         secondary_angle_rad: f64,
@@ -59,14 +61,15 @@ message! {
 }
 
 impl DrrRequest {
-    /// [`DrrRequest::requester`] of this sender: a controller, or any other program.
+    /// Returns the [`DrrRequest::requester`] value of this sender: a controller, or any other program.
     pub fn requester_of(sender: Option<ControllerIndex>) -> u32 {
         sender.map_or(u32::MAX, |controller| controller.0)
     }
 }
 
 message! {
-    /// Announces which tick a frame will show, before it is rendered. Sent for every frame, requested or scheduled.
+    /// Announces which tick a frame will show, before it is rendered. Sent for every frame, requested or
+    /// scheduled.
     pub struct DrrReply = "trabecula_msgs/msg/DrrReply" {
         /// The request's id; 0 for a scheduled frame.
         request_id: u64,
@@ -110,8 +113,8 @@ message! {
 }
 
 message! {
-    /// The fixed part of a sensor_msgs/msg/Image with frame `c_arm_0` and encoding `mono16`. From here on, the bytes are
-    /// that message's CDR body.
+    /// The fixed part of a sensor_msgs/msg/Image with frame `c_arm_0` and encoding `mono16`. From here on,
+    /// the bytes are that message's CDR body.
     pub struct ImagePrefix = "trabecula_msgs/msg/ImagePrefix" {
         /// Simulated time, seconds part.
         stamp_sec: i32,
@@ -159,7 +162,7 @@ uint32 nanosec
 ";
 
 impl ImagePrefix {
-    /// The prefix of a `mono16` image of `columns` × `rows` pixels at a simulated time.
+    /// Creates the prefix of a `mono16` image of `columns` × `rows` pixels at a simulated time.
     pub fn mono16(columns: u32, rows: u32, sim_time_s: f64) -> ImagePrefix {
         let nanoseconds = libm_round(sim_time_s * 1e9);
         ImagePrefix {

@@ -1,4 +1,4 @@
-//! Ticks, ranges of ticks and controllers as types of their own, where one integer could be taken for another.
+//! Newtypes for ticks, tick ranges and controllers, so that one integer cannot be mistaken for another.
 
 use core::fmt::{self, Display, Formatter};
 use core::ops::AddAssign;
@@ -8,20 +8,20 @@ use core::ops::AddAssign;
 pub struct Tick(pub u64);
 
 impl Tick {
-    /// The initial state's.
+    /// The tick of the initial state.
     pub const START: Tick = Tick(0);
 
-    /// The tick so many ticks before, but not before the start.
+    /// Returns the tick `ticks` earlier, at least [`Tick::START`].
     pub const fn saturating_sub(self, ticks: u64) -> Tick {
         Tick(self.0.saturating_sub(ticks))
     }
 
-    /// The tick so many ticks later, but not after the last number.
+    /// Returns the tick `ticks` later, at most the largest number.
     pub const fn saturating_add(self, ticks: u64) -> Tick {
         Tick(self.0.saturating_add(ticks))
     }
 
-    /// Ticks from `earlier` to this one; 0 if that one is later.
+    /// Returns the number of ticks from `earlier` to this one; 0 if `earlier` is later.
     pub const fn since(self, earlier: Tick) -> u64 {
         self.0.saturating_sub(earlier.0)
     }
@@ -44,7 +44,7 @@ impl Display for Tick {
 pub struct TickRange {
     /// The first tick.
     pub first: Tick,
-    /// The last tick; none if the range has no end.
+    /// The last tick; `None` if the range is unbounded.
     pub last: Option<Tick>,
 }
 
@@ -52,7 +52,7 @@ impl TickRange {
     /// All ticks.
     pub const ALL: TickRange = TickRange { first: Tick::START, last: None };
 
-    /// Whether a tick is one of them.
+    /// Returns whether the range contains a tick.
     pub fn contains(&self, tick: Tick) -> bool {
         tick >= self.first && self.last.is_none_or(|last| tick <= last)
     }
@@ -63,12 +63,12 @@ impl TickRange {
 pub struct ControllerIndex(pub u32);
 
 impl ControllerIndex {
-    /// As an index of arrays and lists of controllers.
+    /// Returns it as an index into arrays and lists of controllers.
     pub const fn slot(self) -> usize {
         self.0 as usize
     }
 
-    /// The first `count` controllers, in the scene's order.
+    /// Returns the indices of the first `count` controllers, in the scene's order.
     pub fn first(count: usize) -> impl Iterator<Item = ControllerIndex> {
         (0..count as u32).map(ControllerIndex)
     }

@@ -1,9 +1,9 @@
 use crate::message;
 
 message! {
-    /// One part of a keyframe. A keyframe saves everything that the physics keeps between ticks, so that a replay can
-    /// start there. The bytes are written by `simulation::Simulation::write_keyframe` and are valid for one build only.
-    /// Published after the state that they save.
+    /// One part of a keyframe. A keyframe saves everything that the physics keeps between ticks, so that a
+    /// replay can start there. The bytes are written by `simulation::Simulation::write_keyframe` and are
+    /// valid for one build only. Published after the state that they save.
     pub struct Keyframe = "trabecula_msgs/msg/Keyframe" {
         /// `State.tick` of the saved state.
         tick: u64,

@@ -1,13 +1,14 @@
-//! The single source for a message's layout: the Rust type, its `ros2msg` schema, its field table and its layout hash.
+//! The single source for a message's layout: the Rust type, its `ros2msg` schema, its field table and its
+//! layout hash.
 //!
-//! Each message is declared once, with [`message!`](crate::message). The bytes of such a struct, after the four bytes of
-//! [`CDR_LITTLE_ENDIAN`], are a valid CDR (XCDR1, little-endian) message of the generated schema, because no field is padded:
-//! `zerocopy::IntoBytes` proves that at compile time.
+//! Each message is declared once, with [`message!`](crate::message). The bytes of such a struct, after the
+//! four bytes of [`CDR_LITTLE_ENDIAN`], are a valid CDR (XCDR1, little-endian) message of the generated
+//! schema, because no field is padded: `zerocopy::IntoBytes` proves that at compile time.
 
 use sha2::{Digest, Sha256};
 
-/// CDR encapsulation header that turns a message's bytes into a `cdr` message of its `ros2msg` schema (OMG DDS-XTypes 1.3, 7.6.2.1.2:
-/// `CDR_LE`). Common readers refuse `00 07` (XCDR2).
+/// CDR encapsulation header that turns a message's bytes into a `cdr` message of its `ros2msg` schema (OMG
+/// DDS-XTypes 1.3, 7.6.2.1.2: `CDR_LE`). Common readers refuse `00 07` (XCDR2).
 pub const CDR_LITTLE_ENDIAN: [u8; 4] = [0, 1, 0, 0];
 
 const _: () = assert!(
@@ -25,7 +26,7 @@ pub enum Element {
 }
 
 impl Element {
-    /// The element's name in a `ros2msg` schema.
+    /// Returns the element's name in a `ros2msg` schema.
     pub fn ros_name(&self) -> &'static str {
         match self {
             Element::Scalar(name) => name,
@@ -77,7 +78,7 @@ pub struct Description {
     pub tail: Option<Tail>,
 }
 
-/// A type that may be a field of a message.
+/// A type that can be a field of a message.
 pub trait WireType {
     /// Type of one element.
     const ELEMENT: Element;
@@ -113,10 +114,12 @@ impl<T: WireType, const N: usize> WireType for [T; N] {
     const ARRAY_LENGTH: Option<usize> = Some(N);
 }
 
-/// Declares a message: a `#[repr(C)]` struct of plain scalars, arrays and other messages, together with its schema.
+/// Declares a message: a `#[repr(C)]` struct of plain scalars, arrays and other messages, together with its
+/// schema.
 ///
-/// A hole between fields, a pointer or a type without a ROS name does not compile. A variable-length message ends in
-/// `tail name: [element] = "ros type"`; the struct then ends in a `u32` element count named `<name>_length`.
+/// A hole between fields, a pointer or a type without a ROS name does not compile. A variable-length message
+/// ends in `tail name: [element] = "ros type"`; the struct then ends in a `u32` element count named
+/// `<name>_length`.
 #[macro_export]
 macro_rules! message {
     (
@@ -137,7 +140,7 @@ macro_rules! message {
         }
 
         impl $name {
-            /// A message of zeros.
+            /// Creates a message of zeros.
             pub fn zeroed() -> Self {
                 zerocopy::FromZeros::new_zeroed()
             }
@@ -180,13 +183,13 @@ macro_rules! message {
 }
 
 impl Description {
-    /// The type's name without its package: `State`.
+    /// Returns the type's name without its package: `State`.
     pub fn short_name(&self) -> &'static str {
         self.name.rsplit('/').next().unwrap_or(self.name)
     }
 
-    /// Checks that a message's length matches its type and its own count. A `Frame` is followed by an image, whose own prefix states its
-    /// lengths.
+    /// Checks that a message's length matches its type and its own count. A `Frame` is followed by an image,
+    /// whose prefix gives its lengths.
     ///
     /// # Errors
     /// The expected length, as text.
@@ -208,13 +211,13 @@ impl Description {
         }
     }
 
-    /// The fields listed in the schema: all of them, except the tail's count.
+    /// Returns the fields listed in the schema: all except the tail's count.
     pub fn schema_fields(&self) -> &'static [Field] {
         let count = self.fields.len() - usize::from(self.tail.is_some());
         &self.fields[..count]
     }
 
-    /// The `ros2msg` schema text, followed by the definition of each nested message.
+    /// Returns the `ros2msg` schema text, followed by the definition of each nested message.
     pub fn schema(&self) -> String {
         let mut text = self.definition();
         let mut seen = vec![self.name];
@@ -254,7 +257,7 @@ impl Description {
         text
     }
 
-    /// Identifies the layout: the first 16 hexadecimal digits of the SHA-256 of schema and offsets.
+    /// Returns the hash of the layout: the first 16 hexadecimal digits of the SHA-256 of schema and offsets.
     pub fn layout_hash(&self) -> String {
         let mut text = format!("{}{}", self.name, self.schema());
         for field in self.fields {
@@ -264,12 +267,12 @@ impl Description {
     }
 }
 
-/// The first 16 hexadecimal digits of a text's SHA-256.
+/// Returns the first 16 hexadecimal digits of a text's SHA-256.
 pub fn fingerprint(text: &str) -> String {
     hex(&Sha256::digest(text)[..8])
 }
 
-/// Bytes as lower-case hexadecimal digits.
+/// Formats bytes as lower-case hexadecimal digits.
 pub fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }

@@ -1,17 +1,19 @@
 //! The messages: every exchange between the hub's processes, and which service carries it.
 //!
-//! SI units and `f64`; the unit ends the field's name. The world is the patient frame (LPS, metres); `t_parent_child`
-//! is the pose of the child frame in the parent frame. Codes of `uint32` fields are enums, converted where a message is
-//! taken off its port (`codes.rs`).
+//! SI units and `f64`; the unit ends the field's name. The world is the patient frame (LPS, metres);
+//! `t_parent_child` is the pose of the child frame in the parent frame. Codes of `uint32` fields are enums,
+//! converted when a message is taken off its port (`codes.rs`).
 //!
-//! One declaration with [`message!`] yields the struct, its `ros2msg` schema, its field table and its layout hash. The message reference,
-//! the C header and the Python declarations are generated from it, too.
+//! One declaration with [`message!`] yields the struct, its `ros2msg` schema, its field table and its layout
+//! hash. The message reference, the C header and the Python declarations are also generated from it.
 //!
-//! **Boundary:** bytes and names. The transport (`ipc_types`) moves messages; the hub and the plant act on them.
+//! **Boundary:** bytes and names only. The transport (`ipc_types`) moves messages; the hub and the plant act
+//! on them.
 //!
-//! **Invariants:** a message has a fixed size, is little-endian and has no padding (the compiler proves it), so its bytes after
-//! [`CDR_LITTLE_ENDIAN`](layout::CDR_LITTLE_ENDIAN) are a CDR message of its schema and no byte is undefined. Field names are legal in ROS.
-//! A changed layout has another hash, and a program with another hash is refused.
+//! **Invariants:** a message has a fixed size, is little-endian and has no padding (the compiler proves it),
+//! so its bytes after [`CDR_LITTLE_ENDIAN`](layout::CDR_LITTLE_ENDIAN) are a CDR message of its schema and no
+//! byte is undefined. Field names are legal in ROS. A changed layout has a different hash, and a program with
+//! a different hash is refused.
 //!
 //! ```
 //! use messages::layout::Message;

@@ -2,8 +2,8 @@
 
 use std::fmt::{self, Display, Formatter};
 
-/// The parts of a session, besides its controllers and clients. Each is exactly one program. The numbers are those of
-/// [`Event::sender`](crate::Event::sender).
+/// The parts of a session, besides its controllers and clients. Each is exactly one program. The numbers are
+/// those of [`Event::sender`](crate::Event::sender).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[repr(u32)]
 pub enum Part {
@@ -18,10 +18,11 @@ pub enum Part {
 }
 
 impl Part {
-    /// All of them.
+    /// All parts.
     pub const ALL: [Part; 4] = [Part::Host, Part::Physics, Part::Drr, Part::Recorder];
 
-    /// Its name, which no controller may have: of its program, in summaries, and in the reason why a run ended.
+    /// Returns its name, which no controller may have: the name of its program, also used in summaries and in
+    /// the reason why a run ended.
     pub const fn name(self) -> &'static str {
         match self {
             Part::Host => "launcher",
@@ -32,7 +33,7 @@ impl Part {
     }
 }
 
-/// Its role, for the middle of a sentence.
+/// Displays its role, for the middle of a sentence.
 impl Display for Part {
     fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
         f.write_str(match self {

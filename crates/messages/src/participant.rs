@@ -1,9 +1,9 @@
-//! Who sends events, and the senders' numbers on the wire.
+//! Senders of events, and their numbers on the wire.
 
 use crate::index::ControllerIndex;
 use crate::part::Part;
 
-/// Who sends events.
+/// A sender of events.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Participant {
     /// A part of the session.
@@ -26,7 +26,7 @@ pub const SENDER_CONTROLLER: u32 = 16;
 const _: () = assert!(SENDER_RECORDER < SENDER_CONTROLLER && Part::ALL.len() <= SENDER_CONTROLLER as usize);
 
 impl Participant {
-    /// The number on the wire.
+    /// Returns the number on the wire.
     pub const fn code(self) -> u32 {
         match self {
             Participant::Part(part) => part as u32,
@@ -34,7 +34,7 @@ impl Participant {
         }
     }
 
-    /// The sender with this number on the wire.
+    /// Returns the sender with this number on the wire.
     pub fn of(number: u32) -> Option<Participant> {
         match number.checked_sub(SENDER_CONTROLLER) {
             Some(index) => Some(Participant::Controller(ControllerIndex(index))),

@@ -2,8 +2,9 @@ use super::MAX_SENSOR_VALUES;
 use crate::message;
 
 message! {
-    /// One reading of a sensor that the scene names. Published before the state of the tick at which it arrives, and only in scenes with a
-    /// `[[sensor]]`. What the values are, `kind` says; their order and units are in docs/sensors.md.
+    /// One reading of a sensor in the scene. Published before the state of the tick at which it arrives, and
+    /// only in scenes with a `[[sensor]]`. `kind` determines what the values mean; docs/sensors.md lists
+    /// their order and units.
     pub struct SensorReading = "trabecula_msgs/msg/SensorReading" {
         /// `State.tick` of the state with which the reading arrives.
         tick: u64,
@@ -11,26 +12,27 @@ message! {
         sample_tick: u64,
         /// Sequence number of the readings of all sensors: 1, 2, 3 and so on.
         sequence: u64,
-        /// The sensor, by its place in the scene, from 0.
+        /// Index of the sensor in the scene, from 0.
         sensor_index: u32,
         /// 1 fbg, 2 tracker, 3 encoders, 4 load_cell, 5 force_torque.
         kind: u32,
-        /// 1 if it measured, 0 if the reading dropped out or the tracker does not see its marker; the values are then 0.
+        /// 1 if the reading is valid, 0 if it dropped out or the tracker does not see its marker; the values
+        /// are then 0.
         valid: u32,
         /// Number of used entries of `value`.
         value_count: u32,
-        /// What was measured.
+        /// Measured values.
         value: [f64; MAX_SENSOR_VALUES],
     }
 }
 
 impl SensorReading {
-    /// The used values.
+    /// Returns the used values.
     pub fn values(&self) -> &[f64] {
         &self.value[..(self.value_count as usize).min(MAX_SENSOR_VALUES)]
     }
 
-    /// Whether it measured.
+    /// Returns whether the reading is valid.
     pub fn is_valid(&self) -> bool {
         self.valid == 1
     }

@@ -1,8 +1,8 @@
 //! The services of a session: name, message, lane, and the limits of each queue.
 //!
-//! All services are publish-subscribe over byte slices; the layout hash of the message travels as an attribute. Every queue is bounded and
-//! overwrites its oldest entry, so nothing ever blocks the physics. Each message carries a sequence number or tick, so a reader can detect
-//! what it lost.
+//! All services are publish-subscribe over byte slices; the layout hash of the message travels as an
+//! attribute. Every queue is bounded and overwrites its oldest entry, so nothing ever blocks the physics.
+//! Each message carries a sequence number or tick, so a reader can detect what it lost.
 
 use crate::layout::{Description, Message};
 use crate::part::Part;
@@ -12,14 +12,14 @@ use crate::{
     TickTiming, Volume,
 };
 
-/// Which log a service is recorded to.
+/// The log that a service is recorded to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Lane {
     /// `run.mcap`: a function of the scene and the latched commands alone.
     Run,
     /// `timing.mcap`: wall-clock facts and everything that depends on them.
     Timing,
-    /// Not recorded as messages (the volume: its hash is in the log's metadata).
+    /// Not recorded as messages (the volume: the log's metadata holds its hash).
     None,
 }
 
@@ -32,33 +32,37 @@ pub struct Service {
     pub description: &'static Description,
     /// Where it is recorded.
     pub lane: Lane,
-    /// The only parts that may write it; empty if every client may.
+    /// The only parts that may write to it; empty if every client may.
     pub writers: &'static [Part],
     /// How many entries a slow subscriber may lag before its oldest are overwritten.
     pub queue_length: usize,
-    /// As above, for subscribers that must not lose any: the recorder, and the DRR process for removed voxels.
+    /// As above, for subscribers that must not lose any: the recorder, and the DRR process for removed
+    /// voxels.
     pub lossless_length: usize,
-    /// Newest messages delivered to a late joiner.
+    /// Number of newest messages delivered to a late joiner.
     pub history: usize,
-    /// Most publishers at a time.
+    /// Maximum number of publishers at a time.
     pub max_publishers: usize,
-    /// Most subscribers at a time.
+    /// Maximum number of subscribers at a time.
     pub max_subscribers: usize,
-    /// Largest message, bytes, if that does not depend on the scene; the sender splits or refuses longer ones.
+    /// Largest message, bytes, if independent of the scene; the sender splits or refuses longer ones.
     pub max_bytes: usize,
 }
 
-/// Most voxels in one `Removed` message; what a tick removes beyond it follows in further messages of the tick.
+/// Maximum number of voxels in one `Removed` message; further voxels of a tick follow in further messages of
+/// that tick.
 pub const MAX_REMOVED_PER_MESSAGE: usize = 4096;
-/// Largest keyframe, bytes; a larger state gets none, which an event says. A hole of 36 mm in voxels of 0.06 mm needs 3.5 MB.
+/// Largest keyframe, bytes. A larger state is not saved, which an event reports. A hole of 36 mm in voxels of
+/// 0.06 mm needs 3.5 MB.
 pub const MAX_KEYFRAME_BYTES: usize = 8 << 20;
-/// Most bytes of a keyframe in one message.
+/// Maximum number of a keyframe's bytes in one message.
 pub const KEYFRAME_PART_BYTES: usize = 32 << 10;
 /// Bytes of an event's text, including its NUL.
 pub const MAX_EVENT_TEXT: usize = 1024;
 
-/// A complete session has nine subscribers of the run's status: four controllers, DRR, recorder, launcher and the viewer's two. The rest
-/// are for clients that only watch. Each costs two samples of every publisher.
+/// Maximum number of subscribers. A complete session has nine subscribers of the run's status: four
+/// controllers, DRR, recorder, launcher and the viewer's two. The rest are for clients that only watch. Each
+/// costs two samples of every publisher.
 const MAX_SUBSCRIBERS: usize = 16;
 
 const fn fixed<M: Message>(
@@ -85,11 +89,13 @@ const ANYBODY: &[Part] = &[];
 const PHYSICS_ONLY: &[Part] = &[Part::Physics];
 const DRR_ONLY: &[Part] = &[Part::Drr];
 
-/// `State`, once per tick. A queue holds half a second of them at 1 kHz, the recorder's [`RECORDER_QUEUE_TICKS`].
+/// `State`, once per tick. A queue holds half a second of states at 1 kHz, the recorder's queue
+/// [`RECORDER_QUEUE_TICKS`].
 pub const STATE: Service = fixed::<State>("state", Lane::Run, PHYSICS_ONLY, 512);
-/// Ticks for which the recorder may stall without losing anything: 4.096 s at 1 kHz. All per-tick queues have this length.
+/// Ticks for which the recorder can stall without losing anything: 4.096 s at 1 kHz. All per-tick queues have
+/// this length.
 pub const RECORDER_QUEUE_TICKS: u64 = STATE.lossless_length as u64;
-/// `Latched`, once per tick, before the state it leads to.
+/// `Latched`, once per tick, before the state that it leads to.
 pub const LATCHED: Service = fixed::<Latched>("latched", Lane::Run, PHYSICS_ONLY, 512);
 /// `Removed`, for ticks that removed voxels.
 pub const REMOVED: Service = Service {
@@ -97,11 +103,12 @@ pub const REMOVED: Service = Service {
     max_bytes: Removed::DESCRIPTION.size + MAX_REMOVED_PER_MESSAGE * 4,
     ..fixed::<Removed>("removed", Lane::Run, PHYSICS_ONLY, 512)
 };
-/// `SensorReading`, for scenes with sensors. The queue of the recorder holds what eight sensors send at 250 Hz in the 4.096 s for which it
-/// may stall.
+/// `SensorReading`, for scenes with sensors. The recorder's queue holds what eight sensors send at 250 Hz in
+/// the 4.096 s for which it can stall.
 pub const SENSOR: Service =
     Service { history: 0, ..fixed::<SensorReading>("sensor", Lane::Run, PHYSICS_ONLY, 1024) };
-/// `Keyframe`, in parts, every `recording.keyframe_interval_s`. The queue holds the longest one, the recorder's two of them.
+/// `Keyframe`, in parts, every `recording.keyframe_interval_s`. The queue holds one keyframe of the largest
+/// size, the recorder's queue two.
 pub const KEYFRAME: Service = Service {
     history: 0,
     lossless_length: 2 * MAX_KEYFRAME_BYTES / KEYFRAME_PART_BYTES,
@@ -109,8 +116,8 @@ pub const KEYFRAME: Service = Service {
     max_bytes: Keyframe::DESCRIPTION.size + KEYFRAME_PART_BYTES,
     ..fixed::<Keyframe>("keyframe", Lane::Run, PHYSICS_ONLY, MAX_KEYFRAME_BYTES / KEYFRAME_PART_BYTES)
 };
-/// `Command`, one service per controller, so that the service identifies the writer. A recorder may lag as far behind on commands as on
-/// states.
+/// `Command`, one service per controller, so that the service identifies the writer. A recorder may lag as
+/// far behind on commands as on states.
 pub const COMMAND: Service =
     Service { history: 0, ..fixed::<Command>("command", Lane::Timing, ANYBODY, 512) };
 /// `Volume`, once; `max_bytes` depends on the scene's volume.
@@ -157,7 +164,7 @@ pub const TICK_TIMING: Service =
 pub const FRAME_TIMING: Service =
     Service { history: 0, ..fixed::<FrameTiming>("frame_timing", Lane::Timing, DRR_ONLY, 64) };
 
-// The recorder may fall equally far behind on everything that comes once a tick.
+// The recorder may lag equally far behind on everything that is sent once a tick.
 const _: () = assert!(
     LATCHED.lossless_length == STATE.lossless_length
         && REMOVED.lossless_length == STATE.lossless_length
@@ -178,9 +185,9 @@ const _: () = assert!(
 );
 
 impl Service {
-    /// Samples per publisher, its own loans included. Queues hold the newest messages, so all queues together hold no more than the longest
-    /// one; in addition every subscriber may hold two. The volume is published once: one copy of a CT in memory, not one per possible
-    /// reader.
+    /// Returns the number of samples per publisher, including its own loan. Queues hold the newest messages,
+    /// so all queues together hold no more than the longest one; in addition every subscriber may hold two.
+    /// The volume is published once: one copy of a CT in memory, not one per possible reader.
     pub fn samples(&self) -> usize {
         if self.name == VOLUME.name {
             return 1;
@@ -188,7 +195,7 @@ impl Service {
         self.lossless_length.max(self.history) + SAMPLES_HELD * (self.max_subscribers + 1)
     }
 
-    /// Upper bound of the shared memory that a publisher reserves, bytes.
+    /// Returns an upper bound of the shared memory that a publisher reserves, bytes.
     pub fn reserved_bytes(&self) -> u64 {
         let sample = self.max_bytes + SAMPLE_HEADER;
         SEGMENT_HEADER + (self.samples() * (sample + SAMPLE_INDEX)) as u64
@@ -201,10 +208,11 @@ const SAMPLE_HEADER: usize = 64;
 const SAMPLE_INDEX: usize = 8;
 /// Upper bound of a segment's overhead besides its samples, bytes.
 const SEGMENT_HEADER: u64 = 4096;
-/// A port's overhead besides its samples, bytes: its connections, and what other ports allocate at the same time.
+/// A port's overhead besides its samples, bytes: its connections, and what other ports allocate at the same
+/// time.
 pub const CONNECTIONS_BYTES: u64 = 2 << 20;
 
-/// Samples that a subscriber may hold at a time.
+/// Maximum number of samples that a subscriber may hold at a time.
 pub const SAMPLES_HELD: usize = 2;
 
 /// Every service except the commands, which have one per controller.
@@ -227,12 +235,12 @@ pub const ALL: &[Service] = &[
     FRAME_TIMING,
 ];
 
-/// Name of a controller's command service.
+/// Returns the name of a controller's command service.
 pub fn command_name(controller: &str) -> String {
     format!("{}/{controller}", COMMAND.name)
 }
 
-/// Bytes of a frame message: [`Frame`], [`ImagePrefix`], pixels.
+/// Returns the length of a frame message, bytes: [`Frame`], [`ImagePrefix`], pixels.
 pub fn frame_bytes(columns: u32, rows: u32) -> usize {
     Frame::DESCRIPTION.size + ImagePrefix::DESCRIPTION.size + columns as usize * rows as usize * 2
 }

@@ -24,7 +24,7 @@ message! {
 }
 
 message! {
-    /// Which command of a controller was applied in the tick that led to this state.
+    /// The command of a controller that was applied in the tick that led to this state.
     pub struct AppliedCommand = "trabecula_msgs/msg/AppliedCommand" {
         /// Sequence number of the command; 0 if none.
         sequence: u64,
@@ -68,10 +68,11 @@ message! {
         arm_mode: u32,
         /// 0 moving, 1 at its goal and at rest, 2 motion aborted or a joint stopped at the end of its range.
         arm_status: u32,
-        /// Number of the arm's joints that turn, 6 or 7; 0 for a gantry and where there is no arm. Entries behind them are 0.
+        /// Number of the arm's revolute joints, 6 or 7; 0 for a gantry or without an arm. Further entries of
+        /// the joint arrays are 0.
         arm_joint_count: u32,
-        /// 0 none, 1 stopped, 2 released: the arm stopped because the tool pressed too hard and takes no command but hold, and has been released
-        /// while the force is not below the limit yet.
+        /// 0 none, 1 stopped, 2 released: the arm stopped because the tool pressed too hard and takes no
+        /// command but hold, and has been released while the force is not below the limit yet.
         arm_protective_stop: u32,
         /// Flexure angles from base to tip, positive toward tendon 0.
         joint_position_rad: [f64; MAX_JOINTS],
@@ -81,18 +82,19 @@ message! {
         bend_rad: f64,
         /// Angular speed of the burr.
         burr_speed_rad_per_s: f64,
-        /// How far the motor is ahead of the burr: the wind-up of a drive shaft that twists; 0 without one.
+        /// Angle by which the motor leads the burr: the wind-up of a flexible drive shaft; 0 without one.
         drive_shaft_wind_up_rad: f64,
         /// Normal force between burr and bone.
         burr_force_n: f64,
         /// Sum of the normal forces on the tool, without the burr's.
         wall_force_n: f64,
-        /// Largest force of a contact as a share of what the bone there bears; 1 where bone yields, 0 while no contact carries more than any
-        /// bone bears.
+        /// Largest ratio of a contact's force to the strength of the bone there; 1 where bone yields, 0 while
+        /// no contact force exceeds the strength of the weakest bone.
         strength_share: f64,
-        /// Farthest that a flexure is past its stop; 0 if none is.
+        /// Largest excess of a flexure beyond its stop; 0 if none is past its stop.
         stop_excess_rad: f64,
-        /// Largest speed by which a contact (m/s) or a stop (rad/s) misses its law after the solver's iterations.
+        /// Largest residual of a contact (m/s) or a stop (rad/s) after the solver's iterations: the speed by
+        /// which it violates its law.
         contact_residual_m_per_s: f64,
         /// Energy spent on cutting since the start.
         cutting_energy_j: f64,
@@ -104,14 +106,14 @@ message! {
         tendon_displacement_m: [f64; MAX_TENDONS],
         /// How far the tube has slid out of the outer tube; 0 for a tool without one.
         tube_deployed_m: f64,
-        /// Speed of that.
+        /// Rate of change of `tube_deployed_m`.
         tube_deploying_m_per_s: f64,
         /// Angle of the tube about its own axis in the outer tube, from +x toward +y of the tool base.
         tube_roll_rad: f64,
-        /// Speed of that.
+        /// Rate of change of `tube_roll_rad`.
         tube_rolling_rad_per_s: f64,
-        /// Pose of the tool base (start of the rigid shaft, or of the outer tube), including the mount's deflection; +z along the straight tool,
-        /// +x toward tendon 0.
+        /// Pose of the tool base (start of the rigid shaft, or of the outer tube), including the mount's
+        /// deflection; +z along the straight tool, +x toward tendon 0.
         t_world_base: Pose,
         /// Pose of the tip, the front of the burr: its centre plus its radius along the last link's +z.
         t_world_tip: Pose,
@@ -123,10 +125,11 @@ message! {
         arm_joint_position_rad: [f64; MAX_ARM_JOINTS],
         /// Arm joint velocities.
         arm_joint_velocity_rad_per_s: [f64; MAX_ARM_JOINTS],
-        /// Elastic deflection of the arm's joints, included in `arm_joint_position_rad`; 0 without joint compliance.
+        /// Elastic deflection of the arm's joints, included in `arm_joint_position_rad`; 0 without joint
+        /// compliance.
         arm_joint_deflection_rad: [f64; MAX_ARM_JOINTS],
-        /// Distance from singularity: Yoshikawa's manipulability in m³, |det J| of six joints and the root of det(J Jᵀ) of seven; for the UR5
-        /// mostly 0.05 to 0.1.
+        /// Distance from singularity: Yoshikawa's manipulability in m³, |det J| of six joints and the root of
+        /// det(J Jᵀ) of seven; for the UR5 mostly 0.05 to 0.1.
         arm_manipulability_m3: f64,
         /// Pose of the arm's flange.
         t_world_flange: Pose,

@@ -3,9 +3,9 @@ use voxel_grid::{Ct, GridError, VoxelGrid};
 use crate::message;
 
 message! {
-    /// Voxels that are removed from this tick on. Published before the tick's state, and only for ticks that remove
-    /// voxels; a tick that removes more than 4096 has several, in order of their `sequence`. Messages of tick 0 hold the scene's
-    /// predrilled holes, which `removed_total` does not count.
+    /// Voxels removed from this tick on. Published before the tick's state, and only for ticks that remove
+    /// voxels; a tick that removes more than 4096 has several, in order of their `sequence`. Messages of tick
+    /// 0 hold the scene's predrilled holes, which `removed_total` does not count.
     pub struct Removed = "trabecula_msgs/msg/Removed" {
         /// `State.tick` of the first state without them.
         tick: u64,
@@ -21,18 +21,18 @@ message! {
     tail voxel_index: [u32] = "uint32"
 }
 
-/// What a tick put back before it removed voxels.
+/// What a tick restored before removing voxels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Restores {
     /// Nothing.
     #[default]
     Nothing,
-    /// All drilled voxels, as a reset does; the predrilled ones stay gone.
+    /// All drilled voxels, as after a reset; the predrilled ones stay removed.
     Drilled,
 }
 
 impl Restores {
-    /// [`Removed::restore_first`] of it.
+    /// Returns its value of [`Removed::restore_first`].
     pub const fn code(self) -> u32 {
         match self {
             Restores::Nothing => 0,
@@ -42,14 +42,15 @@ impl Restores {
 }
 
 impl Removed {
-    /// What was put back first.
+    /// Returns what was restored first.
     pub fn restores(&self) -> Restores {
         if self.restore_first != 0 { Restores::Drilled } else { Restores::Nothing }
     }
 }
 
 message! {
-    /// The CT volume: geometry, then Hounsfield units with x varying fastest. Published once; late joiners receive it.
+    /// The CT volume: geometry, then Hounsfield units with x varying fastest. Published once; late joiners
+    /// receive it.
     pub struct Volume = "trabecula_msgs/msg/Volume" {
         /// SHA-256 of geometry and voxels.
         sha256: [u8; 32],
@@ -68,7 +69,7 @@ message! {
 }
 
 impl Volume {
-    /// The message of a CT, whose voxels are its tail.
+    /// Creates the message of a CT, whose voxels are its tail.
     pub fn of(ct: &Ct) -> Volume {
         let (grid, hu) = (&ct.volume.grid, &ct.volume.hu);
         let [[a, b, c], [d, e, f], [g, h, i]] = grid.axes();
@@ -82,10 +83,10 @@ impl Volume {
         }
     }
 
-    /// The grid of its voxels.
+    /// Returns the grid of its voxels.
     ///
     /// # Errors
-    /// The geometry is not a valid grid.
+    /// If the geometry is not a valid grid.
     pub fn grid(&self) -> Result<VoxelGrid, GridError> {
         let [a, b, c, d, e, f, g, h, i] = self.direction;
         let dims = self.dimensions.map(|n| n as usize);

@@ -1,4 +1,4 @@
-//! Big-endian fields.
+//! Reads and writes big-endian fields.
 
 use crate::Error;
 
@@ -45,7 +45,7 @@ impl<'a> Fields<'a> {
         self.array().map(u64::from_be_bytes)
     }
 
-    /// A finite number.
+    /// Reads a finite number.
     pub(crate) fn f32(&mut self, field: &'static str) -> Result<f32, Error> {
         let value = self.array().map(f32::from_be_bytes)?;
         if value.is_finite() {
@@ -58,7 +58,7 @@ impl<'a> Fields<'a> {
         Ok([self.f32(field)?, self.f32(field)?, self.f32(field)?])
     }
 
-    /// A text in a field of fixed length, ended by NUL or by the field.
+    /// Reads a text in a field of fixed length, terminated by NUL or by the field's end.
     pub(crate) fn padded(&mut self, bytes: usize) -> Result<String, Error> {
         let field = self.take(bytes)?;
         let end = field.iter().position(|byte| *byte == 0).unwrap_or(bytes);
@@ -112,7 +112,8 @@ pub(crate) trait Put {
         }
     }
 
-    /// A text, filled up with NUL. One byte stays NUL: receivers written in C take the field for a string.
+    /// Writes a text, padded with NUL. One byte always stays NUL, because receivers written in C treat the
+    /// field as a string.
     fn put_padded(&mut self, field: &'static str, text: &str, bytes: usize) -> Result<(), Error> {
         check_text(field, text, bytes - 1)?;
         self.put(text.as_bytes());
@@ -136,7 +137,7 @@ pub(crate) fn check_text(field: &'static str, text: &str, most: usize) -> Result
     Err(Error::Text { field, text: text.chars().take(80).collect(), bytes: text.len(), most })
 }
 
-/// A length that a 16-bit field holds.
+/// Converts a length to a 16-bit field.
 pub(crate) fn u16_of(kind: &'static str, field: &'static str, value: usize) -> Result<u16, Error> {
     u16::try_from(value).map_err(|_| Error::Field {
         kind,
@@ -146,7 +147,7 @@ pub(crate) fn u16_of(kind: &'static str, field: &'static str, value: usize) -> R
     })
 }
 
-/// A length that a 32-bit field holds.
+/// Converts a length to a 32-bit field.
 pub(crate) fn u32_of(kind: &'static str, field: &'static str, value: usize) -> Result<u32, Error> {
     u32::try_from(value).map_err(|_| Error::Field {
         kind,

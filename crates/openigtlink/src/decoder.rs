@@ -1,12 +1,13 @@
-//! Messages from a stream of bytes.
+//! Decodes messages from a stream of bytes.
 
 use crate::header::{HEADER_BYTES, Header, HeaderVersion};
 use crate::{Error, Message};
 
-/// Turns bytes, in pieces of any size, into messages.
+/// Decodes messages from bytes in pieces of any size.
 ///
-/// After [`Error::HeaderVersion`] or [`Error::TooLarge`] the stream is out of step and every call fails alike: close it. After any other
-/// error the message in question is gone and the next one can be read.
+/// After [`Error::HeaderVersion`] or [`Error::TooLarge`] the stream is out of step and every call fails in
+/// the same way: close it. After any other error the message in question is lost and the next one can be
+/// read.
 #[derive(Debug)]
 pub struct Decoder {
     most_body_bytes: usize,
@@ -15,26 +16,26 @@ pub struct Decoder {
 }
 
 impl Decoder {
-    /// A decoder that accepts bodies of at most so many bytes.
+    /// Creates a decoder that accepts bodies up to this size in bytes.
     pub fn new(most_body_bytes: usize) -> Decoder {
         Decoder { most_body_bytes, bytes: Vec::new(), newest: None }
     }
 
-    /// Takes bytes of the stream. Call [`Decoder::next`] until it returns `None` before the next piece, so that no more than one message
-    /// and one piece are held.
+    /// Adds bytes of the stream. Before adding the next piece, call [`Decoder::next`] until it returns
+    /// `None`, so that at most one message and one piece are held.
     pub fn push(&mut self, bytes: &[u8]) {
         self.bytes.extend_from_slice(bytes);
     }
 
-    /// Version of the newest header that was read: what the sender understands.
+    /// Returns the version of the newest header that was read, which is what the sender understands.
     pub fn version(&self) -> Option<HeaderVersion> {
         self.newest
     }
 
-    /// The next whole message; `None` until more bytes come.
+    /// Returns the next complete message, or `None` until more bytes are added.
     ///
     /// # Errors
-    /// A stream that is not OpenIGTLink, a body that is too large, damaged, or not what its type asks for.
+    /// A stream that is not OpenIGTLink; a body that is too large, damaged, or malformed for its type.
     #[expect(clippy::should_implement_trait, reason = "None is not the end: more bytes may come")]
     pub fn next(&mut self) -> Result<Option<Message>, Error> {
         let Some(bytes) = self.bytes.first_chunk::<HEADER_BYTES>() else { return Ok(None) };

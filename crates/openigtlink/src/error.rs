@@ -1,15 +1,15 @@
-//! What can be wrong with a message.
+//! Errors of encoding and decoding messages.
 
 use thiserror::Error;
 
 /// Why a message cannot be written or read.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 pub enum Error {
-    /// A header of a version that is not known.
+    /// The header has an unknown version.
     #[error("header version {0}, expected 1 or 2: the stream is not OpenIGTLink, or out of step")]
     HeaderVersion(u16),
     /// The announced body is larger than the reader accepts.
-    #[error("a body of {bytes} bytes, at most {most} are accepted")]
+    #[error("a body of {bytes} bytes, at most {most} accepted")]
     TooLarge {
         /// Announced length.
         bytes: u64,
@@ -21,22 +21,22 @@ pub enum Error {
     Checksum {
         /// Type of the message.
         kind: String,
-        /// CRC of the bytes that came.
+        /// CRC of the received bytes.
         computed: u64,
         /// CRC in the header.
         stated: u64,
     },
-    /// A body is shorter or longer than its type and its own lengths ask for.
+    /// A body is shorter or longer than its type and its own lengths require.
     #[error("`{kind}`: a body of {bytes} bytes, expected {expected}")]
     Length {
         /// Type of the message.
         kind: &'static str,
-        /// Length that came.
+        /// The body's length in bytes.
         bytes: usize,
         /// What was expected.
         expected: String,
     },
-    /// A field of a body is out of its range.
+    /// A field of a body is out of range.
     #[error("`{kind}`: `{field}` is {given}, expected {expected}")]
     Field {
         /// Type of the message.
@@ -49,7 +49,7 @@ pub enum Error {
         expected: &'static str,
     },
     /// A text does not fit its field.
-    #[error("`{text}` has {bytes} bytes, {field} holds at most {most} of ASCII")]
+    #[error("`{text}` has {bytes} bytes, {field} allows at most {most}, ASCII only")]
     Text {
         /// The field.
         field: &'static str,

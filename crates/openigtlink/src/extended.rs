@@ -4,14 +4,14 @@ use crate::Error;
 use crate::bytes::{Fields, Put};
 
 const KIND: &str = "extended header";
-/// Length of the extended header that this crate writes; a longer one is read over.
+/// Size of the extended header that this crate writes, in bytes; a longer one is skipped.
 const EXTENDED_BYTES: u16 = 12;
 
-/// A body of header version 2 around this content: no metadata, message number 0.
+/// Wraps content into a body of header version 2: no metadata, message number 0.
 pub(crate) fn wrap(content: &[u8]) -> Vec<u8> {
     let mut body = Vec::with_capacity(content.len() + usize::from(EXTENDED_BYTES) + 2);
     body.put_u16(EXTENDED_BYTES);
-    // The metadata's index: its own count, nothing else.
+    // The metadata's index: its count, nothing else.
     body.put_u16(2);
     body.put_u32(0);
     body.put_u32(0);
@@ -20,7 +20,7 @@ pub(crate) fn wrap(content: &[u8]) -> Vec<u8> {
     body
 }
 
-/// The content of a body of header version 2, without extended header and metadata.
+/// Returns the content of a body of header version 2, without extended header and metadata.
 pub(crate) fn unwrap(body: &[u8]) -> Result<&[u8], Error> {
     let mut fields = Fields::new(KIND, body);
     let extended_bytes = usize::from(fields.u16()?);

@@ -5,7 +5,7 @@ use crate::bytes::{Fields, Put};
 
 pub(crate) const TRANSFORM: &str = "TRANSFORM";
 
-/// A pose: where a frame's axes and origin lie in its parent.
+/// A pose: the axes and origin of a frame in its parent.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Transform {
     /// Rotation matrix, `rotation[row][column]`; column j is the child's axis j in the parent.
@@ -14,7 +14,7 @@ pub struct Transform {
     pub translation_mm: [f32; 3],
 }
 
-/// Columns first, then the translation: R11 R21 R31 R12 … R33 TX TY TZ.
+/// Writes the columns first, then the translation: R11 R21 R31 R12 … R33 TX TY TZ.
 pub(crate) fn write(transform: &Transform, body: &mut Vec<u8>) {
     put_columns(&transform.rotation, body);
     body.put_f32s(&transform.translation_mm);

@@ -1,23 +1,23 @@
-//! The 58 bytes in front of each message.
+//! The 58-byte header of each message.
 
 use crc::{CRC_64_ECMA_182, Crc};
 
 use crate::Error;
 use crate::bytes::{Fields, Put};
 
-/// Length of a header.
+/// Size of a header in bytes.
 pub const HEADER_BYTES: usize = 58;
 
-/// The CRC of a body: ECMA-182, from 0, as `igtl_util.c` computes it.
+/// CRC of a body: ECMA-182, starting from 0, as computed by `igtl_util.c`.
 pub(crate) const CRC: Crc<u64> = Crc::<u64>::new(&CRC_64_ECMA_182);
 
 const TYPE_BYTES: usize = 12;
 const DEVICE_BYTES: usize = 20;
 
-/// Version of the header: not that of the protocol.
+/// Version of the header, which is not that of the protocol.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum HeaderVersion {
-    /// Protocols 1 and 2: the body follows at once.
+    /// Protocols 1 and 2: the content follows immediately.
     V1,
     /// Protocol 3: the body begins with an extended header and ends with metadata.
     V2,
@@ -32,7 +32,7 @@ impl HeaderVersion {
     }
 }
 
-/// Seconds since 1970 as OpenIGTLink counts them; zero where the sender states none.
+/// Seconds since 1970 as defined by OpenIGTLink; zero if the sender gives none.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Timestamp {
     /// Whole seconds.
@@ -42,7 +42,7 @@ pub struct Timestamp {
 }
 
 impl Timestamp {
-    /// The time so many nanoseconds after 1970. It ends in 2106, with the field.
+    /// Converts nanoseconds since 1970. The field's range ends in 2106.
     pub fn from_ns(ns: u64) -> Timestamp {
         let fraction = ((ns % 1_000_000_000) << 32) / 1_000_000_000;
         Timestamp {
@@ -52,7 +52,7 @@ impl Timestamp {
     }
 }
 
-/// A header; its `body_bytes` count the extended header and the metadata.
+/// A header. Its `body_bytes` include the extended header and the metadata.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Header {
     pub(crate) version: HeaderVersion,
@@ -93,7 +93,7 @@ impl Header {
     }
 }
 
-/// The header's names may fill their fields: no NUL need follow.
+/// Writes a name. The header's names may fill their fields; no NUL need follow.
 fn put_name(out: &mut Vec<u8>, field: &'static str, text: &str, bytes: usize) -> Result<(), Error> {
     crate::bytes::check_text(field, text, bytes)?;
     out.put(text.as_bytes());

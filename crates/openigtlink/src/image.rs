@@ -10,7 +10,7 @@ const VERSION: u16 = 1;
 const SCALAR_UINT16: u8 = 5;
 const LITTLE_ENDIAN: u8 = 2;
 
-/// Which patient axes positions are given in.
+/// The patient axes in which positions are given.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Coordinates {
     /// Right, anterior, superior: Slicer's.
@@ -19,10 +19,10 @@ pub enum Coordinates {
     Lps,
 }
 
-/// One scalar component of 16 unsigned bits a sample.
+/// An image of one component with 16 unsigned bits per sample.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Image {
-    /// Axes that `axes_mm` and `centre_mm` are given in.
+    /// Coordinates of `axes_mm` and `centre_mm`.
     pub coordinates: Coordinates,
     /// Samples along i, j and k.
     pub size: [u16; 3],
@@ -52,7 +52,7 @@ pub(crate) fn write(image: &Image, body: &mut Vec<u8>) -> Result<(), Error> {
     image.size.iter().for_each(|n| body.put_u16(*n));
     put_columns(&image.axes_mm, body);
     body.put_f32s(&image.centre_mm);
-    // The part of the image that is sent: all of it.
+    // The sub-volume that is sent: all of the image.
     (0..3).for_each(|_| body.put_u16(0));
     image.size.iter().for_each(|n| body.put_u16(*n));
     body.reserve(2 * expected);

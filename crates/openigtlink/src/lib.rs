@@ -1,12 +1,15 @@
 //! OpenIGTLink messages as bytes, as 3D Slicer, PLUS and tracking systems exchange them.
 //!
-//! Source: the OpenIGTLink protocol, versions 2 and 3 (openigtlink.org/developers/spec: header, extended header, CRC, TRANSFORM, IMAGE,
-//! POINT, STRING, STATUS, POLYDATA). Numbers are big-endian; lengths are millimetres, as Slicer takes them.
+//! Source: the OpenIGTLink protocol, versions 2 and 3 (openigtlink.org/developers/spec: header, extended
+//! header, CRC, TRANSFORM, IMAGE, POINT, STRING, STATUS, POLYDATA). Numbers are big-endian; lengths are in
+//! millimetres, as Slicer expects.
 //!
-//! [`Message`] is what is sent, [`Message::encode`] its bytes, and [`Decoder`] turns a stream of bytes into messages again.
+//! A [`Message`] is encoded to bytes by [`Message::encode`]; a [`Decoder`] decodes messages from a stream of
+//! bytes.
 //!
-//! **Boundary:** bytes only; no socket, no clock. **Invariants:** a decoder holds at most one message and never more than its limit; no
-//! length in a message is trusted before it is checked; a body of an unknown type is kept as bytes.
+//! **Boundary:** bytes only; no socket, no clock. **Invariants:** a decoder holds at most one message and
+//! never more than its limit; lengths in a message are checked before they are trusted; a body of an unknown
+//! type is kept as bytes.
 //!
 //! ```
 //! use openigtlink::{Body, Decoder, HeaderVersion, Message, Transform};

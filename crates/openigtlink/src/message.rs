@@ -8,7 +8,7 @@ use crate::polydata::{self, POLYDATA};
 use crate::text::{self, STATUS, STRING};
 use crate::{Error, HeaderVersion, Image, Point, PolyData, Status, Timestamp, Transform, bytes, extended};
 
-/// What a message holds.
+/// The content of a message.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Body {
     /// A pose.
@@ -23,7 +23,7 @@ pub enum Body {
     Status(Status),
     /// A surface or lines.
     PolyData(PolyData),
-    /// A type that this crate does not know, such as `GET_TRANS`; its content as it came.
+    /// A type unknown to this crate, such as `GET_TRANS`; its content as received.
     Other {
         /// The type.
         kind: String,
@@ -49,16 +49,16 @@ impl Body {
 /// A message.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Message {
-    /// Name of what is sent, at most 20 bytes of ASCII. Receivers keep one item a name and type.
+    /// Name of the item, at most 20 bytes of ASCII. Receivers keep one item per name and type.
     pub device: String,
-    /// When it was made; zero if unsaid.
+    /// Time of creation; zero if unknown.
     pub timestamp: Timestamp,
-    /// What it holds.
+    /// The content.
     pub body: Body,
 }
 
 impl Message {
-    /// A message without a time.
+    /// Creates a message without a time.
     ///
     /// # Errors
     /// [`Error::Text`] for a device name of more than 20 bytes or not ASCII.
@@ -67,10 +67,10 @@ impl Message {
         Ok(Message { device: device.to_owned(), timestamp: Timestamp::default(), body })
     }
 
-    /// The message's bytes.
+    /// Encodes the message.
     ///
     /// # Errors
-    /// A text, length or index that its field does not hold.
+    /// A text, length or index that does not fit its field.
     pub fn encode(&self, version: HeaderVersion) -> Result<Vec<u8>, Error> {
         let mut content = Vec::new();
         match &self.body {
@@ -100,7 +100,7 @@ impl Message {
         Ok(message)
     }
 
-    /// The message with this header and body.
+    /// Returns the message with this header and body.
     pub(crate) fn decode(header: Header, body: &[u8]) -> Result<Message, Error> {
         let computed = CRC.checksum(body);
         if computed != header.crc {

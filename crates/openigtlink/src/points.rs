@@ -21,7 +21,7 @@ pub struct Point {
     pub rgba: [u8; 4],
     /// Position.
     pub position_mm: [f32; 3],
-    /// Diameter of the mark; 0 leaves it to the receiver.
+    /// Diameter of the mark; 0 lets the receiver choose.
     pub diameter_mm: f32,
     /// Device name of the image that the point belongs to; may be empty.
     pub owner: String,

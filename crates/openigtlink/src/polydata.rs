@@ -7,12 +7,12 @@ pub(crate) const POLYDATA: &str = "POLYDATA";
 
 const POINT_BYTES: usize = 12;
 
-/// Points and what joins them. Each cell lists indices of points.
+/// Points and the cells that connect them. Each cell lists indices of points.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct PolyData {
     /// Points.
     pub points_mm: Vec<[f32; 3]>,
-    /// Single points that are drawn.
+    /// Single points to be drawn.
     pub vertices: Vec<Vec<u32>>,
     /// Polylines.
     pub lines: Vec<Vec<u32>>,
@@ -28,7 +28,7 @@ impl PolyData {
     }
 }
 
-/// Bytes of a group of cells: each is its number of points and their indices.
+/// Returns the size of a group of cells in bytes: each has its number of points and their indices.
 fn cell_bytes(cells: &[Vec<u32>]) -> usize {
     cells.iter().map(|cell| 4 * (1 + cell.len())).sum()
 }
@@ -50,7 +50,7 @@ pub(crate) fn write(data: &PolyData, body: &mut Vec<u8>) -> Result<(), Error> {
     Ok(())
 }
 
-/// Attributes (colours, normals) are read over.
+/// Reads a body. Attributes (colours, normals) are skipped.
 pub(crate) fn read(body: &[u8]) -> Result<PolyData, Error> {
     let mut fields = Fields::new(POLYDATA, body);
     let point_count = fields.u32()? as usize;

@@ -31,30 +31,30 @@ pub(crate) fn read_string(body: &[u8]) -> Result<String, Error> {
     Ok(text)
 }
 
-/// What became of a request, by the codes that this crate's users need; others keep their number.
+/// The result of a request. Codes that this crate's users do not need keep their number.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum StatusCode {
-    /// 1: done.
+    /// 1: success.
     Ok,
-    /// 5: the sender may not do that.
+    /// 5: the sender lacks permission.
     AccessDenied,
     /// 9: no such thing.
     NotFound,
     /// 13: the device is not ready for it.
     NotReady,
-    /// 14: in manual mode, so no command is taken.
+    /// 14: in manual mode; commands are ignored.
     ManualMode,
     /// 15: disabled.
     Disabled,
     /// 18: the device's own error.
     HardwareOrSoftware,
-    /// 19: a message that is not understood.
+    /// 19: unknown message.
     Unknown,
     /// Any other.
     Other(u16),
 }
 
-/// The codes' numbers, as the protocol's STATUS page lists them.
+/// Numbers of the codes, from the protocol's STATUS page.
 const CODES: [(StatusCode, u16); 8] = [
     (StatusCode::Ok, 1),
     (StatusCode::AccessDenied, 5),
@@ -82,13 +82,13 @@ impl StatusCode {
 /// A device's answer.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Status {
-    /// What became of it.
+    /// Result of the request.
     pub code: StatusCode,
-    /// A number of the device's own.
+    /// Device-specific number.
     pub subcode: u64,
     /// Name of the error, at most 19 bytes; empty if there is none.
     pub error: String,
-    /// A sentence of ASCII.
+    /// A sentence in ASCII.
     pub message: String,
 }
 

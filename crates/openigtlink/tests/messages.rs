@@ -1,4 +1,4 @@
-//! Messages survive their way over the wire, and damaged or hostile ones do no harm.
+//! Messages survive the wire, and damaged or hostile ones do no harm.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests fail the test")]
 
@@ -123,7 +123,7 @@ proptest! {
         while let Ok(Some(_)) = decoder.next() {}
     }
 
-    /// Bodies whose checksum is right but whose content is anything: only the readers of the types stand between them and us.
+    /// Bodies with a correct checksum but arbitrary content: only the readers of the types can reject them.
     #[test]
     fn any_content_of_any_type_is_read_or_refused(
         kind in prop::sample::select(vec!["TRANSFORM", "IMAGE", "POINT", "STRING", "STATUS", "POLYDATA"]),
@@ -135,7 +135,7 @@ proptest! {
         let mut decoder = Decoder::new(MOST);
         decoder.push(&Message::new("Any", body).unwrap().encode(version).unwrap());
         if let Ok(message) = decoder.next() {
-            // What was understood can be said again.
+            // Whatever was understood can be encoded again.
             let message = message.unwrap();
             let again = message.encode(version);
             prop_assert!(again.is_ok() || matches!(again, Err(Error::Text { .. })), "{message:?}: {again:?}");

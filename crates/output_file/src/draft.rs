@@ -11,14 +11,14 @@ use tempfile::TempPath;
 
 use crate::{DRAFT_PREFIX, folder_of};
 
-/// The usual mode for new files, subject to the umask.
+/// The default mode of new files, subject to the umask.
 const MODE: u32 = 0o666;
 
 /// A file that vanishes with its process unless it is given a name.
 #[derive(Debug)]
 pub struct Draft {
     file: File,
-    /// The draft's own name, if it needs one; removed on drop.
+    /// The draft's file name, if it needs one; removed on drop.
     named: Option<TempPath>,
 }
 
@@ -28,12 +28,12 @@ impl Draft {
         let flags = OFlags::TMPFILE | OFlags::RDWR | OFlags::CLOEXEC;
         match openat(CWD, folder, flags, Mode::from_raw_mode(MODE)) {
             Ok(file) => Ok(Draft { file: file.into(), named: None }),
-            // Fall back whatever the reason: if the folder is at fault, this reports it.
+            // Fall back on any error: if the folder is at fault, the fallback reports it.
             Err(_) => Draft::begin_named(folder),
         }
     }
 
-    /// As [`begin`](Draft::begin), for file systems without unnamed files.
+    /// Like [`begin`](Draft::begin), for file systems without unnamed files.
     pub fn begin_named(folder: &Path) -> io::Result<Draft> {
         let mut builder = tempfile::Builder::new();
         let builder = builder.prefix(DRAFT_PREFIX).permissions(Permissions::from_mode(MODE));
@@ -46,7 +46,7 @@ impl Draft {
         &self.file
     }
 
-    /// A path under which this process can read it.
+    /// Returns a path under which this process can read the draft.
     pub fn path(&self) -> PathBuf {
         match &self.named {
             Some(path) => path.to_path_buf(),
@@ -54,7 +54,7 @@ impl Draft {
         }
     }
 
-    /// Gives it a name, which must be free.
+    /// Gives the draft a name, which must be free.
     pub fn name(self, path: &Path) -> io::Result<()> {
         match self.named {
             Some(named) => named.persist_noclobber(path).map_err(|failed| plain(failed.error)),
@@ -62,7 +62,7 @@ impl Draft {
         }
     }
 
-    /// Gives it a draft name in the folder of `path`.
+    /// Gives the draft a temporary name in the folder of `path`.
     pub fn into_named(mut self, path: &Path) -> io::Result<TempPath> {
         match self.named.take() {
             Some(named) => Ok(named),
@@ -79,7 +79,7 @@ impl Draft {
     }
 }
 
-/// The system's reason without the draft's name, which means nothing to the user.
+/// Returns the system's reason without the draft's name, which means nothing to the user.
 pub fn plain(cause: io::Error) -> io::Error {
     match cause.get_ref().and_then(|inner| inner.source()).and_then(|inner| inner.downcast_ref::<io::Error>())
     {

@@ -1,15 +1,17 @@
-//! Files that a command leaves behind: each is complete and on disk under its name, or absent, and none overwrites another.
+//! Writes the files that a command leaves behind: each is complete and on disk under its name, or absent, and
+//! none overwrites another.
 //!
-//! A file is written as a draft in its folder, synced to disk and given its name; then its folder is synced too. If the name exists, so
-//! does the whole file, even after a power failure. A name that is taken stays untouched, even if it was free when the command began. A
-//! command that fails or is killed leaves no incomplete file: a draft has no name (`O_TMPFILE`) and vanishes with its process. Only on
-//! file systems without unnamed files (NFS, FAT) does a killed command leave its drafts, as hidden files `.trabecula-unfinished-…`, which
-//! are safe to remove.
+//! A file is written as a draft in its folder, synced to disk and given its name; then its folder is synced
+//! too. If the name exists, so does the complete file, even after a power failure. An existing file stays
+//! untouched, even if it appeared after the command began. A command that fails or is killed leaves no
+//! incomplete file: a draft has no name (`O_TMPFILE`) and vanishes with its process. Only on file systems
+//! without unnamed files (NFS, FAT) does a killed command leave its drafts, as hidden files
+//! `.trabecula-unfinished-…`, which are safe to remove.
 //!
 //! Errors of close are not checked: `fsync` has already reported a full or broken disk.
 //!
-//! **Boundary:** whole files of commands; files read while they are written (the logs of a run) have their own writer. **Invariant:** it
-//! replaces nothing but its own files.
+//! **Boundary:** complete files of commands; files that are read while they are written (the logs of a run)
+//! have a separate writer. **Invariant:** it replaces only its own files.
 //!
 //! ```
 //! let folder = tempfile::tempdir().unwrap();
@@ -67,14 +69,15 @@ impl OutputError {
     }
 }
 
-/// Fails if any of these names is taken, by anything, including a dangling link, or is none that a file could have.
+/// Fails if any of these names is taken, by anything, including a dangling link, or cannot be a file name.
 ///
 /// # Errors
-/// [`OutputError::Exists`] or [`OutputError::Create`], for the first one.
+/// [`OutputError::Exists`] or [`OutputError::Create`], for the first such name.
 pub fn refuse_existing<P: AsRef<Path>>(files: &[P]) -> Result<(), OutputError> {
     files.iter().map(AsRef::as_ref).try_for_each(|file| match file.symlink_metadata() {
         Ok(_) => Err(OutputError::Exists { path: file.to_owned() }),
-        // Too long: known only when a file gets its name, after all work.
+        // A name that is too long would otherwise be detected only when the file gets its name, after all
+        // work.
         Err(source) if source.kind() == ErrorKind::InvalidFilename => {
             Err(OutputError::Create { path: file.to_owned(), source })
         }
@@ -82,7 +85,7 @@ pub fn refuse_existing<P: AsRef<Path>>(files: &[P]) -> Result<(), OutputError> {
     })
 }
 
-/// A file being written. Dropped before it has its name, it leaves nothing.
+/// A file being written. If dropped before it has its name, it leaves nothing.
 #[derive(Debug)]
 pub struct OutputFile {
     draft: Draft,
@@ -95,7 +98,7 @@ impl OutputFile {
     /// # Errors
     /// [`OutputError::Exists`], [`OutputError::Create`].
     pub fn create(path: &Path) -> Result<OutputFile, OutputError> {
-        // Checked early too, so that a long job does not fail only at its end.
+        // Also checked early, so that a long job does not fail only at its end.
         refuse_existing(&[path])?;
         OutputFile::begin(path)
     }
@@ -103,16 +106,16 @@ impl OutputFile {
     fn begin(path: &Path) -> Result<OutputFile, OutputError> {
         let cannot = |source| OutputError::Create { path: path.into(), source };
         if path.file_name().is_none() {
-            return Err(cannot(io::Error::new(ErrorKind::InvalidInput, "it names no file")));
+            return Err(cannot(io::Error::new(ErrorKind::InvalidInput, "not a file name")));
         }
         let draft = Draft::begin(folder_of(path)).map_err(cannot)?;
         Ok(OutputFile { draft, path: path.into() })
     }
 
-    /// A second handle to write through.
+    /// Returns a second handle to write through.
     ///
     /// # Errors
-    /// The system has no more handles.
+    /// The system is out of file handles.
     pub fn handle(&self) -> Result<File, OutputError> {
         self.draft.file().try_clone().map_err(OutputError::write(&self.path))
     }
@@ -120,7 +123,7 @@ impl OutputFile {
     /// Syncs the file to disk.
     ///
     /// # Errors
-    /// [`OutputError::Write`]: then there is no file.
+    /// [`OutputError::Write`]; then there is no file.
     pub fn finish(self) -> Result<WholeFile, OutputError> {
         let OutputFile { draft, path } = self;
         sync_file(draft.file()).map_err(OutputError::write(&path))?;
@@ -146,7 +149,7 @@ impl Write for OutputFile {
     }
 }
 
-/// A file that is complete and synced but has no name yet. Leaves nothing if dropped.
+/// A file that is complete and synced but has no name yet. If dropped, it leaves nothing.
 #[derive(Debug)]
 pub struct WholeFile {
     draft: Draft,
@@ -154,12 +157,12 @@ pub struct WholeFile {
 }
 
 impl WholeFile {
-    /// Path under which this process can read it until it is kept.
+    /// Returns a path under which this process can read the file until it is kept.
     pub fn draft(&self) -> PathBuf {
         self.draft.path()
     }
 
-    /// Its future path.
+    /// Returns the file's future path.
     pub fn path(&self) -> &Path {
         &self.path
     }
@@ -167,8 +170,8 @@ impl WholeFile {
     /// Gives the file its name and syncs the name to disk.
     ///
     /// # Errors
-    /// [`OutputError::Exists`]; [`OutputError::Write`] with the system's reason: then there is no new file, or a power failure may remove
-    /// it.
+    /// [`OutputError::Exists`]; [`OutputError::Write`] with the system's reason, in which case there is no
+    /// new file, or a power failure may remove it.
     pub fn keep(self) -> Result<(), OutputError> {
         keep_all(vec![self])
     }
@@ -183,8 +186,8 @@ impl WholeFile {
     }
 }
 
-/// Gives all files their names, or none if a name is taken. If one is taken between the check and the naming, the files before it stay,
-/// each whole.
+/// Gives all files their names, or none if a name is taken. If a name is taken between the check and the
+/// naming, the files before it stay, each complete.
 ///
 /// # Errors
 /// As [`WholeFile::keep`].
@@ -202,10 +205,10 @@ pub fn keep_all(files: Vec<WholeFile>) -> Result<(), OutputError> {
     Ok(())
 }
 
-/// Writes a whole file.
+/// Writes a complete file.
 ///
 /// # Errors
-/// Any [`OutputError`]; whatever existed is unchanged.
+/// Any [`OutputError`]; existing files are unchanged.
 pub fn write(path: &Path, bytes: impl AsRef<[u8]>) -> Result<(), OutputError> {
     write_all(&[(path, bytes)])
 }
@@ -227,7 +230,7 @@ pub fn write_all<P: AsRef<Path>, B: AsRef<[u8]>>(files: &[(P, B)]) -> Result<(),
 /// Creates a folder and its missing parents, and syncs them to disk.
 ///
 /// # Errors
-/// The system's.
+/// The system's error.
 pub fn create_folder(path: &Path) -> io::Result<()> {
     let missing: Vec<&Path> =
         path.ancestors().filter(|folder| *folder != Path::new("")).take_while(|f| !f.exists()).collect();
@@ -238,7 +241,7 @@ pub fn create_folder(path: &Path) -> io::Result<()> {
 /// Syncs a file to disk. Pipes and devices have nothing to sync.
 ///
 /// # Errors
-/// The system's.
+/// The system's error.
 pub fn sync_file(file: &File) -> io::Result<()> {
     match file.sync_all() {
         Err(cause) if cause.raw_os_error() == Some(rustix::io::Errno::INVAL.raw_os_error()) => Ok(()),
@@ -249,12 +252,12 @@ pub fn sync_file(file: &File) -> io::Result<()> {
 /// Syncs the names in a folder to disk.
 ///
 /// # Errors
-/// The system's.
+/// The system's error.
 pub fn sync_folder(folder: &Path) -> io::Result<()> {
     sync_file(&File::open(folder)?)
 }
 
-/// The folder that contains a file.
+/// Returns the folder that contains a file.
 pub fn folder_of(path: &Path) -> &Path {
     path.parent().filter(|folder| *folder != Path::new("")).unwrap_or(Path::new("."))
 }
@@ -360,7 +363,7 @@ mod tests {
         );
     }
 
-    /// Bug: the system said so when the file got its name, after all work.
+    /// Regression: the system reported this only when the file got its name, after all work.
     #[test]
     fn a_name_that_is_too_long_is_refused_at_the_beginning() {
         let folder = tempfile::tempdir().unwrap();

@@ -11,7 +11,8 @@ use rustix::io::Errno;
 use crate::draft::plain;
 use crate::{OutputError, OutputFile, WholeFile, folder_of, refuse_existing, sync_folder};
 
-/// A file that is saved again whenever there is more to record, always atomically. It replaces only its own last version.
+/// A file that is saved again whenever there is more to record, always atomically. It replaces only its own
+/// last version.
 #[derive(Debug)]
 pub struct SavedFile {
     path: PathBuf,
@@ -58,7 +59,8 @@ impl SavedFile {
     /// Saves the file. The previous version stays whole until then.
     ///
     /// # Errors
-    /// Any [`OutputError`], with the existing file unchanged. [`OutputError::Exists`] if that is not the last version saved.
+    /// Any [`OutputError`], with the existing file unchanged. [`OutputError::Exists`] if that is not the last
+    /// version saved.
     pub fn save(&mut self, bytes: impl AsRef<[u8]>) -> Result<(), OutputError> {
         let mut file = OutputFile::begin(&self.path)?;
         file.write_all(bytes.as_ref()).map_err(OutputError::write(&self.path))?;
@@ -74,10 +76,10 @@ impl SavedFile {
 }
 
 impl SavedFile {
-    /// Removes the last version saved, and no other file of that name.
+    /// Removes the last version saved, and no other file with that name.
     ///
     /// # Errors
-    /// The system's.
+    /// The system's error.
     pub fn remove(self) -> io::Result<()> {
         match self.ours {
             Some(ours) if Identity::of(&self.path).ok() == Some(ours) => std::fs::remove_file(&self.path),
@@ -86,14 +88,15 @@ impl SavedFile {
     }
 }
 
-/// Replaces our last version. Swaps first and checks what it got afterwards, so that no other program can get in between.
+/// Replaces our last version. Swaps first and then checks what was swapped out, so that no other program can
+/// interfere in between.
 fn replace(file: WholeFile, ours: &Identity) -> Result<(), OutputError> {
     let WholeFile { draft, path } = file;
     let draft = draft.into_named(&path).map_err(OutputError::write(&path))?;
     let exists = || OutputError::Exists { path: path.clone() };
     let exchange = |draft: &Path| renameat_with(CWD, draft, CWD, &path, RenameFlags::EXCHANGE);
     match exchange(&draft) {
-        // The old version is now in the draft's place and goes with it.
+        // The old version is now in the draft's place and is removed with it.
         Ok(()) if Identity::of(&draft).ok() == Some(*ours) => {}
         Ok(()) => {
             if let Err(cause) = exchange(&draft) {
@@ -110,7 +113,7 @@ fn replace(file: WholeFile, ours: &Identity) -> Result<(), OutputError> {
                 _ => OutputError::Write { path: path.clone(), source: plain(failed.error) },
             })?;
         }
-        // File systems without exchange: check, then replace at once.
+        // File systems without exchange: check, then replace immediately.
         Err(Errno::INVAL | Errno::NOSYS | Errno::OPNOTSUPP) => {
             if Identity::of(&path).ok() != Some(*ours) {
                 return Err(exists());
@@ -146,7 +149,7 @@ mod tests {
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
     }
 
-    /// Only the last version may be replaced, nothing that has taken its name since.
+    /// Only the last version may be replaced, not anything that has taken its name since.
     #[test]
     fn what_somebody_put_in_the_place_of_a_saved_file_stays() {
         let folder = tempfile::tempdir().unwrap();

@@ -2,10 +2,11 @@
 
 use run_log::BuildInfo;
 
-/// Version and a hash of the sources that decide a tick: what names a build, in logs and in `trabecula --version`.
+/// The build's name in logs and in `trabecula --version`: the version and a hash of the sources that decide a
+/// tick.
 pub const VERSION: &str = concat!(env!("CARGO_PKG_VERSION"), "+", env!("TRABECULA_SOURCE"));
 
-/// This build, from `build.rs`.
+/// Returns this build, as recorded by `build.rs`.
 pub fn current() -> BuildInfo {
     let rustc = env!("TRABECULA_RUSTC");
     BuildInfo {

@@ -1,14 +1,15 @@
-//! The recorder process, and log files: the I/O shell around `run_log`.
+//! The recorder process and log files: the I/O shell around `run_log`.
 //!
-//! The recorder receives every message of a session and passes it to the writers of [`run_log`], which decide what
-//! the logs hold and in which order. This crate provides the transport, the clock, the threads and the files: how a
-//! log is opened and created, how its bytes reach the disk during the run, and which build it names.
+//! The recorder receives every message of a session and passes it to the writers of [`run_log`], which decide
+//! what the logs contain and in which order. This crate provides the transport, the clock, the threads and
+//! the files: how a log is opened and created, how its bytes reach the disk during the run, and which build
+//! it names.
 //!
-//! **Boundary:** it knows sessions and files, and nothing of MCAP. The content of a log, and what is wrong with it,
-//! is the job of `run_log`.
+//! **Boundary:** it handles sessions and files, not MCAP. The content of a log, and the detection of damage,
+//! are the job of `run_log`.
 //!
-//! **Invariants:** disk writes never block the receiving of messages until all buffers are full; neither the recorder
-//! nor a tool ever replaces an existing file; a tool's output is complete or absent.
+//! **Invariants:** disk writes block the receiving of messages only when all buffers are full; neither the
+//! recorder nor a tool ever replaces an existing file; a tool's output is complete or absent.
 //! ```
 //! use recorder_proc::log_file::{LogFile, create_run};
 //! use run_log::{LogHeader, LogReader, EndReason, RunMode};
@@ -35,11 +36,11 @@
 //! # }
 //! ```
 //!
-//! | module | what it holds |
+//! | module | contents |
 //! |---|---|
-//! | [`process`], [`reason_file`] | the recorder; how it learns why a run ends |
+//! | [`process`], [`reason_file`] | the recorder; the end reason passed to it |
 //! | [`background`] | the writer thread |
-//! | [`log_file`], [`rewritten`] | logs in files; log files made from log files |
+//! | [`log_file`], [`rewritten`] | log files; log files derived from log files |
 //! | [`parquet_file`] | a topic as a Parquet file |
 //! | [`build_info`], [`exit_code`](mod@exit_code) | this build; a verdict as an exit code |
 

@@ -1,4 +1,4 @@
-//! Logs in files: opening them to read, creating them to write.
+//! Log files: opening them for reading, creating them for writing.
 
 use std::fs::File;
 use std::io::{self, BufWriter};
@@ -17,7 +17,7 @@ const INDEX_BYTES: usize = 256 << 10;
 pub struct LogFile(PathBuf);
 
 impl LogFile {
-    /// The log in this file, which is opened only when it is read.
+    /// Returns the log in this file, which is opened only when it is read.
     pub fn at(path: impl Into<PathBuf>) -> LogFile {
         LogFile(path.into())
     }
@@ -28,14 +28,14 @@ impl LogSource for LogFile {
         &self.0
     }
 
-    /// Refuses pipes and devices, which cannot be read from the end, without waiting for a writer.
+    /// Rejects pipes and devices, which cannot be read from the end, without waiting for a writer.
     fn open(&self) -> Result<Box<dyn ReadSeek>, LogError> {
         let path = &self.0;
         let open = || {
             let file = File::options().read(true).custom_flags(OFlags::NONBLOCK.bits() as i32).open(path)?;
             match file.metadata()?.is_file() {
                 true => Ok(file),
-                false => Err(io::Error::new(io::ErrorKind::InvalidInput, "it is no regular file")),
+                false => Err(io::Error::new(io::ErrorKind::InvalidInput, "not a regular file")),
             }
         };
         let file = open().map_err(|source| LogError::Open { path: path.clone(), source })?;
@@ -43,12 +43,13 @@ impl LogSource for LogFile {
     }
 }
 
-/// The log that a user names: a file, or the folder of a run, which holds it as `run.mcap`.
+/// Returns the log that a user names: a file, or a run's folder, which contains it as `run.mcap`.
 pub fn log_path(given: &Path) -> PathBuf {
     if given.is_dir() { given.join("run.mcap") } else { given.to_owned() }
 }
 
-/// Where a log's chunk indexes wait until it ends: in memory, spilling to an unnamed file beside the log.
+/// Returns the storage for a log's chunk indexes until the log ends: memory that spills to an unnamed file
+/// beside the log.
 pub fn index_beside(log: &Path) -> Box<dyn IndexStore> {
     Box::new(spooled_tempfile_in(INDEX_BYTES, output_file::folder_of(log)))
 }

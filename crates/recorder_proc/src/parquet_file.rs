@@ -1,4 +1,5 @@
-//! Tables as Parquet files. Kept out of `run_log` because the `parquet` crate pulls in system randomness and dates.
+//! Writes tables as Parquet files. Kept out of `run_log` because the `parquet` crate pulls in system
+//! randomness and dates.
 
 use std::io::Write;
 use std::sync::Arc;
@@ -19,7 +20,7 @@ use run_log::fields::Scalar;
 /// Rows per Parquet row group: a minute of ticks.
 const ROW_GROUP: usize = 65_536;
 
-/// A Parquet file: integers as INT64 (unsigned 64-bit ones bit for bit), floats as FLOAT and DOUBLE.
+/// A Parquet file: integers as INT64 (unsigned 64-bit integers bit for bit), floats as FLOAT and DOUBLE.
 pub struct Parquet<W: Write + Send> {
     writer: SerializedFileWriter<W>,
     columns: Vec<Values>,

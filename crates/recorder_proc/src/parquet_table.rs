@@ -1,4 +1,4 @@
-//! Whole tables as Parquet files in memory.
+//! Builds whole tables as Parquet files in memory.
 
 use std::sync::Arc;
 
@@ -9,13 +9,13 @@ use parquet::file::properties::WriterProperties;
 use parquet::file::writer::SerializedFileWriter;
 use parquet::schema::types::{Type, TypePtr};
 
-/// A column; what a row has not is null.
+/// A column; missing values are null.
 pub enum Column {
-    /// Whole numbers, one for each row.
+    /// Integers, one for each row.
     Integers(Vec<i64>),
     /// Numbers.
     Numbers(Vec<Option<f64>>),
-    /// Texts.
+    /// Strings.
     Texts(Vec<Option<String>>),
 }
 
@@ -29,10 +29,10 @@ fn field(name: &str, column: &Column) -> Result<TypePtr, ParquetError> {
     Ok(TypePtr::from(builder.with_repetition(repetition).build()?))
 }
 
-/// The table of these columns, by name.
+/// Encodes a table of these columns, by name.
 ///
 /// # Errors
-/// The library's.
+/// Any error of the `parquet` library.
 pub fn table(name: &str, columns: &[(String, Column)]) -> Result<Vec<u8>, ParquetError> {
     let fields = columns.iter().map(|(name, column)| field(name, column)).collect::<Result<_, _>>()?;
     let schema = Arc::new(Type::group_type_builder(name).with_fields(fields).build()?);
@@ -62,7 +62,7 @@ pub fn table(name: &str, columns: &[(String, Column)]) -> Result<Vec<u8>, Parque
     Ok(bytes)
 }
 
-/// The values that are there, and for each row whether there is one.
+/// Returns the values present, and for each row whether it has one.
 fn apart<T, U>(values: &[Option<T>], of: impl Fn(&T) -> U) -> (Vec<U>, Vec<i16>) {
     let levels = values.iter().map(|value| i16::from(value.is_some())).collect();
     (values.iter().flatten().map(of).collect(), levels)

@@ -1,5 +1,6 @@
-//! How the launcher tells its recorder why a run ends: through a file in the session's folder, or in the run's folder
-//! if the session's has been removed. The file holds the text for the log's end marker.
+//! Passes the end reason of a run from the launcher to its recorder: through a file in the session's folder,
+//! or in the run's folder if the session's has been removed. The file contains the text for the log's end
+//! marker.
 
 use std::path::{Path, PathBuf};
 
@@ -14,7 +15,7 @@ pub fn in_output(output: &Path, recorder: u32) -> PathBuf {
     output.join(format!(".trabecula-end-for-{recorder}"))
 }
 
-/// Where this recorder's reason is, if it has been written.
+/// Returns the path of this recorder's reason, if it has been written.
 pub(crate) fn find(session: &Path, output: &Path) -> Option<PathBuf> {
     let places = [session.join(IN_SESSION), in_output(output, std::process::id())];
     places.into_iter().find(|path| path.exists())

@@ -1,5 +1,5 @@
-//! Log files made from log files: repaired, recompressed, joined, split. Each is written completely or not at all, and
-//! never replaces another file.
+//! Log files derived from log files: repaired, recompressed, joined, split. Each is written completely or not
+//! at all, and never replaces another file.
 
 use std::fs::File;
 use std::io::BufWriter;
@@ -44,8 +44,8 @@ fn output_error(error: OutputError) -> LogError {
 /// Repairs `input` into the new file `output`. Does not change the input.
 ///
 /// # Errors
-/// [`LogError::NotMcap`], [`LogError::NoHeader`] if both copies of the header are lost, [`LogError::Exists`], and any
-/// disk error; then there is no output.
+/// [`LogError::NotMcap`], [`LogError::NoHeader`] if both copies of the header are lost, [`LogError::Exists`],
+/// and any disk error; then there is no output.
 pub fn repair(input: &Path, output: &Path) -> Result<RepairReport, LogError> {
     let input = LogFile::at(input);
     let repair = Repair::of(&input)?;
@@ -58,8 +58,8 @@ pub fn repair(input: &Path, output: &Path) -> Result<RepairReport, LogError> {
     Ok(report)
 }
 
-/// Recompresses a log's chunks into the new file `output`, and reads the result back to check that it holds the same
-/// messages in the same order.
+/// Recompresses a log's chunks into the new file `output`, and reads the result back to check that it
+/// contains the same messages in the same order.
 ///
 /// # Errors
 /// [`LogError::NotWhole`], [`LogError::Exists`], any disk error; then there is no output.
@@ -78,7 +78,7 @@ pub fn compress(input: &Path, output: &Path, packing: Packing) -> Result<Sizes, 
     Ok(sizes)
 }
 
-/// Concatenates whole logs into one new file, run after run; [`split`] undoes it.
+/// Concatenates complete logs into one new file, run after run; [`split`] undoes it.
 ///
 /// # Errors
 /// [`LogError::NotWhole`] (also for a file of several runs), [`LogError::Exists`], any disk error.
@@ -90,8 +90,8 @@ pub fn cat_files(inputs: &[PathBuf], output: &Path) -> Result<(), LogError> {
     file.keep().map_err(output_error)
 }
 
-/// Splits a file of several runs into one log per run: `run1.mcap`, `run2.mcap`, … in the folder `output`. Returns
-/// their paths.
+/// Splits a file of several runs into one log per run: `run1.mcap`, `run2.mcap`, … in the folder `output`.
+/// Returns their paths.
 ///
 /// # Errors
 /// [`LogError::NotWhole`], [`LogError::OneRun`], [`LogError::Exists`], any disk error.
@@ -102,7 +102,7 @@ pub fn split(input: &Path, output: &Path) -> Result<Vec<PathBuf>, LogError> {
     let mut files = RunFiles { folder: output, begun: None, whole: Vec::new() };
     join::split(&input, &mut files)?;
     let paths = files.whole.iter().map(|file| file.path().to_owned()).collect();
-    // All of them, or none.
+    // All files are kept, or none.
     keep_all(files.whole).map_err(output_error)?;
     Ok(paths)
 }

@@ -1,6 +1,7 @@
-//! How much a log makes its reader keep is bounded by kind. Regression: a log of 49 kB took 1.6 GB of schema names.
+//! How much of a log readers keep in memory is limited by kind. Regression: a log of 49 kB took 1.6 GB of
+//! schema names.
 //!
-//! Counts every allocated byte, freed or not, which is an upper bound on what was ever held at once.
+//! Counts every allocated byte, freed or not, which is an upper bound on the peak memory use.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, missing_docs)]
 
 mod common;
@@ -19,7 +20,7 @@ use zerocopy::{FromZeros, IntoBytes};
 #[global_allocator]
 static ALLOCATOR: &StatsAlloc<System> = &INSTRUMENTED_SYSTEM;
 
-/// More than any reader needs for these logs, and less than a third of what they would make it keep.
+/// More than any reader needs for these logs, and less than a third of what they would otherwise keep.
 const MOST_BYTES: usize = 128 << 20;
 
 /// Bytes that an action allocates.
@@ -79,7 +80,7 @@ fn save_named(folder: &Path, name: &str, bytes: &[u8]) -> PathBuf {
     save(folder, name, bytes)
 }
 
-/// Reads a log with every reader; each must report what exceeds its limit, and stay within its memory bound.
+/// Reads a log with every reader. Each must report the exceeded limit, and stay within its memory bound.
 fn refused(bytes: &[u8], name: &str, what: &str) {
     let folder = tempfile::tempdir().unwrap();
     let (log, output) = (save_named(folder.path(), name, bytes), folder.path().join("out.mcap"));
@@ -116,7 +117,7 @@ fn a_log_of_few_bytes_makes_no_reader_keep_many() {
     refused(&many(&|id| schema(id, &numbered(id), b""), 5000), "schemas", "schemas, at most 4096");
     let declared = |id: u16| [schema(1, b"a", b""), channel(id, &numbered(id), b"")].concat();
     refused(&many(&declared, 5000), "channels", "channels, at most 4096");
-    // A reader does not keep these records, but a repair writes them again.
+    // A reader does not keep these records, but a repair rewrites them.
     refused(
         &many(&|id| schema(id, &numbered(id), &name), 2000),
         "schema texts",
@@ -134,12 +135,12 @@ fn a_log_of_few_bytes_makes_no_reader_keep_many() {
     refused(&[start(), metadata].concat(), "metadata", "a metadata record of");
     let mut attachment = [&[0; 16][..], &text(&vec![b'x'; 1 << 20]), &text(b""), &[0; 8]].concat();
     attachment.extend(crc32fast::hash(&attachment).to_le_bytes());
-    refused(&[start(), record(9, &attachment)].concat(), "attachment", "whose name is too long");
+    refused(&[start(), record(9, &attachment)].concat(), "attachment", "overlong name");
     keyframe_of_a_gigabyte();
     index_of_many_chunks();
 }
 
-/// A keyframe is assembled from parts: as many as the first one announces.
+/// A keyframe is assembled from as many parts as the first one announces.
 fn keyframe_of_a_gigabyte() {
     let mut log = RunLog::create(Vec::new(), &header()).unwrap();
     let steps = run_messages(3, None);

@@ -1,25 +1,26 @@
-//! What has been asked for, as the command that answers each state.
+//! Turns the requests so far into the command that answers each state.
 
 use messages::{ArmMode, BurrMode, Command, MAX_ARM_JOINTS, MAX_TENDONS, Pose, TendonMode, TubeMode};
 
-/// How long a velocity holds without another: a program that has died, or a network that has, must not turn joints or burr for good.
+/// How long a velocity holds without being repeated, s: a program or network that has failed must not move
+/// joints or burr forever.
 pub const VELOCITY_HOLDS_S: f64 = 0.5;
 
-/// CRTK's meta-states (Collaborative Robotics Toolkit, "Operating state").
+/// CRTK's operating states (Collaborative Robotics Toolkit, "Operating state").
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum OperatingState {
-    /// Motion commands are refused until `enable`.
+    /// Motion commands are rejected until `enable`.
     Disabled,
-    /// Motion commands are obeyed.
+    /// Motion commands are executed.
     Enabled,
     /// The run is paused.
     Paused,
-    /// The arm gave up a motion; the next motion command, or `enable`, ends this.
+    /// The arm abandoned a motion; the next motion command, or `enable`, clears this.
     Fault,
 }
 
 impl OperatingState {
-    /// As CRTK writes it.
+    /// The state's name in CRTK.
     pub fn word(self) -> &'static str {
         match self {
             OperatingState::Disabled => "DISABLED",
@@ -30,7 +31,7 @@ impl OperatingState {
     }
 }
 
-/// A request for motion, checked.
+/// A checked request for motion.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Motion {
     /// `servo_jp` of the arm.
@@ -51,12 +52,12 @@ pub enum Motion {
     TendonMoveJp([f64; MAX_TENDONS]),
     /// `servo_jv` of the burr.
     BurrServoJv(f64),
-    /// `move_jp` of the tube: how far out, m, and its roll, rad.
+    /// `move_jp` of the tube: deployed length, m, and roll, rad.
     TubeMoveJp([f64; 2]),
 }
 
-/// The newest request for each part, repeated in every command: a command that was late, and replaced by the safe one, is then obeyed
-/// again.
+/// The newest request for each part, repeated in every command, so that a command that was late, and replaced
+/// by the safe one, takes effect again.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Commander {
     arm: Option<Arm>,
@@ -81,12 +82,12 @@ enum Tube {
 }
 
 impl Commander {
-    /// Whether `disable` was the last word.
+    /// Returns whether `disable` was the last state command.
     pub fn is_disabled(&self) -> bool {
         self.disabled
     }
 
-    /// Takes a request at a time (any clock that only rises, s).
+    /// Accepts a request at a time (any monotonic clock, s).
     pub fn take(&mut self, motion: Motion, now_s: f64) {
         match motion {
             Motion::ArmServoJv(_) => self.arm = Some(Arm::Turns(motion, now_s + VELOCITY_HOLDS_S)),
@@ -101,7 +102,8 @@ impl Commander {
         }
     }
 
-    /// Gives up what moves: arm and tube stop, the burr stops, the tension stays. Parts that nobody has moved are left alone.
+    /// Stops all motion: arm, tube and burr stop, the tension stays. Parts that have never been moved are
+    /// left alone.
     pub fn release(&mut self) {
         if self.arm.is_some() {
             self.arm = Some(Arm::Hold);
@@ -114,14 +116,14 @@ impl Commander {
         }
     }
 
-    /// `disable`: as [`Commander::release`], and nothing moves until [`Commander::enable`].
+    /// `disable`: like [`Commander::release`], and nothing moves until [`Commander::enable`].
     pub fn disable(&mut self) {
         self.release();
         self.disabled = true;
     }
 
-    /// `enable`: motion is obeyed again; an arm that gave up a motion stands, and its fault is over. `drives_arm`: whether this
-    /// controller may say so.
+    /// `enable`: motion commands are executed again; an arm that abandoned a motion holds still, and its
+    /// fault is cleared. `drives_arm`: whether this controller drives the arm.
     pub fn enable(&mut self, drives_arm: bool) {
         self.disabled = false;
         if drives_arm {
@@ -129,7 +131,8 @@ impl Commander {
         }
     }
 
-    /// Fills in the command that answers a state at a time (the clock of [`Commander::take`]). Returns which velocities have run out now.
+    /// Fills in the command that answers a state at a time (on the clock of [`Commander::take`]). Returns
+    /// which velocities have just timed out.
     pub fn fill(&mut self, now_s: f64, command: &mut Command) -> Option<&'static str> {
         let mut ran_out = None;
         if let Some(Arm::Turns(_, until_s)) = self.arm
@@ -168,7 +171,7 @@ impl Commander {
 }
 
 impl Motion {
-    /// Asks for an arm's or a tendon's motion in a command.
+    /// Writes the motion of the arm or the tendons into a command.
     fn put_in(self, command: &mut Command) {
         match self {
             Motion::ArmServoJp(joints) | Motion::ArmMoveJp(joints) => command.arm_joint_position_rad = joints,

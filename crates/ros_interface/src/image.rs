@@ -11,21 +11,22 @@ use crate::topics::Output;
 
 /// The C-arm's optical frame: +z from the source to the detector.
 pub const C_ARM_FRAME: &str = "c_arm";
-/// An image of more bytes is sent in a smaller form: a subscriber of Fast DDS has a receive buffer of 212 992 bytes unless its profile or
-/// its machine says otherwise, and loses fragments of what is larger.
+/// Larger images are reduced, bytes: a subscriber of Fast DDS has a receive buffer of 212 992 bytes unless
+/// its profile or its machine is configured otherwise, and loses fragments of larger ones.
 pub const MAX_IMAGE_BYTES: usize = 180_000;
 
-/// How images are sent.
+/// Encoding of images.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum ImageForm {
-    /// `mono16` up to [`MAX_IMAGE_BYTES`], else `mono8`, else `mono8` with every two by two pixels (four by four, and so on) as one.
+    /// `mono16` up to [`MAX_IMAGE_BYTES`], else `mono8`, else `mono8` with every two by two pixels (four by
+    /// four, and so on) merged into one.
     #[default]
     Fitting,
-    /// `mono16` always.
+    /// Always `mono16`.
     Full,
 }
 
-/// Bits of the pixels and pixels a side that become one.
+/// Returns whether pixels have 16 bits, and the side in pixels of the squares to merge.
 fn reduction(columns: usize, rows: usize, form: ImageForm) -> (bool, usize) {
     let pixels = columns * rows;
     if form == ImageForm::Full || 2 * pixels <= MAX_IMAGE_BYTES {
@@ -38,7 +39,7 @@ fn reduction(columns: usize, rows: usize, form: ImageForm) -> (bool, usize) {
     (false, side)
 }
 
-/// A frame as image, camera and transform; empty if its pixels are not those it announces.
+/// Converts a frame to image, camera and transform; empty if its pixels do not match its announced size.
 pub fn of_frame(frame: &Frame, pixels: &[u16], form: ImageForm) -> Vec<Outgoing> {
     let (columns, rows) = (frame.geometry.columns as usize, frame.geometry.rows as usize);
     if pixels.len() != columns * rows || pixels.is_empty() {
@@ -70,7 +71,7 @@ fn as_u32(count: usize) -> u32 {
     u32::try_from(count).unwrap_or(u32::MAX)
 }
 
-/// Means of `side` by `side` pixels, their upper eight bits.
+/// Returns the upper eight bits of the means of `side` by `side` pixels.
 fn reduced(pixels: &[u16], columns: usize, width: usize, height: usize, side: usize) -> Vec<u8> {
     let mut data = Vec::with_capacity(width * height);
     for row in 0..height {
@@ -89,7 +90,8 @@ fn reduced(pixels: &[u16], columns: usize, width: usize, height: usize, side: us
 fn camera(frame: &Frame, header: Header, width: u32, height: u32, side: usize) -> CameraInfo {
     let mut k = frame.projection.intrinsics;
     if side > 1 {
-        // Pixel centres at integers: the centre of the first large pixel is (side - 1) / 2 from that of the first small one.
+        // Pixel centres are at integers: the centre of the first large pixel is (side - 1) / 2 from that of
+        // the first small one.
         let (scale, shift) = (1.0 / side as f64, (side as f64 - 1.0) / 2.0);
         k[0] *= scale;
         k[1] *= scale;

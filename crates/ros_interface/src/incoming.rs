@@ -1,4 +1,4 @@
-//! What comes in: bytes of a topic, checked and turned into a request.
+//! Decodes and checks received messages and turns them into requests.
 
 use messages::{
     MAX_BURR_SPEED_RAD_PER_S, MAX_DEPLOYED_M, MAX_DISPLACEMENT_M, MAX_POSITION_M, MAX_ROLL_RAD, MAX_TENDONS,
@@ -12,15 +12,15 @@ use crate::msg::{JointState, PoseStamped, StringStamped};
 use crate::robot::WORLD;
 use crate::topics::{Input, TUBE_JOINT_NAMES, joint_names};
 
-/// Joint angles and rates that a command may ask for (`hub::command_check`); the arm checks its own range.
+/// Limit on commanded joint angles and rates (`hub::command_check`); the arm checks its own range.
 const MAX_JOINT_RAD: f64 = core::f64::consts::TAU;
 const MAX_JOINT_RATE_RAD_PER_S: f64 = core::f64::consts::TAU;
-/// How far a quaternion's length may be from 1: publishers in single precision and with printed digits.
+/// Largest deviation of a quaternion's length from 1, for publishers with single precision or printed digits.
 const QUATERNION_TOLERANCE: f64 = 1e-3;
-/// Longest message that is looked at.
+/// Longest accepted message in bytes.
 pub const MAX_MESSAGE_BYTES: usize = 1 << 16;
 
-/// What a message asks for.
+/// The request of a message.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Request {
     /// Motion of arm, tendons or burr.
@@ -32,24 +32,25 @@ pub enum Request {
 /// CRTK's state commands.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum StateCommand {
-    /// Motion is obeyed again.
+    /// Accept motion commands again.
     Enable,
-    /// Arm and burr stop, and motion is refused.
+    /// Stop arm and burr, and reject motion commands.
     Disable,
-    /// The run pauses.
+    /// Pause the run.
     Pause,
-    /// The run goes on.
+    /// Resume the run.
     Resume,
-    /// Nothing: the arm is always homed.
+    /// No effect: the arm is always homed.
     Home,
 }
 
-/// Each state command, its word and what it does. `docs/ros2.md` lists them (a test compares).
+/// Each state command, its word and its effect. `docs/ros2.md` lists them (a test compares).
 pub const STATE_COMMANDS: [(StateCommand, &str, &str); 5] = [
     (
         StateCommand::Enable,
         "enable",
-        "motion commands are obeyed (so it starts); after `FAULT` the arm stands and the fault is over",
+        "motion commands are accepted (the initial state); after `FAULT` the arm holds still and the \
+         fault is cleared",
     ),
     (
         StateCommand::Disable,
@@ -59,19 +60,19 @@ pub const STATE_COMMANDS: [(StateCommand, &str, &str); 5] = [
     (
         StateCommand::Pause,
         "pause",
-        "the run pauses: simulated time and `/clock` stand still, motion commands are refused",
+        "the run pauses: simulated time and `/clock` stop, motion commands are refused",
     ),
-    (StateCommand::Resume, "resume", "the run goes on"),
+    (StateCommand::Resume, "resume", "the run continues"),
     (StateCommand::Home, "home", "nothing: a simulated arm is always homed"),
 ];
 
-/// Why a message was refused.
+/// Why a message was rejected.
 #[derive(Debug, Clone, PartialEq, Error)]
 pub enum Refused {
-    /// Its bytes are not a message of the topic's type.
+    /// The bytes are not a message of the topic's type.
     #[error("not a message of the topic's type ({0})")]
     Malformed(String),
-    /// It is longer than any sensible one.
+    /// The message is too long.
     #[error("{0} bytes, expected at most {MAX_MESSAGE_BYTES}")]
     TooLong(usize),
     /// An array has the wrong number of entries.
@@ -79,20 +80,20 @@ pub enum Refused {
     Length {
         /// The array.
         field: &'static str,
-        /// Entries that came.
+        /// Number of entries received.
         given: usize,
-        /// Entries that were expected.
+        /// Number of entries expected.
         expected: usize,
     },
-    /// A name is none of the joints', or stands twice.
-    #[error("name: {given}, expected each of {expected} once, or no names at all")]
+    /// A name is not that of a joint, or is duplicated.
+    #[error("name: {given}, expected each of {expected} once, or no names")]
     Name {
         /// The name.
         given: String,
         /// All names.
         expected: String,
     },
-    /// A number is out of its range, infinite or not a number.
+    /// A number is out of range, infinite or not a number.
     #[error("{field}: {value}, expected {lowest} to {highest}")]
     Range {
         /// The array and its entry.
@@ -104,36 +105,36 @@ pub enum Refused {
         /// Its highest value.
         highest: f64,
     },
-    /// A pose in another frame than the world.
-    #[error("header.frame_id: {0}, expected {WORLD} or nothing")]
+    /// The pose is in a frame other than the world.
+    #[error("header.frame_id: {0}, expected {WORLD} or an empty string")]
     Frame(String),
-    /// A quaternion that is none of a rotation.
+    /// The quaternion is not a rotation.
     #[error("orientation: length {0}, expected 1")]
     Quaternion(f64),
-    /// A state command that is none.
-    #[error("{0} is none of enable, disable, pause, resume, home")]
+    /// Unknown state command.
+    #[error("unknown state command {0}; expected enable, disable, pause, resume or home")]
     Word(String),
     /// Motion while the run is paused.
     #[error("the run is paused")]
     Paused,
-    /// Motion behind a `disable`.
-    #[error("disabled; state_command `enable` ends that")]
+    /// Motion after a `disable`.
+    #[error("disabled; send state_command `enable` first")]
     Disabled,
 }
 
-/// The joints that messages may command.
+/// The joints that messages can command.
 #[derive(Debug, Clone, Copy)]
 pub struct Commanded<'a> {
-    /// Names of the arm's, from base to flange.
+    /// Names of the arm's joints, from base to flange.
     pub arm: &'a [String],
-    /// Tendons of the tool.
+    /// Number of the tool's tendons.
     pub tendons: usize,
 }
 
-/// Reads a message of a topic that commands those joints.
+/// Reads a message of a topic that commands these joints.
 ///
 /// # Errors
-/// Why it is refused.
+/// Why the message is rejected.
 pub fn read(topic: Input, bytes: &[u8], order: Order, commanded: Commanded) -> Result<Request, Refused> {
     let Commanded { arm, tendons } = commanded;
     if bytes.len() > MAX_MESSAGE_BYTES {
@@ -205,8 +206,8 @@ impl Field {
     }
 }
 
-/// The field's numbers in the order of `names`, which the message has in any order, or, as many CRTK programs send it, not at all.
-/// Entries behind the last name are 0.
+/// Returns the field's numbers in the order of `names`. The message may name its joints in any order or, like
+/// many CRTK programs, not at all. Entries after the last name are 0.
 fn values<const N: usize>(
     message: &JointState,
     field: Field,
@@ -348,7 +349,7 @@ mod tests {
         assert_eq!(say("pause"), Ok(Request::State(StateCommand::Pause)));
         assert_eq!(
             say("fly").unwrap_err().to_string(),
-            "fly is none of enable, disable, pause, resume, home"
+            "unknown state command fly; expected enable, disable, pause, resume or home"
         );
     }
 

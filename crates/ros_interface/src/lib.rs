@@ -1,12 +1,14 @@
-//! A session as ROS 2 sees it: which topics there are, which messages they carry, and what a message that comes in asks for.
+//! The ROS 2 interface of a session: its topics, their messages, and the requests of received messages.
 //!
-//! Topics and verbs are those of CRTK, the Collaborative Robotics Toolkit (github.com/collaborative-robotics/documentation): `measured_js`,
-//! `setpoint_js`, `measured_cp`, `measured_cv`, `measured_cf`, `servo_jp`, `servo_jv`, `servo_jf`, `move_jp`, `servo_cp`, `move_cp`,
+//! Topics and verbs are those of CRTK, the Collaborative Robotics Toolkit
+//! (github.com/collaborative-robotics/documentation): `measured_js`, `setpoint_js`, `measured_cp`,
+//! `measured_cv`, `measured_cf`, `servo_jp`, `servo_jv`, `servo_jf`, `move_jp`, `servo_cp`, `move_cp`,
 //! `operating_state`, `state_command`. SI units; the frame `world` is the patient frame, LPS.
 //!
-//! **Boundary:** states, frames and bytes in, bytes and commands out; no sockets, no clock (times come in as numbers). DDS is
-//! `bridge_proc`'s. **Invariants:** whatever bytes come in, what [`incoming::read`] accepts is finite, complete and within the ranges that
-//! the physics accepts; a velocity that is not repeated runs out.
+//! **Boundary:** states, frames and bytes in, bytes and commands out; no sockets, no clock (times are passed
+//! as numbers). DDS is handled by `bridge_proc`. **Invariants:** for any received bytes, the requests
+//! accepted by [`incoming::read`] are finite, complete and within the ranges that the physics accepts; a
+//! velocity that is not repeated times out.
 //!
 //! ```
 //! use ros_interface::cdr::{self, Order};
@@ -21,7 +23,7 @@
 //! assert_eq!(asked, Request::Move(Motion::TendonServoJf([5.0, 0.0, 0.0, 0.0])));
 //! ```
 //!
-//! | module | what it holds |
+//! | module | contents |
 //! |---|---|
 //! | [`topics`] | names, types and quality of service of all topics |
 //! | [`msg`], [`cdr`] | the messages and their bytes |

@@ -1,4 +1,4 @@
-//! What the bridge publishes of a state, as CDR.
+//! Builds the messages that the bridge publishes for a state, as CDR.
 
 use messages::{ArmMode, ArmStatus, Phase, State};
 use nalgebra::{UnitQuaternion, Vector3};
@@ -13,7 +13,7 @@ use crate::msg::{
 use crate::robot::{Placed, Robot, WORLD, isometry};
 use crate::topics::{Output, TUBE_JOINT_NAMES, joint_names};
 
-/// A message on its way out.
+/// An outgoing message.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Outgoing {
     /// Its topic.
@@ -22,7 +22,7 @@ pub struct Outgoing {
     pub cdr: Vec<u8>,
 }
 
-/// Appends a message. What this crate builds is all expressible in CDR.
+/// Appends a message. Every message that this crate builds can be expressed in CDR.
 pub(crate) fn push<T: Serialize>(to: &mut Vec<Outgoing>, topic: Output, message: &T) {
     to.extend(cdr::encode(message).ok().map(|cdr| Outgoing { topic, cdr }));
 }
@@ -31,7 +31,7 @@ fn header(stamp: Time, frame_id: &str) -> Header {
     Header { stamp, frame_id: frame_id.to_owned() }
 }
 
-/// What a new state changes.
+/// Returns the messages that change with a state.
 pub fn of_state(robot: &Robot, state: &State) -> Vec<Outgoing> {
     let stamp = Time::of_simulated(state.sim_time_s);
     let mut out = Vec::with_capacity(16);
@@ -70,7 +70,8 @@ fn arm(out: &mut Vec<Outgoing>, robot: &Robot, state: &State, stamp: Time) {
     push(out, Output::ArmMeasuredCf, &WrenchStamped { header, force: force.into(), torque: torque.into() });
 }
 
-/// The wrench on the flange, about the tool's base, along the axes of the tool's base instead of the world's.
+/// Returns the wrench on the flange, about the tool's base, along the axes of the tool's base instead of the
+/// world's.
 fn wrench_in_base(state: &State) -> [[f64; 3]; 2] {
     let to_base: UnitQuaternion<f64> = isometry(&state.t_world_base).rotation.inverse();
     [state.flange_wrench.force_n, state.flange_wrench.torque_nm]
@@ -126,7 +127,7 @@ pub(crate) fn transform(placed: Placed, stamp: Time) -> TransformStamped {
     }
 }
 
-/// What stays for the whole session.
+/// Returns the messages that do not change during the session.
 pub fn of_session(robot: &Robot, urdf: String) -> Vec<Outgoing> {
     let mut out = Vec::new();
     let transforms = vec![transform(robot.fixed(), Time::default())];
@@ -135,7 +136,7 @@ pub fn of_session(robot: &Robot, urdf: String) -> Vec<Outgoing> {
     out
 }
 
-/// What CRTK calls the arm's state.
+/// Returns the arm's state in CRTK's terms.
 pub fn operating_state(phase: Phase, disabled: bool, state: &State) -> OperatingState {
     match phase {
         Phase::Paused => OperatingState::Paused,
@@ -145,14 +146,14 @@ pub fn operating_state(phase: Phase, disabled: bool, state: &State) -> Operating
     }
 }
 
-/// Whether the arm is on its way to a goal (CRTK's `is_busy`): servo commands do not count.
+/// Returns whether the arm is moving to a goal (CRTK's `is_busy`); servo commands do not count.
 pub fn is_busy(state: &State) -> bool {
     let to_a_goal =
         matches!(state.arm_mode(), Ok(ArmMode::MoveJp | ArmMode::MoveCp | ArmMode::Insert | ArmMode::Rcm));
     to_a_goal && state.arm_status() == Ok(ArmStatus::Moving)
 }
 
-/// The operating state as a message.
+/// Returns the operating state as a message.
 pub fn of_operating_state(operating: OperatingState, is_busy: bool, state: &State) -> Vec<Outgoing> {
     let mut out = Vec::new();
     let message = OperatingStateMessage {

@@ -8,10 +8,10 @@ use simulation::pose;
 
 use crate::topics::{ARM_JOINT_NAMES, Names};
 
-/// The frame that everything stands in: the patient frame, LPS.
+/// The root frame: the patient frame, LPS.
 pub const WORLD: &str = "world";
 
-/// A frame, its parent and its pose in it.
+/// A frame with its parent and its pose in it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Placed {
     /// Parent frame.
@@ -28,10 +28,10 @@ pub struct Robot {
     names: Names,
     /// Without the tool: the last frame is the flange.
     geometry: ArmGeometry,
-    /// Names of the arm's joints: six or seven, or none where none turn.
+    /// Names of the arm's joints: six or seven, or empty if the arm has none.
     arm_joints: Vec<String>,
     t_world_arm_base: Isometry3<f64>,
-    /// The parts of the chain that do not turn ([`ArmGeometry::fixed_parts`]).
+    /// The fixed parts of the chain ([`ArmGeometry::fixed_parts`]).
     fixed_parts: Vec<Isometry3<f64>>,
     t_flange_base: Isometry3<f64>,
     /// Lower and upper ends of the joints' ranges.
@@ -43,7 +43,8 @@ pub struct Robot {
 }
 
 impl Robot {
-    /// The robot of a scene, placed by a state: the arm's base stands where its flange and its joints say.
+    /// Creates the robot of a scene, placed by a state: the arm's base is where its flange and its joints
+    /// imply.
     pub fn new(scene: &Scene, state: &State, names: Names) -> Robot {
         let parameters = ArmParameters::of(&scene.arm, scene.dt_s());
         let (geometry, limits) = (parameters.geometry.with_tool(None), parameters.joint_limits);
@@ -68,12 +69,12 @@ impl Robot {
         &self.names
     }
 
-    /// Names of the arm's joints, from base to flange: six or seven, or none where none turn.
+    /// Names of the arm's joints, from base to flange: six or seven, or empty if the arm has none.
     pub fn arm_joints(&self) -> &[String] {
         &self.arm_joints
     }
 
-    /// Ends of the arm joints' ranges, and their fastest rates.
+    /// Returns the ends of an arm joint's range, and its maximum rate.
     pub fn limits(&self, joint: usize) -> [f64; 3] {
         [self.ranges_rad[0][joint], self.ranges_rad[1][joint], self.rates_rad_per_s[joint]]
     }
@@ -88,7 +89,8 @@ impl Robot {
         self.tendons
     }
 
-    /// Frame of the arm's base (index 0) and of its links (from 1), each at its joint and turning about its own z, as URDF wants it.
+    /// Returns the frame of the arm's base (index 0) or of a link (from 1). Each link's frame is at its joint
+    /// and turns about its own z, as URDF requires.
     pub fn arm_frame(&self, index: usize) -> String {
         if index == 0 {
             format!("{}/base", self.names.arm)
@@ -97,7 +99,8 @@ impl Robot {
         }
     }
 
-    /// Whether the flange moves against the base without joints, as a gantry's: a state holds its pose alone.
+    /// Returns whether the flange moves relative to the base without joints, as on a gantry, of which a state
+    /// has only the pose.
     pub fn flange_floats(&self) -> bool {
         matches!(self.geometry, ArmGeometry::Gantry(_))
     }
@@ -107,17 +110,18 @@ impl Robot {
         format!("{}/flange", self.names.arm)
     }
 
-    /// Where each joint stands in the link before it (from index 0), and last the flange in the last link.
+    /// Returns the pose of each joint in the preceding link (from index 0), and last of the flange in the
+    /// last link.
     pub fn fixed_parts(&self) -> &[Isometry3<f64>] {
         &self.fixed_parts
     }
 
-    /// The tool's base on the flange in the state that the robot was made from.
+    /// Returns the tool's base on the flange in the state with which the robot was created.
     pub fn t_flange_base(&self) -> &Isometry3<f64> {
         &self.t_flange_base
     }
 
-    /// The tube out of which the tool slides, if there is one.
+    /// Returns the tube out of which the tool slides, if there is one.
     pub fn outer_tube(&self) -> Option<&ToolOuterTube> {
         self.outer_tube.as_ref()
     }
@@ -127,22 +131,23 @@ impl Robot {
         format!("{}/base", self.names.manipulator)
     }
 
-    /// Frame of a link, just behind its flexure; the base, where there is none before it.
+    /// Returns the frame of a link, just after its flexure; that of the base if no flexure precedes it.
     pub fn tool_link(&self, index: usize) -> String {
         format!("{}/link_{index}", self.names.manipulator)
     }
 
-    /// Frame of the burr's centre, of the tip, of what slides in an outer tube (`slide`) or of what also turns in it (`tube`).
+    /// Returns the frame of the burr's centre (`burr`), of the tip (`tip`), of the part that slides in an
+    /// outer tube (`slide`) or of the part that also turns in it (`tube`).
     pub fn tool_end(&self, which: &str) -> String {
         format!("{}/{which}", self.names.manipulator)
     }
 
-    /// The arm's base in the world, which stays.
+    /// Returns the arm's base in the world, which does not move.
     pub fn fixed(&self) -> Placed {
         Placed { parent: WORLD.into(), child: self.arm_frame(0), pose: pose(&self.t_world_arm_base) }
     }
 
-    /// Every frame that moves, parents first.
+    /// Returns every frame that moves, parents first.
     pub fn moving(&self, state: &State) -> Vec<Placed> {
         let mut placed = Vec::with_capacity(MAX_ARM_JOINTS + self.flexures + 6);
         let joints = self.arm_joints.len();
@@ -182,8 +187,9 @@ impl Robot {
         placed
     }
 
-    /// Velocity of the tool's base, m/s and rad/s along the world's axes: that of the flange by the arm's Jacobian, carried over to the
-    /// base. `None` for a gantry, of which a state holds no velocity.
+    /// Returns the velocity of the tool's base, m/s and rad/s along the world's axes: that of the flange
+    /// according to the arm's Jacobian, transferred to the base. `None` for a gantry, of which a state has no
+    /// velocity.
     pub fn base_velocity(&self, state: &State) -> Option<[[f64; 3]; 2]> {
         if self.flange_floats() {
             return None;
@@ -200,7 +206,8 @@ impl Robot {
     }
 }
 
-/// The names of a scene's arm joints: those of its file, or those that Universal Robots' own description has.
+/// Returns the names of a scene's arm joints: those of its file, or those of Universal Robots' own
+/// description.
 fn arm_joints(scene: &Scene, geometry: &ArmGeometry) -> Vec<String> {
     match &scene.arm.joint {
         Some(joints) => {
@@ -213,12 +220,12 @@ fn arm_joints(scene: &Scene, geometry: &ArmGeometry) -> Vec<String> {
     }
 }
 
-/// A count of a message, at most what its array holds.
+/// Returns a count of a message, limited to its array's length.
 pub(crate) fn used(count: u32, most: usize) -> usize {
     usize::try_from(count).unwrap_or(most).min(most)
 }
 
-/// A message's pose as a transform.
+/// Converts a message's pose to a transform.
 pub fn isometry(pose: &Pose) -> Isometry3<f64> {
     let [x, y, z, w] = pose.orientation_xyzw;
     let rotation = UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z));
@@ -272,7 +279,7 @@ mod tests {
         state.joint_count = 1;
         (state.tube_deployed_m, state.tube_roll_rad) = (0.02, 0.5);
         let robot = Robot::new(&scene, &state, Names::default());
-        // The first flexure where the tube's own shaft ends, 40.625 mm from its base.
+        // The first flexure is where the tube's own shaft ends, 40.625 mm from its base.
         let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), 0.5);
         let from_base = Isometry3::from_parts(Translation3::new(0.0, 0.0, 0.060625), turn);
         state.t_world_link[0] = pose(&(isometry(&state.t_world_base) * from_base));
@@ -287,7 +294,8 @@ mod tests {
         assert!(at.rotation.angle() < 1e-12, "what turns is the tube");
         let urdf = crate::urdf::describe(&scene, &robot).unwrap();
         for line in [
-            "<joint name=\"deployed\" type=\"prismatic\"><parent link=\"CM/base\"/><child link=\"CM/slide\"/>",
+            "<joint name=\"deployed\" type=\"prismatic\"><parent link=\"CM/base\"/><child \
+             link=\"CM/slide\"/>",
             "<joint name=\"roll\" type=\"revolute\"><parent link=\"CM/slide\"/><child link=\"CM/tube\"/>",
             "<joint name=\"flexure_0\" type=\"revolute\"><parent link=\"CM/tube\"/>",
             "<limit lower=\"0\" upper=\"0.04\" velocity=\"0.01\" effort=\"0\"/>",

@@ -1,8 +1,9 @@
-//! The topics, each once: name, type, quality of service, meaning. `docs/ros2.md` lists the same rows (a test compares them).
+//! The topics: name, type, quality of service, meaning. `docs/ros2.md` lists the same rows (a test compares
+//! them).
 
 use scene::Drives;
 
-/// Names that stand in topics and frames.
+/// Names used in topics and frames.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Names {
     /// The arm, as in `/UR5/measured_js`.
@@ -18,7 +19,8 @@ impl Default for Names {
 }
 
 impl Names {
-    /// A name that ROS 2 takes as a part of a topic: a letter, then letters, digits and underscores, no two underscores in a row.
+    /// Returns whether ROS 2 accepts a name as part of a topic: a letter, then letters, digits and
+    /// underscores, no two underscores in a row.
     pub fn is_legal(name: &str) -> bool {
         name.len() <= 64
             && name.starts_with(|c: char| c.is_ascii_alphabetic())
@@ -31,22 +33,23 @@ impl Names {
     }
 }
 
-/// How a topic is offered or asked for. History is KEEP_LAST throughout.
+/// Quality of service of a topic. History is KEEP_LAST throughout.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Qos {
-    /// Reliable, volatile, depth 1: serves subscribers of both kinds, since DDS lets one that asks for best effort have it from a
-    /// reliable publisher, and a subscriber with ROS 2's defaults would not hear a best-effort one at all.
+    /// Reliable, volatile, depth 1. Serves subscribers of both kinds: a reliable publisher also serves
+    /// subscribers that request best effort, whereas a subscriber with ROS 2's defaults would receive nothing
+    /// from a best-effort one.
     State,
-    /// The same, but a subscriber that comes late hears the last message (transient local).
+    /// The same, but a late subscriber receives the last message (transient local).
     Latched,
-    /// As [`Qos::State`]; few images wait for a subscriber that acknowledges none.
+    /// Like [`Qos::State`]; few images are queued for a subscriber that acknowledges none.
     Image,
-    /// What the bridge asks of publishers of commands: reliable, volatile, depth 8.
+    /// Required of publishers of commands: reliable, volatile, depth 8.
     Command,
 }
 
 impl Qos {
-    /// In words, for the page.
+    /// Returns a description for the page.
     pub fn words(self) -> &'static str {
         match self {
             Qos::State | Qos::Image => "reliable, volatile, keep last 1",
@@ -61,35 +64,35 @@ impl Qos {
 pub struct Row<T> {
     /// Which topic.
     pub topic: T,
-    /// Its name; `<arm>` and `<cm>` stand for [`Names`].
+    /// Its name; `<arm>` and `<cm>` are placeholders for [`Names`].
     pub template: &'static str,
-    /// Package and message, as `sensor_msgs/JointState`.
+    /// Package and message, such as `sensor_msgs/JointState`.
     pub kind: &'static str,
     /// Its quality of service.
     pub qos: Qos,
-    /// What it holds, or what it does.
+    /// Its content or its effect.
     pub meaning: &'static str,
 }
 
 impl<T> Row<T> {
-    /// The name that users see.
+    /// Returns the name that users see.
     pub fn name(&self, names: &Names) -> String {
         names.put_in(self.template)
     }
 
-    /// The name on the wire: ROS 2 puts `rt` before topics.
+    /// Returns the name on the wire: ROS 2 puts `rt` before topics.
     pub fn dds_name(&self, names: &Names) -> String {
         format!("rt{}", self.name(names))
     }
 
-    /// The type on the wire: `sensor_msgs::msg::dds_::JointState_`.
+    /// Returns the type on the wire: `sensor_msgs::msg::dds_::JointState_`.
     pub fn dds_type(&self) -> String {
         let (package, message) = self.kind.split_once('/').unwrap_or(("", self.kind));
         format!("{package}::msg::dds_::{message}_")
     }
 }
 
-/// Declares topics: an enum of them, and their rows, each `TOPIC "name" "type" QOS "meaning"`.
+/// Declares topics: an enum, and their rows, each `TOPIC "name" "type" QOS "meaning"`.
 macro_rules! topics {
     ($(#[doc = $doc:literal])* $topic:ident, $rows:ident;
      $($name:ident $template:literal $kind:literal $qos:ident $meaning:literal;)*) => {
@@ -107,18 +110,18 @@ macro_rules! topics {
 }
 
 topics! {
-    /// What the bridge publishes.
+    /// The topics that the bridge publishes.
     Output, OUTPUTS;
     Clock "/clock" "rosgraph_msgs/Clock" State "simulated time, for `use_sim_time`; every stamp is in it";
     Tf "/tf" "tf2_msgs/TFMessage" State
         "the arm's links, the tool's base, links, burr and tip, the C-arm's camera";
     TfStatic "/tf_static" "tf2_msgs/TFMessage" Latched "`world` to the arm's base";
     RobotDescription "/robot_description" "std_msgs/String" Latched
-        "URDF of arm and tool as the scene has them";
+        "URDF of the scene's arm and tool";
     ArmMeasuredJs "/<arm>/measured_js" "sensor_msgs/JointState" State
         "joint angles and velocities, elastic deflection included";
     ArmSetpointJs "/<arm>/setpoint_js" "sensor_msgs/JointState" State
-        "joint angles that the arm's drives are at: those of the planned motion, without the deflection";
+        "joint angles of the arm's drives: the planned motion, without the deflection";
     ArmMeasuredCp "/<arm>/measured_cp" "geometry_msgs/PoseStamped" State
         "the tool's base in `world`, its mount's deflection included";
     ArmMeasuredCv "/<arm>/measured_cv" "geometry_msgs/TwistStamped" State
@@ -126,7 +129,7 @@ topics! {
     ArmMeasuredCf "/<arm>/measured_cf" "geometry_msgs/WrenchStamped" State
         "wrench of the tool on the flange, in the frame of the tool's base";
     OperatingState "/<arm>/operating_state" "crtk_msgs/OperatingState" Latched
-        "`ENABLED`, `DISABLED`, `PAUSED` or `FAULT`, and whether a `move_*` is under way; on each change";
+        "`ENABLED`, `DISABLED`, `PAUSED` or `FAULT`, and whether a `move_*` is in progress; on each change";
     TendonMeasuredJs "/<cm>/bend_motor/measured_js" "sensor_msgs/JointState" State
         "tendons: displacement in m, positive when pulled, and tension in N as effort";
     FlexureMeasuredJs "/<cm>/measured_js" "sensor_msgs/JointState" State
@@ -136,21 +139,23 @@ topics! {
     BurrMeasuredJs "/<cm>/burr/measured_js" "sensor_msgs/JointState" State
         "angular speed of the burr in rad/s";
     TubeMeasuredJs "/<cm>/tube/measured_js" "sensor_msgs/JointState" State
-        "how far the tube is out of its outer tube, m, and its roll, rad, with their speeds; of a tool with an outer tube";
+        "deployed length of the tube, m, and its roll, rad, with their speeds; only for a tool with an \
+         outer tube";
     BurrForce "/<cm>/burr/force" "std_msgs/Float64" State "normal force between burr and bone in N";
     RemovedVoxels "/removed_voxels" "std_msgs/UInt64" State
         "voxels removed since the start or the last reset";
     CArmImage "/c_arm/image_raw" "sensor_msgs/Image" Image
-        "the X-ray, `mono16`, or `mono8` where that would be too large";
+        "the X-ray, `mono16`, or `mono8` if that would be too large";
     CArmInfo "/c_arm/camera_info" "sensor_msgs/CameraInfo" Image
-        "the C-arm as a camera: K, P, size; beside each image";
+        "the C-arm as a camera: K, P, size; with each image";
 }
 
 topics! {
-    /// What the bridge understands, as one of the scene's controllers.
+    /// The topics that the bridge subscribes to, as one of the scene's controllers.
     Input, INPUTS;
     ArmServoJp "/<arm>/servo_jp" "sensor_msgs/JointState" Command "follows joint angles (`position`)";
-    ArmServoJv "/<arm>/servo_jv" "sensor_msgs/JointState" Command "turns the joints at rates (`velocity`)";
+    ArmServoJv "/<arm>/servo_jv" "sensor_msgs/JointState" Command
+        "moves the joints at the given rates (`velocity`)";
     ArmMoveJp "/<arm>/move_jp" "sensor_msgs/JointState" Command
         "moves to joint angles (`position`), jerk-limited";
     ArmServoCp "/<arm>/servo_cp" "geometry_msgs/PoseStamped" Command
@@ -168,11 +173,11 @@ topics! {
     BurrServoJv "/<cm>/burr/servo_jv" "sensor_msgs/JointState" Command
         "speed of the burr (`velocity`, rad/s, 0 to 6283.2)";
     TubeMoveJp "/<cm>/tube/move_jp" "sensor_msgs/JointState" Command
-        "length of the tube out of its outer tube and its roll (`position`, m and rad), jerk-limited";
+        "deployed length of the tube and its roll (`position`, m and rad), jerk-limited";
 }
 
 impl Input {
-    /// The part that a controller must drive for this topic; `None`: every controller may.
+    /// Returns the part that a controller must drive to use this topic; `None`: any controller may.
     pub fn needs(self) -> Option<Drives> {
         match self {
             Input::ArmServoJp
@@ -188,15 +193,15 @@ impl Input {
     }
 }
 
-/// The names of the tube's joints in an outer tube.
+/// The joint names of a tube in an outer tube.
 pub const TUBE_JOINT_NAMES: [&str; 2] = ["deployed", "roll"];
 
-/// The names of a tool's joints in `JointState`.
+/// Returns the names of a tool's joints in `JointState`.
 pub fn joint_names(prefix: &str, count: usize) -> Vec<String> {
     (0..count).map(|index| format!("{prefix}_{index}")).collect()
 }
 
-/// Names of the arm's joints, as Universal Robots' own description has them.
+/// Names of the arm's joints, from Universal Robots' own description.
 pub const ARM_JOINT_NAMES: [&str; 6] = [
     "shoulder_pan_joint",
     "shoulder_lift_joint",

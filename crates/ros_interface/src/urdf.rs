@@ -1,4 +1,5 @@
-//! Arm and tool as URDF, so that RViz and SlicerROS2 draw them: plain cylinders and a ball, no meshes.
+//! Describes arm and tool as URDF, so that RViz and SlicerROS2 can draw them: plain cylinders and a ball, no
+//! meshes.
 
 use std::fmt::Write;
 
@@ -9,15 +10,16 @@ use simulation::manipulator_parameters;
 use crate::robot::{Robot, WORLD};
 use crate::topics::{TUBE_JOINT_NAMES, joint_names};
 
-/// Radius of the arm's links as they are drawn.
+/// Drawn radius of the arm's links.
 const ARM_RADIUS_M: f64 = 0.04;
-/// Angle that a flexure is said to reach; the tool's own stops are nearer.
+/// Range of a flexure in the description; the tool's own stops are nearer.
 const FLEXURE_RANGE_RAD: f64 = core::f64::consts::FRAC_PI_2;
 
-/// The robot's description. Its links are the frames of `/tf`, its movable joints those of `measured_js`.
+/// Returns the robot's description. Its links are the frames of `/tf`, its movable joints those of
+/// `measured_js`.
 ///
 /// # Errors
-/// The scene's tool makes no sense; the session would not have started with it.
+/// The scene's tool is invalid; a session would not have started with it.
 pub fn describe(scene: &Scene, robot: &Robot) -> Result<String, simulation::manipulator::ManipulatorError> {
     let tool = manipulator_parameters(scene)?;
     let mut urdf = Urdf::default();
@@ -54,7 +56,7 @@ fn arm(urdf: &mut Urdf, robot: &Robot) {
     urdf.joint("flange", kind, &robot.arm_frame(joints), &robot.flange(), &parts[joints]);
 }
 
-/// The tool.
+/// A tool in the description.
 struct Chain<'a> {
     /// z of each flexure on the straight tool.
     flexures_m: &'a [f64],
@@ -137,7 +139,7 @@ enum Shape {
 #[derive(Debug, Clone, Copy)]
 enum Kind {
     Fixed,
-    /// It moves, and its frame comes from nowhere but the bridge's transforms.
+    /// Moves freely; its pose comes only from the bridge's transforms.
     Floating,
     Revolute {
         axis: [u8; 3],
@@ -159,7 +161,7 @@ struct Urdf {
 }
 
 impl Urdf {
-    /// Writing to a String does not fail.
+    /// Writing to a String cannot fail.
     fn add(&mut self, line: core::fmt::Arguments) {
         let _ = writeln!(self.text, "  {line}");
     }
@@ -184,14 +186,16 @@ impl Urdf {
         };
         let origin = origin(at);
         self.add(format_args!(
-            "<joint name=\"{name}\" type=\"{word}\"><parent link=\"{parent}\"/><child link=\"{child}\"/>{origin}{more}</joint>"
+            "<joint name=\"{name}\" type=\"{word}\"><parent link=\"{parent}\"/><child \
+             link=\"{child}\"/>{origin}{more}</joint>"
         ));
     }
 }
 
 fn limits([x, y, z]: [u8; 3], [lower, upper, rate]: [f64; 3]) -> String {
     format!(
-        "<axis xyz=\"{x} {y} {z}\"/><limit lower=\"{lower}\" upper=\"{upper}\" velocity=\"{rate}\" effort=\"0\"/>"
+        "<axis xyz=\"{x} {y} {z}\"/><limit lower=\"{lower}\" upper=\"{upper}\" velocity=\"{rate}\" \
+         effort=\"0\"/>"
     )
 }
 
@@ -201,7 +205,7 @@ fn origin(at: &Isometry3<f64>) -> String {
     format!("<origin xyz=\"{} {} {}\" rpy=\"{roll} {pitch} {yaw}\"/>", at.x, at.y, at.z)
 }
 
-/// A shape's place and its element; `None` for a rod without length.
+/// Returns a shape's pose and its element; `None` for a rod without length.
 fn drawn(shape: Shape) -> Option<(Isometry3<f64>, String)> {
     match shape {
         Shape::Ball { behind_m, radius_m } => {
@@ -214,7 +218,8 @@ fn drawn(shape: Shape) -> Option<(Isometry3<f64>, String)> {
             if length < 1e-6 {
                 return None;
             }
-            // A cylinder lies along its own z, about its middle; half a turn about x where the rod goes straight back.
+            // A cylinder lies along its own z, centred on its origin; half a turn about x if the rod points
+            // straight back.
             let turn = UnitQuaternion::rotation_between(&Vector3::z(), &to).unwrap_or_else(|| {
                 UnitQuaternion::from_axis_angle(&Vector3::x_axis(), core::f64::consts::PI)
             });

@@ -13,7 +13,7 @@ use crate::source::LogSource;
 use crate::stream::{LogMessage, MessageStream, ReadOptions};
 use crate::verdict::Verdict;
 
-/// Longest tail that is printed in full; for a longer one, such as pixels, only the element count is printed.
+/// Longest tail that is printed in full. For a longer one, such as pixels, only the element count is printed.
 const MAX_TAIL_ELEMENTS: usize = 4096;
 
 /// Which messages and fields to print.
@@ -21,8 +21,8 @@ const MAX_TAIL_ELEMENTS: usize = 4096;
 pub struct CatOptions {
     /// Topics; empty for all.
     pub topics: Vec<String>,
-    /// Field paths such as `t_world_link[7].position_m`; empty for whole messages. Topics without any of these fields
-    /// are skipped.
+    /// Field paths such as `t_world_link[7].position_m`; empty for whole messages. Topics without any of
+    /// these fields are skipped.
     pub fields: Vec<String>,
     /// Ticks whose messages to print.
     pub ticks: TickRange,
@@ -42,23 +42,23 @@ impl CatOptions {
     }
 }
 
-/// What [`cat`] has written.
+/// Result of [`cat`].
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Written {
     /// How many messages of the selected topics are in the range.
     pub messages: u64,
     /// Tick of the last message of the selected topics, written or not; `None` if there is none.
     pub last_tick: Option<Tick>,
-    /// What can be said of the log.
+    /// The log's faults, as far as it was read.
     pub verdict: Verdict,
 }
 
-/// Writes the selected messages. Floats are printed with just enough digits to round-trip; infinities and NaN become
-/// strings.
+/// Writes the selected messages. Floats are printed with just enough digits to round-trip; infinities and NaN
+/// become strings.
 ///
 /// # Errors
-/// [`LogError::NoSuchField`]; [`LogError::NoSuchTopic`], after the messages of the other topics; a log that cannot be
-/// read.
+/// [`LogError::NoSuchField`]; [`LogError::NoSuchTopic`], after the messages of the other topics; a log that
+/// cannot be read.
 pub fn cat(log: &dyn LogSource, options: &CatOptions, out: &mut dyn Write) -> Result<Written, LogError> {
     check_fields(&options.fields, &options.topics)?;
     let mut stream = match options.topics.as_slice() {
@@ -92,7 +92,7 @@ pub fn cat(log: &dyn LogSource, options: &CatOptions, out: &mut dyn Write) -> Re
     }
 }
 
-/// A field that exists in no message is a user error, not an empty result. `topics` are those whose messages are printed.
+/// Returns an error for a field that exists in no message of `topics`, the topics whose messages are printed.
 fn check_fields(fields: &[String], topics: &[String]) -> Result<(), LogError> {
     let first_chosen = topics.iter().find_map(|topic| Topic::of_name(topic)).map(Topic::description);
     for field in fields {
@@ -122,7 +122,7 @@ fn content(message: &LogMessage<'_>, fields: &[String]) -> Option<Value> {
     (!map.is_empty()).then_some(Value::Object(map))
 }
 
-/// A whole message, tail included.
+/// Converts a whole message to JSON, tail included.
 pub fn whole(description: &'static Description, body: &[u8]) -> Value {
     let mut map = object(description, body);
     if let Some(tail) = description.tail {

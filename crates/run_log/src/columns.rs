@@ -10,8 +10,8 @@ use crate::stream::{MessageStream, ReadOptions};
 use crate::topics::{self, Topic};
 use crate::verdict::Verdict;
 
-/// The first columns of a table: when a message was logged, as a tick and as simulated time. No message has fields of these names, so no two
-/// columns have one.
+/// The first columns of a table: when a message was logged, as a tick and as simulated time. No message has
+/// fields with these names, so column names are unique.
 pub const LOG_COLUMNS: [&str; 2] = ["log_tick", "log_time_ns"];
 
 /// One column: one scalar of a message.
@@ -26,19 +26,19 @@ pub struct Column {
 }
 
 impl Column {
-    /// A column of computed numbers (`float64`), which no message holds.
+    /// Creates a column of computed numbers (`float64`), which no message contains.
     pub fn computed(name: &str) -> Column {
         Column { name: name.to_owned(), ros_type: "float64", offset: 0, size: 0 }
     }
 
-    /// The column's value in a message; `None` if no message holds it.
+    /// The column's value in a message; `None` for a computed column.
     pub fn value(&self, body: &[u8]) -> Option<Scalar> {
         Scalar::read(self.ros_type, body.get(self.offset..self.offset + self.size)?)
     }
 }
 
-/// The columns for the given fields, in that order; arrays and nested messages expand to one column per scalar. No
-/// fields: the whole message.
+/// Returns the columns for the given fields, in that order, or for the whole message if there are none.
+/// Arrays and nested messages expand to one column per scalar.
 ///
 /// # Errors
 /// [`LogError::NoSuchField`].
@@ -94,7 +94,7 @@ pub trait Rows {
     /// Any error of the row's destination.
     fn row(&mut self, tick: Tick, log_time_ns: u64, values: &[Scalar]) -> Result<(), LogError>;
 
-    /// Writes what is still held, after the last row.
+    /// Writes buffered rows, after the last one.
     ///
     /// # Errors
     /// Any error of the rows' destination.
@@ -156,7 +156,7 @@ pub fn read_rows(
 mod tests {
     use super::*;
 
-    /// Two columns were called `tick`: pandas, polars and fastparquet refused the table.
+    /// Regression: two columns named `tick` made pandas, polars and fastparquet reject the table.
     #[test]
     fn no_two_columns_of_a_table_have_one_name() {
         for topic in Topic::ALL {

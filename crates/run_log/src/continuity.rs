@@ -1,7 +1,8 @@
 //! Finds missing messages of a run lane from their sequence numbers.
 //!
-//! Every state and command carries its tick; every removal, keyframe part and frame carries a number that increases by
-//! one. Missing messages are reported as stretches of ticks, each with its count of missing messages per topic.
+//! Every state and command carries its tick; every removal, keyframe part and frame carries a number that
+//! increases by one. Missing messages are reported as stretches of ticks, each with its count of missing
+//! messages per topic.
 
 use std::cmp::Ordering;
 use std::collections::BTreeMap;
@@ -15,7 +16,7 @@ use crate::limits::MAX_REPORTED;
 use crate::stream::TopicCount;
 use crate::topics::Topic;
 
-/// A stretch of ticks with messages missing from the log.
+/// A range of ticks with messages missing from the log.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Stretch {
     /// First tick (`State.tick`).
@@ -37,19 +38,19 @@ impl fmt::Display for Stretch {
     }
 }
 
-/// What is missing from a log.
+/// Messages missing from a log.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Gap {
     /// The first stretches with missing messages, in tick order.
     pub stretches: Vec<Stretch>,
     /// Number of stretches beyond those listed.
     pub more: u64,
-    /// Missing messages by topic. Includes those after the last tick and those of unnumbered topics, taken from the
-    /// end marker's counts.
+    /// Missing messages by topic. Includes those after the last tick and those of unnumbered topics, computed
+    /// from the end marker's counts.
     pub lost: BTreeMap<String, u64>,
 }
 
-/// Sequence numbers of a run lane's messages so far.
+/// Sequence numbers of a run lane's messages read so far.
 #[derive(Debug, Default)]
 pub(crate) struct Continuity {
     /// Tick of the next command.
@@ -57,7 +58,7 @@ pub(crate) struct Continuity {
     next_state: Tick,
     removed: Numbered,
     removed_total: u64,
-    /// State whose removals have not arrived.
+    /// State whose removals have not arrived yet.
     owed: Option<Tick>,
     keyframe: Numbered,
     reading: Numbered,
@@ -74,7 +75,7 @@ struct Numbered {
     last_tick: Tick,
 }
 
-/// Messages that are missing, and where.
+/// Number and location of missing messages.
 #[derive(Debug, Clone, Copy)]
 struct Missing {
     first_tick: Tick,
@@ -83,16 +84,16 @@ struct Missing {
     place: Place,
 }
 
-/// How well it is known which ticks a loss affects.
+/// How precisely the ticks affected by a loss are known.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Place {
     /// The first and last ticks are those affected.
     Exact,
-    /// It lies somewhere between these ticks.
+    /// The loss lies somewhere between these ticks.
     Between,
 }
 
-/// Whether removals are among the topics that are read.
+/// Whether removals are among the topics being read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Removals {
     Read,
@@ -100,7 +101,7 @@ pub(crate) enum Removals {
 }
 
 impl Numbered {
-    /// What is missing before this message.
+    /// Returns what is missing before this message.
     fn see(&mut self, number: u64, tick: Tick) -> Option<Missing> {
         let expected = self.last.saturating_add(1);
         let first = self.last_tick.saturating_add(u64::from(self.last > 0));
@@ -115,12 +116,12 @@ impl Numbered {
 }
 
 impl Continuity {
-    /// Checks a message's number; `topic` is none for topics that this build does not know.
+    /// Checks a message's number; `topic` is `None` for topics unknown to this build.
     pub fn see(&mut self, topic: Option<Topic>, body: &[u8]) {
         match topic {
             Some(Topic::Latched) => {
                 let Ok(latched) = Latched::read_from_bytes(body) else { return };
-                // u_k leads to state k + 1.
+                // The command u_k leads to state k + 1.
                 let (expected, tick) = (self.next_latched, Tick(latched.tick));
                 self.next_latched = tick.saturating_add(1);
                 self.ticks(Topic::Latched, expected.saturating_add(1), tick.saturating_add(1));
@@ -140,7 +141,8 @@ impl Continuity {
                 let Ok((removed, _)) = Removed::read_from_prefix(body) else { return };
                 self.removed_total = removed.removed_total;
                 let missing = self.removed.see(removed.sequence, Tick(removed.tick));
-                // A state that lacks removals and a jump in the removals' numbers are the same loss: count it once.
+                // A state that lacks removals and a jump in the removals' numbers are the same loss; count it
+                // once.
                 self.owed = self.owed.filter(|_| missing.is_none());
                 self.numbered(Topic::Removed, missing);
             }
@@ -163,7 +165,8 @@ impl Continuity {
         }
     }
 
-    /// What is missing. `counts` and the end marker cover messages after the last one and unnumbered topics.
+    /// Returns what is missing. `counts` and the end marker cover messages after the last one and unnumbered
+    /// topics.
     pub fn gap(
         &self,
         removals: Removals,
@@ -193,7 +196,7 @@ impl Continuity {
         (!lost.is_empty()).then_some(Gap { stretches, more: self.more, lost })
     }
 
-    /// A message of a topic that has exactly one message per tick.
+    /// Checks a message of a topic that has exactly one message per tick.
     fn ticks(&mut self, topic: Topic, expected: Tick, found: Tick) {
         let place = Place::Exact;
         let missing = match found.cmp(&expected) {

@@ -1,4 +1,4 @@
-//! Tables as comma-separated values.
+//! Writes tables as comma-separated values.
 
 use std::io::Write;
 
@@ -8,7 +8,7 @@ use crate::columns::{Column, LOG_COLUMNS, Rows};
 use crate::error::LogError;
 use crate::fields::Scalar;
 
-/// Comma-separated values with a header line. Floats are printed with just enough digits to round-trip.
+/// A CSV writer with a header line. Floats are printed with just enough digits to round-trip.
 pub struct Csv<W: Write>(W);
 
 impl<W: Write> Csv<W> {

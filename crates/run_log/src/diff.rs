@@ -1,4 +1,4 @@
-//! `diff` — do two logs hold the same run?
+//! `diff` — compares two logs of a run.
 
 use std::cmp::Ordering;
 use std::collections::BTreeMap;
@@ -32,7 +32,7 @@ pub struct HeaderDifference {
     pub second: String,
 }
 
-/// The result of comparing two logs.
+/// Result of comparing two logs.
 #[derive(Debug, Default)]
 pub struct DiffReport {
     /// Header entries that differ.
@@ -47,16 +47,16 @@ pub struct DiffReport {
     pub frames: Option<Divergence>,
     /// The first keyframe part and the first reply that differ.
     pub messages: Vec<Divergence>,
-    /// Parts that only one log has, and each log's end reason if the reasons differ. A log that merely lacks its end
-    /// is covered by its verdict.
+    /// Items that only one log has, and each log's end reason if the reasons differ. A log that merely lacks
+    /// its end is covered by its verdict.
     pub remarks: Vec<String>,
-    /// What is wrong with each log.
+    /// The faults of each log.
     pub verdicts: [Verdict; 2],
 }
 
 impl DiffReport {
-    /// True if both hold the same ticks, frames, keyframes and replies. Header entries may differ (another build,
-    /// another mode).
+    /// Returns true if both logs contain the same ticks, frames, keyframes and replies. Header entries may
+    /// differ (another build, another mode).
     pub fn same_run(&self) -> bool {
         let none_differs = self.ticks.is_none() && self.frames.is_none() && self.messages.is_empty();
         none_differs && self.remarks.is_empty()
@@ -91,8 +91,8 @@ impl DiffReport {
     }
 }
 
-/// Compares two `run.mcap`: headers, every tick, every frame, every keyframe and reply. Two logs of one run may
-/// interleave frames and ticks differently; that does not count as a difference.
+/// Compares two `run.mcap`: headers, every tick, every frame, every keyframe and reply. Two logs of one run
+/// may interleave frames and ticks differently; that does not count as a difference.
 pub fn diff(
     first: &dyn LogSource,
     second: &dyn LogSource,
@@ -120,7 +120,7 @@ fn compare_ticks(
             .or_else(|| compare_removed(Tick::START, a.predrilled(), b.predrilled()));
     }
     let (mut x, mut y) = (next_tick(&mut a)?, next_tick(&mut b)?);
-    // Ticks that only one log has because the other has a gap there.
+    // Counts ticks that only one log has because the other has a gap there.
     let mut alone = [0_u64; 2];
     while out.ticks.is_none() {
         // After a gap in one log, resume both at the next tick they share.
@@ -177,7 +177,7 @@ fn compare_ticks(
     Ok(())
 }
 
-/// The next complete tick, skipping a gap if there is one.
+/// Returns the next complete tick, skipping a gap if necessary.
 fn next_tick(reader: &mut LogReader) -> Result<Option<TickRecord>, LogError> {
     loop {
         match reader.next() {
@@ -193,7 +193,7 @@ fn next_tick(reader: &mut LogReader) -> Result<Option<TickRecord>, LogError> {
     }
 }
 
-/// Why a run ended, if its log says so; for a repaired log, the reason from before the repair.
+/// Returns why a run ended, if its log says so; for a repaired log, the reason before the repair.
 fn reason(reader: &LogReader) -> Option<&EndReason> {
     let mut reason = &reader.ending().marker.as_ref()?.reason;
     while let EndReason::Repaired(before) = reason {
@@ -214,7 +214,7 @@ fn compare_headers(a: &BTreeMap<String, String>, b: &BTreeMap<String, String>) -
     entries.filter(|entry| entry.first != entry.second).collect()
 }
 
-/// Where two ticks differ. The command is compared first because the state is its effect.
+/// Compares two ticks. The command is compared first, because the state is its effect.
 fn compare_tick(a: &TickRecord, b: &TickRecord) -> Option<Divergence> {
     let restored = |tick: &TickRecord| tick.restored.clone().unwrap_or_default();
     let (x, y) = (a.latched.as_bytes(), b.latched.as_bytes());
@@ -249,7 +249,7 @@ fn compare_frames(
     Ok(())
 }
 
-/// The next frame, skipping a gap if there is one.
+/// Returns the next frame, skipping a gap if necessary.
 fn next_frame(reader: &mut FrameReader) -> Result<Option<FrameRecord>, LogError> {
     loop {
         match reader.next().transpose() {
@@ -281,15 +281,15 @@ fn compare_messages<M: Logged>(
             (None, None) => return Ok(()),
             (more_in_first, _) => {
                 let long = if more_in_first.is_some() { first } else { second };
-                out.remarks.push(format!("{} has more of {}", long.path().display(), M::TOPIC));
+                out.remarks.push(format!("{} has more messages of {}", long.path().display(), M::TOPIC));
                 return Ok(());
             }
         }
     }
 }
 
-/// Compares two frames. A log may hold hashes instead of images; then the frames' own fields decide, including the
-/// hash.
+/// Compares two frames. If a log contains hashes instead of images, the frames' own fields decide, including
+/// the hash.
 pub fn compare_frame(a: &FrameRecord, b: &FrameRecord) -> Option<Divergence> {
     let (tick, frame) = (Tick(a.frame.tick), Frame::DESCRIPTION);
     compare(Topic::DrrFrame, tick, frame, a.frame.as_bytes(), b.frame.as_bytes()).or_else(|| {

@@ -50,13 +50,14 @@ impl std::fmt::Display for Divergence {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let saved = |difference: &FieldDifference| difference.path.starts_with("data[");
         if self.topic == Topic::Keyframe && self.differences.iter().all(saved) {
-            // Bytes of a saved simulation have no names.
+            // The bytes of a keyframe have no field names.
             let first = self.differences.first().map_or("", |difference| &difference.path);
             return write!(
                 f,
-                "first divergence: tick {}, {}: the saved simulation differs in {} of its bytes, the first of them {first}. The states up \
-                 to there are compared by themselves; a keyframe also holds what no state shows: the friction of tendons and contacts, \
-                 the arm's trajectory, and the order in which a build lays them down",
+                "first divergence: tick {}, {}: the keyframe differs in {} bytes, first at {first}. States \
+                 are \
+                 compared separately; a keyframe also contains what no state shows: the friction of tendons \
+                 and contacts, the arm's trajectory, and the order in which a build stores them",
                 self.tick, self.topic, self.total
             );
         }
@@ -65,7 +66,7 @@ impl std::fmt::Display for Divergence {
     }
 }
 
-/// Compares two messages with the same description; none if all bytes agree.
+/// Compares two messages with the same description; returns `None` if all bytes agree.
 pub fn compare(
     topic: Topic,
     tick: Tick,
@@ -76,7 +77,7 @@ pub fn compare(
     if recorded == replayed {
         return None;
     }
-    // Collect a few more than are listed, so that the chained hash can be moved to the end.
+    // Keep a few more than are listed, so that the chained hash can be moved to the end.
     let mut found = Found { most: MAX_LISTED + 2, ..Found::default() };
     found.message(description, "", recorded, replayed);
     if let Some(tail) = description.tail {
@@ -106,7 +107,8 @@ pub fn compare_removed(tick: Tick, recorded: &[u32], replayed: &[u32]) -> Option
     Some(Divergence { topic: Topic::Removed, tick, differences: found.list, total: found.total })
 }
 
-/// All differing scalars, in field order, of two tail-less messages with the same description.
+/// Returns all differing scalars, in field order, of two messages without tails and with the same
+/// description.
 pub fn all_differences(description: &'static Description, a: &[u8], b: &[u8]) -> Vec<FieldDifference> {
     let mut found = Found { most: usize::MAX, ..Found::default() };
     found.message(description, "", a, b);

@@ -16,7 +16,7 @@ pub const END_RECORD: &str = "end";
 /// Name of the metadata record near the start of a repaired log.
 pub const REPAIR_RECORD: &str = "repair";
 
-/// End reason of a log that was moved, as the end marker and the launcher write it. No part has this name.
+/// End reason of a log that was moved, written by the end marker and the launcher. No part has this name.
 const LOG_MOVED: &str = "log moved";
 
 const PART_DIED: &str = "part died: ";
@@ -24,10 +24,10 @@ const CONTROLLER_MISSING: &str = "controller missing: ";
 const CONTROLLER_LATE: &str = "controller late: ";
 const SIMULATION_FAILED: &str = "simulation failed: ";
 
-/// A reason that names a part or controller, or says why: its word, and how it is made.
+/// A reason with a detail (part, controller or cause): its text prefix and constructor.
 type NamedReason = (&'static str, fn(String) -> EndReason);
 
-/// The reasons that name who or what caused the end, by what their text begins with.
+/// The reasons with a detail, by text prefix.
 const NAMED: [NamedReason; 4] = [
     (PART_DIED, EndReason::PartDied),
     (CONTROLLER_MISSING, EndReason::ControllerMissing),
@@ -38,7 +38,7 @@ const NAMED: [NamedReason; 4] = [
 /// Why a run ended.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum EndReason {
-    /// The scene ran all its ticks. Older logs say this of a run that was stopped, too.
+    /// The scene ran all its ticks. Older logs also use this for a run that was stopped.
     Completed,
     /// Run control stopped the run before its last tick.
     Stopped,
@@ -50,7 +50,8 @@ pub enum EndReason {
     ControllerMissing(String),
     /// In lockstep, a controller did not answer in time; holds its name.
     ControllerLate(String),
-    /// The simulation could not compute a tick, whose commands are the log's last; holds the tick and the cause, as `tick 81: …`.
+    /// The simulation could not compute a tick, whose commands are the log's last. Holds the tick and the
+    /// cause, as `tick 81: …`.
     SimulationFailed(String),
     /// The log, or its folder, was moved while it was being written.
     LogMoved,
@@ -75,7 +76,7 @@ impl EndReason {
         }
     }
 
-    /// Parses the output of [`text`](Self::text); none for any other text.
+    /// Parses the output of [`text`](Self::text); returns `None` for any other text.
     pub fn parse(text: &str) -> Option<EndReason> {
         match text {
             "completed" => Some(EndReason::Completed),
@@ -95,26 +96,27 @@ impl EndReason {
     }
 }
 
-/// What the writer knew when it finished.
+/// Final state of the writer, stored at the end of a log.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct EndMarker {
     /// Why the run ended.
     pub reason: EndReason,
-    /// `State.tick` of the last state; in the timing lane, the tick of the last message. None if there was none.
+    /// `State.tick` of the last state; in the timing lane, the tick of the last message. `None` if the log
+    /// has none.
     pub last_tick: Option<Tick>,
-    /// `State.hash` of the last state, low word first; none in the timing lane.
+    /// `State.hash` of the last state, low word first; `None` in the timing lane.
     pub hash: Option<[u64; 2]>,
     /// Messages written, by topic.
     pub counts: BTreeMap<String, u64>,
-    /// Messages that never reached the log, by topic: those that the writer missed by their numbers and those that its
-    /// owner counted. Topics without losses are absent.
+    /// Messages that never reached the log, by topic: those missing by their numbers, and those counted by
+    /// the writer's owner. Topics without losses are absent.
     pub lost: BTreeMap<String, u64>,
-    /// Messages that were in the log and were lost to damage, by topic; only in a repaired log.
+    /// Messages lost to damage of the log, by topic; only in a repaired log.
     pub damaged: BTreeMap<String, u64>,
 }
 
 impl EndMarker {
-    /// The marker as entries of its metadata record.
+    /// Returns the marker as entries of its metadata record.
     pub fn to_metadata(&self) -> BTreeMap<String, String> {
         let mut entries = BTreeMap::new();
         entries.insert("reason".to_string(), self.reason.text());
@@ -129,7 +131,7 @@ impl EndMarker {
         entries
     }
 
-    /// A description of the losses; empty if there are none.
+    /// Describes the losses; empty if there are none.
     fn losses(&self) -> String {
         let list = |what: &str, counts: &BTreeMap<String, u64>| {
             let each: Vec<String> = counts.iter().map(|(topic, n)| format!("{n} of {topic}")).collect();
@@ -138,17 +140,21 @@ impl EndMarker {
         list("lost by the recorder", &self.lost) + &list("lost to damage", &self.damaged)
     }
 
-    /// Reads the entries of the metadata record [`END_RECORD`] of a log.
+    /// Reads the entries of a log's metadata record [`END_RECORD`].
     ///
     /// # Errors
-    /// An entry is missing or wrong, or the checksum does not fit; `path` is the file that it names.
+    /// An entry is missing or wrong, or the checksum does not match. `path` is the file named in the error.
     pub fn from_metadata(path: &Path, map: &BTreeMap<String, String>) -> Result<EndMarker, LogError> {
         let entries = Entries { path, record: END_RECORD, entries: map };
         if !is_unbroken(map) {
             return Err(entries.wrong("crc32", "the checksum of the other entries"));
         }
         let wrong_reason = || {
-            entries.wrong("reason", "completed, stopped, interrupted, log moved, part died, controller missing or controller late")
+            entries.wrong(
+                "reason",
+                "completed, stopped, interrupted, log moved, part died, controller missing or \
+                 controller late",
+            )
         };
         let reason = EndReason::parse(entries.text("reason")?).ok_or_else(wrong_reason)?;
         let last_tick = match entries.text("last_tick")? {
@@ -173,7 +179,7 @@ impl EndMarker {
     }
 }
 
-/// A chained hash as 32 hexadecimal digits, high word first.
+/// Formats a chained hash as 32 hexadecimal digits, high word first.
 pub fn hash_text(hash: [u64; 2]) -> String {
     format!("{:016x}{:016x}", hash[1], hash[0])
 }
@@ -181,7 +187,7 @@ pub fn hash_text(hash: [u64; 2]) -> String {
 /// How a file ends.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Ending {
-    /// The marker of a clean finish.
+    /// The marker of a clean finish, if there is one.
     pub marker: Option<EndMarker>,
     /// Set if the file stops before the end that MCAP requires.
     pub cut: Option<Cut>,
@@ -197,12 +203,12 @@ pub struct Cut {
 }
 
 impl Ending {
-    /// True if nothing is missing: the marker is there and the file is whole.
+    /// Returns true if the marker is present and the file is not truncated.
     pub fn is_complete(&self) -> bool {
         self.marker.is_some() && self.cut.is_none()
     }
 
-    /// One line of text for the user.
+    /// Describes the ending in one line.
     pub fn describe(&self) -> String {
         let marker = match &self.marker {
             Some(marker) => {
@@ -215,7 +221,8 @@ impl Ending {
             Some(cut) => {
                 let Cut { offset, incomplete_bytes } = cut;
                 format!(
-                    "{marker}; cut after byte {offset}, {incomplete_bytes} bytes of an incomplete record left out"
+                    "{marker}; truncated after byte {offset}, {incomplete_bytes} bytes of an incomplete \
+                     record skipped"
                 )
             }
         }

@@ -8,7 +8,7 @@ use messages::Tick;
 
 use crate::topics::Topic;
 
-/// What went wrong, in which file, and what to do about it.
+/// An error of reading or writing a log: the cause, the file, and what to do about it.
 #[derive(Debug, thiserror::Error)]
 pub enum LogError {
     /// The file could not be created.
@@ -27,7 +27,7 @@ pub enum LogError {
         /// The system's reason.
         source: io::Error,
     },
-    /// The MCAP writer refused.
+    /// The MCAP writer failed.
     #[error("{}: cannot encode the log: {source}", path.display())]
     Encode {
         /// The file.
@@ -42,7 +42,7 @@ pub enum LogError {
         path: PathBuf,
         /// The topic.
         topic: String,
-        /// What was given.
+        /// What was passed.
         given: String,
         /// What was expected.
         expected: String,
@@ -55,7 +55,7 @@ pub enum LogError {
         /// The system's reason.
         source: io::Error,
     },
-    /// The device failed to read; the content is not at fault.
+    /// The device failed to read; the content may be intact.
     #[error("{}: cannot read the log at byte {offset}: {source}", path.display())]
     Read {
         /// The file.
@@ -74,7 +74,10 @@ pub enum LogError {
         found: String,
     },
     /// The file ends before its header, or another program wrote it.
-    #[error("{}: no Trabecula header before byte {offset}: the file is cut too early or is not a Trabecula log", path.display())]
+    #[error(
+        "{}: no Trabecula header before byte {offset}: the file is truncated or is not a Trabecula log",
+        path.display()
+    )]
     NoHeader {
         /// The file.
         path: PathBuf,
@@ -82,7 +85,11 @@ pub enum LogError {
         offset: u64,
     },
     /// The file holds several runs.
-    #[error("{}: holds {} runs; `trabecula log split` writes one log per run", path.display(), foreign(.runs))]
+    #[error(
+        "{}: contains {} runs; split it with `trabecula log split` first",
+        path.display(),
+        foreign(.runs)
+    )]
     SeveralRuns {
         /// The file.
         path: PathBuf,
@@ -90,7 +97,10 @@ pub enum LogError {
         runs: String,
     },
     /// The operation needs a file of several runs.
-    #[error("{}: is the log of one run; expected a file of several, as `trabecula log cat-files` writes it", path.display())]
+    #[error(
+        "{}: contains a single run; expected several, as written by `trabecula log cat-files`",
+        path.display()
+    )]
     OneRun {
         /// The file.
         path: PathBuf,
@@ -102,7 +112,7 @@ pub enum LogError {
         path: PathBuf,
     },
     /// The operation needs a whole log.
-    #[error("{}: {}; `trabecula log repair` first", path.display(), foreign_line(.cause))]
+    #[error("{}: {}; run `trabecula log repair` first", path.display(), foreign_line(.cause))]
     NotWhole {
         /// The file.
         path: PathBuf,
@@ -125,7 +135,8 @@ pub enum LogError {
     },
     /// A message's layout differs from this build's.
     #[error(
-        "{}: layout of {} is {} in the log and {build} in this build; use the build that wrote the log ({}), or allow other layouts",
+        "{}: layout of {} is {} in the log and {build} in this build; use the build that wrote \
+         the log ({}), or allow other layouts",
         path.display(),
         foreign(.message),
         foreign(.log),
@@ -143,23 +154,27 @@ pub enum LogError {
         /// Version that wrote the log.
         version: String,
     },
-    /// The log holds more of something than a reader keeps in memory.
+    /// The log exceeds a limit on what a reader keeps in memory.
     #[error(
-        "{}: {found} {what}, at most {most} are allowed: no Trabecula log has so many",
+        "{}: {found} {what}, at most {most} allowed; no Trabecula log exceeds this limit",
         path.display()
     )]
     TooMuch {
         /// The file.
         path: PathBuf,
-        /// What there is too much of.
+        /// What exceeds the limit.
         what: &'static str,
-        /// How much was found before reading stopped.
+        /// Amount found before reading stopped.
         found: usize,
         /// The limit.
         most: usize,
     },
     /// Content that our writer never produces: a flipped bit, a lost block, an edited file.
-    #[error("{}: damaged at byte {offset}: {}; everything before is readable", path.display(), foreign_line(.cause))]
+    #[error(
+        "{}: damaged at byte {offset}: {}; everything before is readable",
+        path.display(),
+        foreign_line(.cause)
+    )]
     Damaged {
         /// The file.
         path: PathBuf,
@@ -169,7 +184,11 @@ pub enum LogError {
         cause: String,
     },
     /// A message is missing between two others.
-    #[error("{}: gap in {topic} at tick {tick}: {}; ticks before it are complete", path.display(), foreign(.found))]
+    #[error(
+        "{}: gap in {topic} at tick {tick}: {}; ticks before it are complete",
+        path.display(),
+        foreign(.found)
+    )]
     Gap {
         /// The file.
         path: PathBuf,
@@ -181,14 +200,14 @@ pub enum LogError {
         found: String,
     },
     /// The file ends before the initial state.
-    #[error("{}: no initial state on /state: the log was cut before its first chunk was complete", path.display())]
+    #[error("{}: no initial state on /state: the log ends before its first complete chunk", path.display())]
     NoInitialState {
         /// The file.
         path: PathBuf,
     },
-    /// A whole log without states: there is nothing to replay.
+    /// A complete log without states: there is nothing to replay.
     #[error(
-        "{}: complete, but without states: not a run's `run.mcap`, or the run ended before its first state",
+        "{}: complete, but contains no states: not a `run.mcap`, or the run ended before its first state",
         path.display()
     )]
     NoStates {
@@ -196,7 +215,7 @@ pub enum LogError {
         path: PathBuf,
     },
     /// The log has no such topic.
-    #[error("{}: no topic {topic}; it has {}", path.display(), foreign_line(.topics))]
+    #[error("{}: no topic {topic}; available: {}", path.display(), foreign_line(.topics))]
     NoSuchTopic {
         /// The file.
         path: PathBuf,
@@ -223,7 +242,7 @@ pub enum LogError {
 }
 
 impl LogError {
-    /// Whether other arguments could fix this; they cannot for damage or a full disk.
+    /// Returns whether other arguments could fix this; they cannot fix damage or a full disk.
     pub fn is_bad_input(&self) -> bool {
         !matches!(
             self,

@@ -26,7 +26,8 @@ impl Scalar {
         }
     }
 
-    /// Reads a little-endian scalar of a ROS type; none if the type is not a scalar or there are too few bytes.
+    /// Reads a little-endian scalar of a ROS type. Returns `None` if the type is not a scalar or there are
+    /// too few bytes.
     pub fn read(ros_type: &str, bytes: &[u8]) -> Option<Scalar> {
         let word = |n: usize| -> Option<u64> {
             let mut buffer = [0u8; 8];
@@ -58,8 +59,8 @@ impl Scalar {
         }
     }
 
-    /// Number of representable values between two floats of one type; none for integers, NaN and mixed types. `-0.0`
-    /// and `0.0` are 1 apart because their bits differ.
+    /// Returns the number of representable values between two floats of one type; `None` for integers, NaN
+    /// and mixed types. `-0.0` and `0.0` are 1 apart because their bits differ.
     pub fn ulp_distance(&self, other: &Scalar) -> Option<u64> {
         match (*self, *other) {
             (Scalar::Float64(a), Scalar::Float64(b)) if !a.is_nan() && !b.is_nan() => Some(
@@ -94,7 +95,8 @@ impl std::fmt::Display for Scalar {
     }
 }
 
-/// Number of tail elements according to the message's count field; none without a tail or with too few bytes.
+/// Returns the number of tail elements according to the message's count field; `None` without a tail or with
+/// too few bytes.
 pub fn tail_count(description: &Description, message: &[u8]) -> Option<usize> {
     description.tail?;
     let count = description.fields.last()?;
@@ -102,7 +104,7 @@ pub fn tail_count(description: &Description, message: &[u8]) -> Option<usize> {
     Some(u32::from_le_bytes(bytes.try_into().ok()?) as usize)
 }
 
-/// Expected size of a message: its struct plus the tail that its count field announces.
+/// Returns the expected size of a message: its struct plus the tail announced by its count field.
 pub fn message_size(description: &Description, message: &[u8]) -> Option<usize> {
     match description.tail {
         None => Some(description.size),
@@ -133,20 +135,20 @@ pub struct Place {
     pub size: usize,
 }
 
-/// A wrong name with the nearest right one, and all that there are.
+/// Describes an unknown field name: the closest valid name, and all valid names.
 fn no_field(description: &Description, name: &str) -> String {
     let near = |field: &&Field| strsim::jaro_winkler(field.name, name);
     let nearest = description.fields.iter().max_by(|a, b| near(a).total_cmp(&near(b)));
     let nearest = nearest.filter(|field| near(field) > NEAR_ENOUGH);
     let meant = nearest.map_or(String::new(), |field| format!(" (did you mean '{}'?)", field.name));
     let names: Vec<&str> = description.fields.iter().map(|field| field.name).collect();
-    format!("{} has no field '{name}'{meant}; it has {}", description.short_name(), names.join(", "))
+    format!("{} has no field '{name}'{meant}; available: {}", description.short_name(), names.join(", "))
 }
 
-/// Similarity (Jaro-Winkler) above which a name is offered in place of a wrong one, as clap does.
+/// Similarity (Jaro-Winkler) above which a valid name is suggested for a wrong one, as in clap.
 const NEAR_ENOUGH: f64 = 0.7;
 
-/// Finds a field by its path; the error says where the path stops matching.
+/// Finds a field by its path. The error says where the path stops matching.
 pub fn find(description: &'static Description, path: &str) -> Result<Place, String> {
     let mut current = description;
     let mut offset = 0;
@@ -188,7 +190,9 @@ fn split_index(segment: &str) -> Result<(&str, Option<usize>), String> {
         None => Ok((segment, None)),
         Some((name, rest)) => {
             let index = rest.strip_suffix(']').and_then(|digits| digits.parse().ok());
-            index.map(|index| (name, Some(index))).ok_or_else(|| format!("'{segment}' is not name[number]"))
+            index
+                .map(|index| (name, Some(index)))
+                .ok_or_else(|| format!("'{segment}' is malformed; expected name[index]"))
         }
     }
 }

@@ -1,5 +1,6 @@
-//! A log for viewers, made from a log: what the 3D panels of Lichtblick, Foxglove and RViz draw, `/tf` and a scene, beside messages of the
-//! log. It is derived and holds no header of a run, so no command takes it for one.
+//! Writes a log for viewers, derived from a run's log: the `/tf` poses and the scene that the 3D panels of
+//! Lichtblick, Foxglove and RViz draw, beside messages of the log. It contains no run header, so no command
+//! mistakes it for a run's log.
 
 use std::collections::BTreeMap;
 use std::io::Write;
@@ -20,7 +21,8 @@ use crate::topics;
 pub const TF: &str = "/tf";
 /// Schema name of [`TF`].
 const TF_SCHEMA_NAME: &str = "tf2_msgs/msg/TFMessage";
-/// ROS 2's definitions of the message and of those in it (`tf2_msgs`, `geometry_msgs`, `std_msgs`, `builtin_interfaces`, Jazzy).
+/// ROS 2's definitions of the message and of those in it (`tf2_msgs`, `geometry_msgs`, `std_msgs`,
+/// `builtin_interfaces`, Jazzy).
 const TF_SCHEMA: &str = "geometry_msgs/TransformStamped[] transforms
 ================================================================================
 MSG: geometry_msgs/TransformStamped
@@ -71,7 +73,7 @@ impl<W: Write> ViewerLog<W> {
     /// # Errors
     /// [`LogError::Write`].
     pub fn create(out: W, path: &Path) -> Result<ViewerLog<W>, LogError> {
-        // We alone decide where chunks end, so the bytes depend on nothing but the calls.
+        // Only our own code decides where chunks end, so that the bytes depend on the calls alone.
         let options =
             WriteOptions::new().library(LIBRARY).profile(PROFILE).chunk_size(None).disable_seeking(true);
         let options = options.compression(Some(Compression::Lz4)).compression_level(0).compression_threads(0);
@@ -79,7 +81,7 @@ impl<W: Write> ViewerLog<W> {
         Ok(ViewerLog { writer, path: path.into(), channels: BTreeMap::new(), chunk_bytes: 0 })
     }
 
-    /// Writes poses: parent, child, and the child's pose in its parent, metres.
+    /// Writes poses: parent, child, and the child's pose in its parent, in metres.
     ///
     /// # Errors
     /// [`LogError::Write`].
@@ -179,8 +181,8 @@ fn tf_message(time_ns: u64, poses: &[(&str, &str, &Pose)]) -> Vec<u8> {
     [CDR_LITTLE_ENDIAN.as_slice(), &cdr.0].concat()
 }
 
-/// The body of a CDR message, little-endian: each number at a multiple of its size from the body's start (OMG, DDS Interoperability Wire
-/// Protocol 2.5, clause 10; CORBA 3.4 part 2, clause 9.3).
+/// The body of a CDR message, little-endian: each number is aligned to its size, counted from the body's
+/// start (OMG, DDS Interoperability Wire Protocol 2.5, clause 10; CORBA 3.4 part 2, clause 9.3).
 struct Cdr(Vec<u8>);
 
 impl Cdr {
@@ -198,7 +200,7 @@ impl Cdr {
         self.0.extend_from_slice(&value.to_le_bytes());
     }
 
-    /// Its length with the NUL, the bytes, the NUL.
+    /// Writes a string: its length with the NUL, the bytes, the NUL.
     fn text(&mut self, text: &str) {
         self.u32(text.len() as u32 + 1);
         self.0.extend_from_slice(text.as_bytes());

@@ -1,4 +1,5 @@
-//! Gives frames and replies a fixed place among the ticks, although their arrival depends on the renderer's speed.
+//! Assigns frames and replies a fixed place among the ticks, although their arrival depends on the renderer's
+//! speed.
 
 use std::collections::VecDeque;
 
@@ -9,13 +10,14 @@ use crate::header::{LogHeader, RunMode};
 
 /// In real time a frame is written this long after the tick that it shows; rendering takes less.
 const REAL_TIME_LAG_NS: u64 = 300_000_000;
-/// Maximum bytes of held images; above that, the oldest are written at once.
+/// Maximum total size of held images in bytes; above it, the oldest are written at once.
 const MAX_HELD_BYTES: usize = 256 << 20;
 
-/// How many ticks after the tick it shows a frame is written.
+/// Returns how many ticks after the tick it shows a frame is written.
 ///
-/// In lockstep the physics waits for the renderer and the recorder, so neither lags by more than one state queue, and
-/// twice that always suffices. In real time it is 300 ms, which keeps losses small if the recorder is killed.
+/// In lockstep the physics waits for the renderer and the recorder, so neither lags by more than one state
+/// queue, and twice that always suffices. In real time it is 300 ms, which keeps losses small if the recorder
+/// is killed.
 pub fn frame_lag_ticks(header: &LogHeader) -> u64 {
     match header.mode {
         RunMode::Lockstep => 2 * STATE.queue_length as u64,
@@ -23,12 +25,12 @@ pub fn frame_lag_ticks(header: &LogHeader) -> u64 {
     }
 }
 
-/// What to write now.
+/// Which held messages to write now.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Due {
     /// Everything that belongs to a tick already written.
     AtItsTick,
-    /// Everything that waits.
+    /// Everything held.
     All,
 }
 
@@ -77,8 +79,8 @@ impl FrameOrder {
 
     /// Queues a reply. Replies are written in order of arrival.
     ///
-    /// A refusal may name a tick that never comes. It is written at the tick of its arrival so that it does not block
-    /// later replies.
+    /// A refusal may name a tick that never happens. It is written at the tick of its arrival, so that it
+    /// does not block later replies.
     pub fn reply(&mut self, reply: &DrrReply) {
         let now = self.tick.unwrap_or(Tick::START);
         let comes = reply.status() == Ok(DrrStatus::Accepted)

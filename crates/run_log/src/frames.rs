@@ -1,4 +1,4 @@
-//! The frames of a log.
+//! Reads the frames of a log.
 
 use std::path::PathBuf;
 
@@ -16,16 +16,16 @@ use crate::verdict::Verdict;
 /// One frame with its pixels.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FrameRecord {
-    /// What it shows.
+    /// The frame's metadata.
     pub frame: Frame,
-    /// Size and time of the image; none if the log holds hashes only.
+    /// Size and time of the image; `None` if the log contains hashes only.
     pub image: Option<ImagePrefix>,
     /// `mono16` pixels, row by row, top left first, little-endian; empty without an image.
     pub pixels: Vec<u8>,
 }
 
-/// The frames of a `run.mcap` in sequence. A missing frame is an error and ends the iteration, unless the caller calls
-/// [`FrameReader::go_on`].
+/// Iterates over the frames of a `run.mcap` in sequence. A missing frame is an error and ends the iteration,
+/// unless the caller calls [`FrameReader::go_on`].
 pub struct FrameReader {
     stream: MessageStream,
     expected: u64,
@@ -57,13 +57,13 @@ impl FrameReader {
         self.stream.ending()
     }
 
-    /// What is wrong with the log, as far as it has been read.
+    /// Returns the log's faults, as far as it has been read.
     pub fn verdict(&self) -> Verdict {
         self.stream.verdict()
     }
 
-    /// Resumes after the missing frames once the iteration has ended with [`LogError::Gap`]. False if it ended for
-    /// another reason.
+    /// Resumes after the missing frames once the iteration has ended with [`LogError::Gap`]. Returns false if
+    /// it ended for another reason.
     pub fn go_on(&mut self) -> bool {
         let at_gap = std::mem::take(&mut self.at_gap);
         self.done &= !at_gap;

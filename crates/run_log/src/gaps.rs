@@ -6,12 +6,12 @@ use messages::services::EVENT;
 
 use crate::topics::Topic;
 
-/// Maximum number of senders tracked, more than a session has. Messages carry their sender's id, so a client could
-/// make up any number of them.
+/// Maximum number of senders tracked, more than a session has. Messages carry their sender's id, so a client
+/// could invent any number of them.
 const MAX_SENDERS: usize = 64;
 
 const _: () = assert!(EVENT.max_publishers + Topic::ALL.len() < MAX_SENDERS);
-/// Longest plausible gap (49 days at 1 kHz); a longer jump means that the sender restarted.
+/// Longest plausible gap (49 days at 1 kHz); a longer jump means that the sender has restarted.
 const LONGEST_GAP: u64 = u32::MAX as u64;
 
 /// Last sequence number of each sender on each topic, and the messages missed.
@@ -22,8 +22,8 @@ pub struct Gaps {
 }
 
 impl Gaps {
-    /// Checks a message's number. A sender's numbers start at 1 and increase by one; a sender that restarts has lost
-    /// nothing.
+    /// Checks a message's number. A sender's numbers start at 1 and increase by one; a sender that restarts
+    /// has lost nothing.
     pub fn see(&mut self, topic: Topic, sender: u32, number: u64) {
         if self.last.len() >= MAX_SENDERS && !self.last.contains_key(&(topic, sender)) {
             return;
@@ -36,7 +36,7 @@ impl Gaps {
         }
     }
 
-    /// Messages missed, by topic.
+    /// Number of missed messages by topic.
     pub fn lost(&self) -> &BTreeMap<String, u64> {
         &self.lost
     }

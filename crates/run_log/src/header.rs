@@ -1,4 +1,4 @@
-//! The header of a log: what ran, by which build, with which layouts.
+//! The header of a log: what was run, by which build, with which message layouts.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -16,11 +16,11 @@ pub const FORMAT_VERSION: u32 = 1;
 pub const HEADER_RECORD: &str = "trabecula";
 /// Name of the attachment that holds the scene.
 pub const SCENE_ATTACHMENT: &str = "scene.toml";
-/// Name of the attachment that holds the scene's C-arm calibration, and of the session-folder file that it is copied
-/// from.
+/// Name of the attachment that holds the scene's C-arm calibration, and of the session-folder file that it is
+/// copied from.
 pub const CALIBRATION_ATTACHMENT: &str = "calibration.json";
 
-/// Name of the metadata record in a file of several runs (`join`): how many runs, and their names.
+/// Name of the metadata record in a file of several runs (`join`): the number of runs and their names.
 pub const RUNS_RECORD: &str = "runs";
 
 /// How the run's ticks were paced.
@@ -58,11 +58,11 @@ pub struct BuildInfo {
 pub struct LogHeader {
     /// The scene file's text, exactly as run.
     pub scene_toml: String,
-    /// The scene's C-arm as JSON, with the fields of `CArmGeometry`; none without X-ray.
+    /// The scene's C-arm as JSON, with the fields of `CArmGeometry`; `None` without X-ray.
     pub calibration_json: Option<String>,
     /// The scene's name.
     pub scene_name: String,
-    /// SHA-256 of the CT volume; none if the scene has no volume.
+    /// SHA-256 of the CT volume; `None` if the scene has no volume.
     pub volume_sha256: Option<[u8; 32]>,
     /// Size of the volume in voxels along i, j, k; zeros without a volume.
     pub volume_dimensions: [u32; 3],
@@ -88,7 +88,7 @@ impl LogHeader {
         hex(&Sha256::digest(self.scene_toml.as_bytes()))
     }
 
-    /// The header as entries of its metadata record; `lane` is `run` or `timing`.
+    /// Returns the header as entries of its metadata record; `lane` is `run` or `timing`.
     pub fn to_metadata(&self, lane: &str) -> BTreeMap<String, String> {
         let dimensions = self.volume_dimensions.map(|n| n.to_string()).join(" ");
         let volume = self.volume_sha256.map(|digest| hex(&digest)).unwrap_or_default();
@@ -173,7 +173,8 @@ pub(crate) fn check_layouts(
     }
 }
 
-/// The first message whose layout differs from this build's: its name, the log's hash, this build's hash.
+/// Returns the first message whose layout differs from this build's: its name, the log's hash, this build's
+/// hash.
 pub(crate) fn other_layout(metadata: &BTreeMap<String, String>) -> Option<(String, String, String)> {
     let build = layout_hashes();
     let of_log = metadata.iter().filter_map(|(key, hash)| Some((key.strip_prefix("layout/")?, hash)));
@@ -183,7 +184,7 @@ pub(crate) fn other_layout(metadata: &BTreeMap<String, String>) -> Option<(Strin
     others.next().map(|(message, log, ours)| (message.to_string(), log.clone(), ours))
 }
 
-/// Entries of a metadata record, with the context that errors need.
+/// Entries of a metadata record, with the context for error messages.
 pub(crate) struct Entries<'a> {
     pub path: &'a Path,
     pub record: &'static str,

@@ -1,5 +1,5 @@
-//! The summary of a whole log: which chunks hold which topics, so that reading one topic skips the other chunks; and
-//! the declarations, as a fallback where the log's own are damaged.
+//! The summary of a complete log: which chunks contain which topics, so that reading one topic skips the
+//! other chunks, and the declarations, as a fallback where the log's own are damaged.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::{Read, Seek, SeekFrom};
@@ -13,11 +13,11 @@ use crate::limits::{Declared, MAX_DECLARATION_BYTES, MAX_INDEX_BYTES};
 use crate::records::{RECORD_HEADER, chunk_record};
 use crate::topics;
 
-/// Bytes of the footer's fields, and of a file's complete end.
+/// Size of the footer's fields and of the end of a complete file, in bytes.
 const FOOTER: usize = 8 + 8 + 4;
 const END: usize = RECORD_HEADER + FOOTER + MAGIC.len();
 
-/// What a log's summary repeats from its chunks.
+/// Declarations and chunk index, repeated in a log's summary.
 #[derive(Default)]
 pub(crate) struct Summary {
     /// Schemas with their text.
@@ -26,15 +26,15 @@ pub(crate) struct Summary {
     chunks: Vec<ChunkPlace>,
 }
 
-/// The parts of a chunk's index that we keep.
+/// The part of a chunk's index entry that is kept.
 struct ChunkPlace {
     offset: u64,
     channels: Box<[u16]>,
 }
 
 impl Summary {
-    /// Reads the summary; none if the file has no intact index. `data_end` is where the summary begins; without it,
-    /// the footer's value is used.
+    /// Reads the summary; returns `None` if the file has no intact index. `data_end` is where the summary
+    /// begins; without it, the footer's value is used.
     pub fn read<R: Read + Seek>(source: &mut R, data_end: Option<u64>) -> Option<Summary> {
         let records = records(source, data_end)?;
         let (mut summary, mut rest) = (Summary::default(), records.as_slice());
@@ -68,7 +68,8 @@ impl Summary {
         Some(summary)
     }
 
-    /// What this build's writer declares in a run lane: schemas and channels numbered from 1 in topic order.
+    /// Returns the declarations of this build's writer in a run lane: schemas and channels numbered from 1 in
+    /// topic order.
     pub fn of_run_lane() -> Summary {
         let mut summary = Summary::default();
         for (id, topic) in (1..).zip(topics::RUN_TOPICS) {
@@ -82,7 +83,7 @@ impl Summary {
         summary
     }
 
-    /// Offsets of the chunks that hold no messages of these topics.
+    /// Returns the offsets of the chunks that contain no messages of these topics.
     pub fn chunks_without(&self, topics: &[String]) -> BTreeSet<u64> {
         let wanted = |id: &u16| self.channels.get(id).is_none_or(|channel| topics.contains(&channel.topic));
         // The first chunk declares the channels of the run lane.
@@ -92,7 +93,7 @@ impl Summary {
     }
 }
 
-/// The summary section's records, after checking their checksum.
+/// Reads the summary section's records after checking their checksum.
 fn records<R: Read + Seek>(source: &mut R, data_end: Option<u64>) -> Option<Vec<u8>> {
     let length = source.seek(SeekFrom::End(0)).ok()?;
     let end = length.checked_sub(END as u64)?;

@@ -1,4 +1,4 @@
-//! `info` — summarises a log on one screen.
+//! `info` — summarizes a log on one screen.
 
 use std::collections::BTreeMap;
 use std::io::Write;
@@ -32,11 +32,11 @@ pub struct LogInfo {
     pub ending: Ending,
     /// The damage that stopped reading, if any.
     pub log_error: Option<LogError>,
-    /// What is wrong with the log.
+    /// The log's faults.
     pub verdict: Verdict,
 }
 
-/// Reads a whole log of either lane and summarises it. Damage is reported in the summary, not as an error.
+/// Reads a whole log of either lane and summarizes it. Damage is reported in the summary, not as an error.
 pub fn info(log: &dyn LogSource, options: ReadOptions) -> Result<LogInfo, LogError> {
     let mut stream = MessageStream::open(log, options)?;
     let (mut end_ns, mut misses) = (0, Misses::default());
@@ -64,12 +64,12 @@ pub fn info(log: &dyn LogSource, options: ReadOptions) -> Result<LogInfo, LogErr
 }
 
 impl LogInfo {
-    /// Bytes of the file per simulated second; none before the first tick.
+    /// Returns the file's bytes per simulated second; `None` before the first tick.
     pub fn bytes_per_second(&self) -> Option<f64> {
         (self.end_ns > 0).then(|| self.file_bytes as f64 / (self.end_ns as f64 * 1e-9))
     }
 
-    /// Messages of a topic known to be missing: lost by the recorder plus lost to damage.
+    /// Returns the number of missing messages of a topic: lost by the recorder plus lost to damage.
     pub fn lost(&self, topic: &str) -> u64 {
         let Some(marker) = &self.ending.marker else {
             return self.topics.get(topic).map_or(0, |count| count.missing);

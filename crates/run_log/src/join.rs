@@ -18,7 +18,7 @@ use crate::stream::ReadOptions;
 use crate::verdict::{Fault, verdict};
 use crate::walk::{Piece, walk};
 
-/// Calls `visit` for every piece of a log, which must be whole and one of ours.
+/// Calls `visit` for every piece of a log, which must be complete and written by Trabecula.
 fn walk_whole(
     log: &dyn LogSource,
     visit: &mut dyn FnMut(Piece<'_>) -> Result<(), LogError>,
@@ -27,7 +27,7 @@ fn walk_whole(
     let (mut marked, mut headed) = (false, false);
     walk(log.open()?, log.path(), &mut |piece| match piece {
         Piece::Lost(lost) => Err(not_whole(&format!("damaged at byte {}: {}", lost.offset, lost.cause))),
-        Piece::Cut { offset, .. } => Err(not_whole(&format!("cut after byte {offset}"))),
+        Piece::Cut { offset, .. } => Err(not_whole(&format!("truncated after byte {offset}"))),
         Piece::Metadata { name, entries } => {
             marked |= name == END_RECORD || name == RUNS_RECORD;
             headed |= name == HEADER_RECORD;
@@ -38,14 +38,15 @@ fn walk_whole(
     match (marked, headed) {
         (true, _) => Ok(()),
         (false, true) => Err(not_whole("no end marker")),
-        // Whole or not, it is another program's, and a repair could make no log of it.
+        // Complete or not, another program wrote it, and repairing it would not turn it into a log.
         (false, false) => Err(LogError::NoHeader { path: log.path().into(), offset: 0 }),
     }
 }
 
-/// Refuses the log of a run with a message that readers refuse, though each checksum is right: another program wrote it.
+/// Rejects a run's log with a message that readers reject although every checksum is right, as another
+/// program can write.
 fn refuse_unreadable(log: &dyn LogSource) -> Result<(), LogError> {
-    // What is no log of one run has no messages to check here.
+    // A log of several runs has no messages to check here.
     let Ok(verdict) = verdict(log, ReadOptions { allow_other_layouts: true }) else { return Ok(()) };
     let damage = verdict.faults.iter().find_map(|fault| match fault {
         Fault::Damaged { offset, cause } => Some(format!("damaged at byte {offset}: {cause}")),
@@ -54,7 +55,7 @@ fn refuse_unreadable(log: &dyn LogSource) -> Result<(), LogError> {
     damage.map_or(Ok(()), |cause| Err(not_whole(log, &cause)))
 }
 
-/// Digest of all messages: topics, numbers, times and bytes in order.
+/// Returns a digest of all messages: topics, numbers, times and bytes in order.
 fn digest(log: &dyn LogSource) -> Result<[u8; 32], LogError> {
     let (mut hasher, mut topics) = (Sha256::new(), BTreeMap::new());
     walk_whole(log, &mut |piece| {
@@ -76,7 +77,7 @@ fn digest(log: &dyn LogSource) -> Result<[u8; 32], LogError> {
     Ok(hasher.finalize().into())
 }
 
-/// Writes a log to `out` with its chunks recompressed; errors will name `path`.
+/// Writes a log to `out` with its chunks recompressed; errors name `path`.
 ///
 /// # Errors
 /// [`LogError::NotWhole`], and any error of the output.
@@ -92,7 +93,8 @@ pub fn compress<W: Write>(
     out.finish()
 }
 
-/// Checks that two logs hold the same messages in the same order. Any fault of the second counts as damage of `path`.
+/// Checks that two logs contain the same messages in the same order. Any fault of the second is reported as
+/// damage of `path`.
 ///
 /// # Errors
 /// [`LogError::NotWhole`] for the first, [`LogError::Damaged`] if the second cannot be read or differs.
@@ -100,7 +102,7 @@ pub fn check_packed(input: &dyn LogSource, packed: &dyn LogSource, path: &Path) 
     let damaged = |cause| LogError::Damaged { path: path.into(), offset: 0, cause };
     let read_back = digest(packed).map_err(|error| damaged(error.without_path()))?;
     if digest(input)? != read_back {
-        return Err(damaged("the packed log reads back differently".to_string()));
+        return Err(damaged("the compressed log does not read back identically".to_string()));
     }
     Ok(())
 }
@@ -110,9 +112,9 @@ fn prefix(run: usize) -> String {
     format!("run{run}/")
 }
 
-/// Concatenates whole logs into one log in `out`; errors will name `path`. The first log's topics begin with `/run1`,
-/// its attachments and metadata with `run1/`, and so on; times stay as they are, so that a viewer shows all runs on
-/// one axis. [`split`] undoes it.
+/// Concatenates complete logs into one log in `out`; errors name `path`. The first log's topics begin with
+/// `/run1`, its attachments and metadata with `run1/`, and so on. Times are unchanged, so that a viewer shows
+/// all runs on one axis. [`split`] undoes it.
 ///
 /// # Errors
 /// [`LogError::NotWhole`], [`LogError::SeveralRuns`], and any error of the output.
@@ -145,10 +147,10 @@ pub trait RunOutputs {
     /// The output of one run.
     type Output: Write;
 
-    /// What error messages call all outputs together.
+    /// The path that error messages use for all outputs together.
     fn path(&self) -> &Path;
 
-    /// What error messages call the output of a run, numbered from 1.
+    /// The path that error messages use for the output of a run, numbered from 1.
     fn path_of(&self, run: usize) -> PathBuf;
 
     /// Opens the output of a run, numbered from 1.
@@ -164,7 +166,7 @@ pub trait RunOutputs {
     fn end(&mut self, output: Self::Output) -> Result<(), LogError>;
 }
 
-/// Refuses a log that is not whole or does not declare several runs.
+/// Rejects a log that is incomplete or does not declare several runs.
 ///
 /// # Errors
 /// [`LogError::NotWhole`], [`LogError::OneRun`].
@@ -186,7 +188,7 @@ pub fn split(input: &dyn LogSource, outputs: &mut impl RunOutputs) -> Result<usi
     walk_whole(input, &mut |piece| split.take(piece))?;
     split.finish_run()?;
     match split.whole {
-        0 => Err(not_whole(input, "it holds no run")),
+        0 => Err(not_whole(input, "it contains no run")),
         runs => Ok(runs),
     }
 }
@@ -195,17 +197,18 @@ fn not_whole(input: &dyn LogSource, cause: &str) -> LogError {
     LogError::NotWhole { path: input.path().into(), cause: cause.to_owned() }
 }
 
-/// A log of several runs being split into one log per run. The runs follow each other, so only one output is open at a
-/// time.
+/// State of splitting a log of several runs into one log per run. The runs follow each other, so only one
+/// output is open at a time.
 struct Split<'o, O: RunOutputs> {
     outputs: &'o mut O,
-    /// What the runs say of their writer.
+    /// Value of the header's `library` field in each run's log.
     library: &'static str,
     /// Number of runs completed.
     whole: usize,
     /// The run being written.
     out: Option<Rewriter<O::Output>>,
-    /// Schemas are declared once for all runs; each output declares them again with the first channel that needs them.
+    /// Schemas are declared once for all runs; each output declares them again with the first channel that
+    /// needs them.
     schemas: BTreeMap<u16, (SchemaHeader, Vec<u8>)>,
     kept: Declared,
     chunk_is_ours: bool,
@@ -270,8 +273,8 @@ impl<'o, O: RunOutputs> Split<'o, O> {
         out.piece(Piece::Channel(channel))
     }
 
-    /// Which run a name of the joined log belongs to; none if it belongs to no run. The first name of a run ends the
-    /// previous run.
+    /// Returns the run that a name of the joined log belongs to, or `None` if it belongs to no run. The first
+    /// name of a run ends the previous run.
     fn run_of(&mut self, name: &str) -> Result<Option<InRun<'_, O::Output>>, LogError> {
         let run = |name: &str| name.strip_prefix("run")?.parse::<usize>().ok();
         let parts = name.split_once('/').and_then(|(first, rest)| Some((run(first)?, rest)));

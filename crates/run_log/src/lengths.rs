@@ -1,5 +1,6 @@
-//! Checks that all strings lie within a record before parsing it. `mcap`'s parser allocates memory as soon as it has
-//! read a string's length: up to 4 GiB for a record of a few bytes. Format: <https://mcap.dev/spec>, "Records".
+//! Checks that all strings lie within a record before it is parsed. The `mcap` crate's parser allocates
+//! memory as soon as it has read a string's length: up to 4 GiB for a record of a few bytes. Format:
+//! <https://mcap.dev/spec>, "Records".
 
 use mcap::records::{Record, op};
 
@@ -16,7 +17,7 @@ enum Part {
     Numbers,
 }
 
-/// A record's parts up to its last string; none for records without strings.
+/// Returns a record's parts up to its last string; empty for records without strings.
 fn parts(opcode: u8) -> &'static [Part] {
     use Part::{Fixed, Numbers, Text, Texts};
     match opcode {
@@ -38,7 +39,7 @@ fn counted(bytes: &[u8]) -> Option<(&[u8], &[u8])> {
     rest.split_at_checked(u32::from_le_bytes(*length) as usize)
 }
 
-/// Whether every string lies within the body.
+/// Checks that every string lies within the body; `None` if one does not.
 fn texts_fit(opcode: u8, body: &[u8]) -> Option<()> {
     let mut rest = body;
     for part in parts(opcode) {
@@ -60,9 +61,9 @@ fn texts_fit(opcode: u8, body: &[u8]) -> Option<()> {
 /// Parses a record.
 ///
 /// # Errors
-/// What is wrong with it, as text.
+/// A description of what is wrong with the record.
 pub(crate) fn parse_record(opcode: u8, body: &[u8]) -> Result<Record<'_>, String> {
-    texts_fit(opcode, body).ok_or("a string that extends beyond its record")?;
+    texts_fit(opcode, body).ok_or("string extends beyond its record")?;
     mcap::parse_record(opcode, body).map_err(|error| error.to_string())
 }
 
@@ -70,7 +71,8 @@ pub(crate) fn parse_record(opcode: u8, body: &[u8]) -> Result<Record<'_>, String
 mod tests {
     use super::*;
 
-    /// Trusting the length of the name, the parser allocated 1.9 GB for a metadata record of 8 bytes.
+    /// Regression: the parser trusted the length of a name and allocated 1.9 GB for a metadata record of 8
+    /// bytes.
     #[test]
     fn the_length_of_a_text_takes_no_memory_before_it_is_checked() {
         // The bytes before the first string of each record type, all zeros.
@@ -87,11 +89,11 @@ mod tests {
         let refused = |opcode, body: &[u8]| parse_record(opcode, body).unwrap_err();
         for (opcode, before) in records {
             let body = [&vec![0; before][..], &0x7265_7474_u32.to_le_bytes(), &[0; 4]].concat();
-            assert_eq!(refused(opcode, &body), "a string that extends beyond its record", "{opcode:#04x}");
+            assert_eq!(refused(opcode, &body), "string extends beyond its record", "{opcode:#04x}");
         }
         // Inside a map: the map's length fits, a key's length does not.
         let long_key = [0_u32, 4, 0xffff_fff0].map(u32::to_le_bytes).concat();
-        assert_eq!(refused(op::METADATA, &long_key), "a string that extends beyond its record");
+        assert_eq!(refused(op::METADATA, &long_key), "string extends beyond its record");
     }
 
     #[test]

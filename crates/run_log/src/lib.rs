@@ -1,20 +1,22 @@
 //! Logs of a run as MCAP: writing, reading, repairing, comparing, replaying and tabulating them.
 //!
-//! A run produces two logs. `run.mcap`, the deterministic lane, is a function of the scene and the latched commands:
-//! its bytes depend only on the sequence of messages written to it. `timing.mcap` holds wall-clock times and
-//! everything that depends on them.
+//! A run produces two logs. `run.mcap`, the deterministic lane, is a function of the scene and the latched
+//! commands: its bytes depend only on the sequence of messages written to it. `timing.mcap` holds wall-clock
+//! times and everything that depends on them.
 //!
-//! A record is the raw message after a [`CDR_LITTLE_ENDIAN`](messages::layout::CDR_LITTLE_ENDIAN) header, so any
-//! reader of `cdr` with `ros2msg` schemas can show it. Chunks are closed every 100 ms of simulated time, and their
-//! CRCs are checked on reading. A log truncated at any byte can be read up to its last complete tick.
+//! A record is the raw message after a [`CDR_LITTLE_ENDIAN`](messages::layout::CDR_LITTLE_ENDIAN) header, so
+//! any reader of `cdr` with `ros2msg` schemas can show it. Chunks are closed every 100 ms of simulated time,
+//! and their CRCs are checked on reading. A log truncated at any byte can be read up to its last complete
+//! tick.
 //!
-//! **Boundary:** bytes in, bytes out. It writes to any `Write` and reads any `Read + Seek` ([`LogSource`]); it opens
-//! no files, reads no clock and starts no thread that outlives the call. Log files, the recorder and the build's
-//! identity are in `recorder_proc`. It does not depend on the simulation either: a log is verified against any
-//! [`Plant`](messages::Plant).
+//! **Boundary:** bytes in, bytes out. It writes to any `Write` and reads any `Read + Seek` ([`LogSource`]);
+//! it opens no files, reads no clock and starts no thread that outlives the call. Log files, the recorder and
+//! the build's identity are in `recorder_proc`. It does not depend on the simulation either: a log is
+//! verified against any [`Plant`](messages::Plant).
 //!
-//! **Invariants:** the bytes of `run.mcap` do not depend on when messages arrive. A reader checks every length and
-//! count before it trusts it. No single damaged record makes a log unreadable, and everything skipped is reported.
+//! **Invariants:** the bytes of `run.mcap` do not depend on when messages arrive. A reader checks every
+//! length and count before it trusts it. No single damaged record makes a log unreadable, and everything
+//! skipped is reported.
 //!
 //! Writing a log into memory and reading it back:
 //! ```
@@ -52,16 +54,16 @@
 //! # }
 //! ```
 //!
-//! Beside the items of the crate itself (writers, readers and verdicts of logs):
+//! Besides the crate's own items (writers, readers and verdicts of logs):
 //!
-//! | module | what it holds |
+//! | module | contents |
 //! |---|---|
 //! | [`verify`], [`segments`] | replaying a log and comparing tick by tick, in one pass or in parallel |
 //! | [`cat`], [`diff`], [`difference`] | printing and comparing logs and messages as text |
 //! | [`misses`], [`gaps`] | why ticks began late; messages that never arrived |
-//! | [`repair`], [`join`] | logs made from logs: repaired, recompressed, joined, split |
+//! | [`repair`], [`join`] | logs derived from logs: repaired, recompressed, joined, split |
 //! | [`columns`], [`csv`], [`fields`], [`timeline`] | a topic as a table, a field over time |
-//! | [`foxglove`] | what 3D panels draw, as a log of its own |
+//! | [`foxglove`] | content for 3D panels, as a separate log |
 
 mod bare;
 pub mod cat;

@@ -1,7 +1,8 @@
 //! Limits on how much of a log a reader keeps in memory.
 //!
-//! A chunk of a few kilobytes can unpack to a hundred megabytes of names. Everything that a reader keeps beyond the
-//! current record is therefore bounded here, by kind; our own logs use less than a hundredth of these limits.
+//! A chunk of a few kilobytes can unpack to a hundred megabytes of names. Everything that a reader keeps
+//! beyond the current record is therefore limited here, by kind; our own logs use less than a hundredth of
+//! these limits.
 
 use std::path::Path;
 
@@ -10,7 +11,8 @@ use mcap::records::{Channel, SchemaHeader};
 use crate::error::LogError;
 use crate::records::MAX_RECORD_BYTES;
 
-/// Longest name of a topic, schema, encoding, attachment or metadata record. ROS names have at most 255 bytes.
+/// Longest name of a topic, schema, encoding, attachment or metadata record. ROS names have at most 255
+/// bytes.
 pub(crate) const MAX_NAME_BYTES: usize = 256;
 /// Maximum number of schemas, and of channels, in a file.
 pub(crate) const MAX_DECLARATIONS: usize = 4096;
@@ -32,7 +34,7 @@ const _: () = assert!(MAX_DECLARATION_BYTES <= MAX_DECLARED_BYTES);
 const _: () =
     assert!(MAX_SCENE_BYTES as u64 <= MAX_RECORD_BYTES && MAX_METADATA_BYTES as u64 <= MAX_RECORD_BYTES);
 
-/// How many declarations a reader keeps so far.
+/// Counts the declarations that a reader has kept.
 #[derive(Debug, Default)]
 pub(crate) struct Declared {
     schemas: usize,
@@ -66,7 +68,7 @@ impl Declared {
     }
 }
 
-/// Refuses more than `most`.
+/// Returns an error if `found` exceeds `most`.
 pub(crate) fn check(path: &Path, what: &'static str, found: usize, most: usize) -> Result<(), LogError> {
     if found <= most {
         return Ok(());

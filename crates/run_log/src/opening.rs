@@ -1,5 +1,5 @@
-//! Finds the header of a log. The file holds it twice, at the start and after the first chunk, each copy with the
-//! scene, the calibration and its own checksums. The first readable copy is used.
+//! Finds the header of a log. The file holds it twice, at the start and after the first chunk, each copy with
+//! the scene, the calibration and its own checksums. The first readable copy is used.
 
 use std::collections::BTreeMap;
 use std::io::{Read, Seek};
@@ -26,7 +26,7 @@ impl HeaderCopy {
     pub fn name(self) -> &'static str {
         match self {
             HeaderCopy::First => "at the start",
-            HeaderCopy::Second => "behind the first chunk",
+            HeaderCopy::Second => "after the first chunk",
         }
     }
 }
@@ -37,9 +37,9 @@ pub(crate) struct Opened {
     pub metadata: BTreeMap<String, String>,
     /// The records that follow the header.
     pub records: Records,
-    /// What is wrong with the first copy; none if it was read.
+    /// Fault of the first copy; `None` if it was read.
     pub first_is_bad: Option<String>,
-    /// Whether the copy that was read stands behind messages.
+    /// Whether the copy that was read follows messages.
     pub is_behind: bool,
 }
 
@@ -71,14 +71,14 @@ impl Parts {
     }
 }
 
-/// Opens a log at its first header; if that is unreadable, at its first chunk with the second header.
+/// Opens a log at its first header or, if that is unreadable, at its first chunk with the second header.
 ///
 /// # Errors
-/// Neither header can be read: says what is wrong with the first.
+/// Neither header can be read; describes what is wrong with the first.
 pub(crate) fn open(source: Source, path: &Path) -> Result<Opened, LogError> {
     let mut records = Records::new(source, path)?;
     let mut parts = Parts::default();
-    // Other programs that write logs again put metadata and attachments behind the messages: then nothing is damaged.
+    // Other programs that rewrite logs put metadata and attachments after the messages; that is not damage.
     let mut is_moved = false;
     let error = loop {
         match records.next_record() {
@@ -120,24 +120,24 @@ pub(crate) fn open(source: Source, path: &Path) -> Result<Opened, LogError> {
     }
 }
 
-/// What is wrong, without the file's name.
+/// Describes what is wrong, without the file's name.
 pub(crate) fn cause(error: &LogError) -> String {
     match error {
         LogError::Damaged { cause, .. } => cause.clone(),
         LogError::Metadata { key, expected, .. } => format!("its {key} is not {expected}"),
-        LogError::NoHeader { .. } => "there is none".to_string(),
+        LogError::NoHeader { .. } => "missing".to_string(),
         other => other.to_string(),
     }
 }
 
-/// What a walk found in a log whose first header cannot be read.
+/// Result of walking a log whose first header cannot be read.
 #[derive(Default)]
 struct Found {
     first_chunk: Option<u64>,
     header: Option<(LogHeader, BTreeMap<String, String>)>,
 }
 
-/// Looks for the second header, after the first chunk.
+/// Searches for the second header, after the first chunk.
 fn second<R: Read + Seek>(source: &mut R, path: &Path) -> Found {
     let (mut found, mut parts) = (Found::default(), Parts::default());
     let walked = walk(source, path, &mut |piece| {
@@ -157,7 +157,7 @@ fn second<R: Read + Seek>(source: &mut R, path: &Path) -> Found {
     found
 }
 
-/// Stops a walk.
+/// Returns an error that stops a walk.
 fn enough(path: &Path) -> LogError {
     LogError::NoHeader { path: path.into(), offset: 0 }
 }

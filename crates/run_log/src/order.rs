@@ -6,23 +6,23 @@ use messages::services::{LATCHED, REMOVED, STATE};
 use messages::{Latched, Removed, Reset, Restores, State};
 use zerocopy::FromBytes;
 
-/// Once this many messages of one kind wait, their counterpart counts as lost and the oldest is written alone. The
-/// limit exceeds a queue's length because, after a pause, the recorder may drain one whole queue before it reads the
-/// next.
+/// Once this many messages of one kind wait, their counterpart counts as lost and the oldest is written
+/// alone. The limit exceeds a queue's length because the recorder may drain one whole queue after a pause
+/// before it reads the next.
 const MAX_WAITING: usize = 2 * STATE.lossless_length;
 
 const _: () = assert!(MAX_WAITING > LATCHED.lossless_length && MAX_WAITING > REMOVED.lossless_length);
 
-/// Whether more messages can come.
+/// Whether more messages can arrive.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Supply {
-    /// More can come; an incomplete tick waits for them.
+    /// More can arrive; an incomplete tick waits for them.
     Open,
-    /// No more can come; an incomplete tick is written as it is.
+    /// No more can arrive; an incomplete tick is written as it is.
     Ended,
 }
 
-/// The message that a tick in the log begins with.
+/// The first message of a tick in the log.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Beginning {
     Latched,
@@ -37,15 +37,16 @@ pub(crate) enum Ordered {
     State(Box<State>),
 }
 
-/// Accepts the messages of each kind in order of arrival and returns them tick by tick: `Latched` k, `Removed` k+1,
-/// `State` k+1, however the three queues were interleaved. `Removed` 0 and `State` 0 come first.
+/// Accepts the messages of each kind in order of arrival and returns them tick by tick: `Latched` k,
+/// `Removed` k+1, `State` k+1, however the three queues were interleaved. `Removed` 0 and `State` 0 come
+/// first.
 #[derive(Debug, Default)]
 pub(crate) struct TickOrder {
     latched: VecDeque<Box<Latched>>,
     removed: VecDeque<(Removed, Vec<u8>)>,
     states: VecDeque<Box<State>>,
-    /// `removed_total` of the last state returned; the next state's total exceeds it by what the removals in between
-    /// add up to.
+    /// `removed_total` of the last state returned. The next state's total exceeds it by the sum of the
+    /// removals in between.
     removed_total: u64,
     begun: bool,
 }
@@ -65,7 +66,7 @@ impl TickOrder {
         self.states.push_back(Box::new(*state));
     }
 
-    /// The next messages in order; empty if the next tick is incomplete and more messages can come.
+    /// Returns the next messages in order; empty if the next tick is incomplete and more messages can arrive.
     pub fn next(&mut self, supply: Supply) -> Vec<Ordered> {
         let has_ended = supply == Supply::Ended;
         match (self.latched.front(), self.states.front()) {
@@ -87,7 +88,8 @@ impl TickOrder {
         }
     }
 
-    /// The first waiting state with its removals, preceded by the first waiting command if that belongs to the state.
+    /// Returns the first waiting state with its removals, preceded by the first waiting command if it belongs
+    /// to the state.
     fn tick(&mut self, beginning: Beginning, supply: Supply) -> Vec<Ordered> {
         let with_latched = beginning == Beginning::Latched;
         let latched = self.latched.front().filter(|_| with_latched);
@@ -104,8 +106,8 @@ impl TickOrder {
         out
     }
 
-    /// The command after the last state. Commands of later ticks, whose states never arrived, are dropped so that the
-    /// log does not end in a gap.
+    /// Returns the command after the last state. Commands of later ticks, whose states never arrived, are
+    /// dropped so that the log does not end in a gap.
     fn last_latched(&mut self) -> Vec<Ordered> {
         let first = self.lone_latched();
         self.latched.clear();
@@ -117,9 +119,9 @@ impl TickOrder {
         self.latched.pop_front().map(Ordered::Latched).into_iter().collect()
     }
 
-    /// Number of waiting removals that belong before the first waiting state; none while more must come. Within a tick
-    /// totals only grow, except at the first message after a reset, so the tick is complete when the state's total is
-    /// reached.
+    /// Returns the number of waiting removals that belong before the first waiting state, or `None` if more
+    /// are expected. Within a tick totals only grow, except at the first message after a reset, so the tick
+    /// is complete when the state's total is reached.
     fn removals_of_front_state(&self, reset: Reset, supply: Supply) -> Option<usize> {
         let state = self.states.front()?;
         let of_tick = self.removed.iter().take_while(|(removed, _)| removed.tick <= state.tick).count();
@@ -138,8 +140,8 @@ impl TickOrder {
 mod tests {
     use super::*;
 
-    /// Regression: a recorder that had to stop early had received more commands than states. It wrote them all, and
-    /// the log ended in a gap that no reader could pass.
+    /// Regression: a recorder that had to stop early had received more commands than states. It wrote all of
+    /// them, and the log ended in a gap that no reader could pass.
     #[test]
     fn commands_whose_states_were_not_taken_do_not_follow_each_other_at_the_end() {
         let mut order = TickOrder::default();
@@ -163,8 +165,8 @@ mod tests {
         assert_eq!(ticks, [("state", 0), ("latched", 0), ("state", 1), ("latched", 1)]);
     }
 
-    /// Regression: a recorder stopped for two seconds found one queue full, drained it, and wrote states without their
-    /// commands once more than 1024 waited: a gap that no reader could pass.
+    /// Regression: a recorder stopped for two seconds found one queue full, drained it, and wrote states
+    /// without their commands once more than 1024 waited: a gap that no reader could pass.
     #[test]
     fn a_whole_queue_of_states_waits_for_its_commands() {
         let mut order = TickOrder::default();

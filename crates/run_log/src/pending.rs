@@ -1,4 +1,4 @@
-//! The messages of a tick whose state has not arrived.
+//! Collects the messages of a tick whose state has not arrived yet.
 
 use std::path::Path;
 
@@ -11,33 +11,34 @@ use crate::reader::{SavedState, gap, voxel_indices};
 use crate::stream::{LogMessage, MessageStream};
 use crate::topics::Topic;
 
-/// Most readings of a tick: all that the sensors of a scene can have underway, and those of the tick.
+/// Maximum number of readings in a tick: all that the sensors of a scene can have in flight, and those of the
+/// tick.
 const MOST_READINGS: usize = 2064;
 
 const _: () = assert!(MOST_READINGS == messages::MAX_SENSORS * 258);
 
-/// Messages of a tick whose state has not arrived.
+/// Messages of a tick whose state has not arrived yet.
 #[derive(Default)]
 pub(crate) struct Pending {
     pub latched: Option<Latched>,
     pub removals: Vec<(Removed, Vec<u32>)>,
     /// Voxels held so far; a message without voxels counts as one.
     pub held: u64,
-    /// Number of removal messages so far; none after a gap, where the next number is unknown.
+    /// Number of removal messages so far; `None` after a gap, where the next number is unknown.
     pub removal_count: Option<u64>,
     pub readings: Vec<SensorReading>,
-    /// Sequence number of the last reading; none after a gap.
+    /// Sequence number of the last reading; `None` after a gap.
     pub reading_count: Option<u64>,
     /// `removed_total` of the last state.
     pub removed_total: u64,
     /// The last keyframe, possibly still incomplete.
     pub keyframe: Option<(SavedState, usize)>,
-    /// Number of keyframe parts so far; none after a gap.
+    /// Number of keyframe parts so far; `None` after a gap.
     pub keyframe_parts: Option<u64>,
 }
 
 impl Pending {
-    /// Takes a message that follows state `last`; returns the state if it is one.
+    /// Accepts a message that follows state `last`; returns the state if it is one.
     pub fn take(
         &mut self,
         path: &Path,
@@ -89,7 +90,7 @@ impl Pending {
         Ok(None)
     }
 
-    /// Takes a reading that follows state `last`.
+    /// Accepts a reading that follows state `last`.
     fn take_reading(
         &mut self,
         path: &Path,
@@ -113,7 +114,7 @@ impl Pending {
         Ok(())
     }
 
-    /// Bounds memory for a log that keeps removing voxels without ever writing a state.
+    /// Limits memory use for a log that keeps removing voxels without ever writing a state.
     pub fn check_size(&self, stream: &MessageStream, most: u64) -> Result<(), LogError> {
         // A reset without predrilled voxels writes one empty message.
         if self.held <= most.saturating_add(1) {
@@ -123,8 +124,8 @@ impl Pending {
         Err(LogError::Damaged { path: stream.path().into(), offset: stream.offset(), cause })
     }
 
-    /// Takes a part of the keyframe of state `last`. If an earlier part is missing, the keyframe is dropped: ticks
-    /// need it only as a starting point, and the loss is counted elsewhere.
+    /// Accepts a part of the keyframe of state `last`. If an earlier part is missing, the keyframe is
+    /// dropped: it is only a starting point for ticks, and the loss is counted elsewhere.
     pub fn take_keyframe_part(
         &mut self,
         path: &Path,
@@ -163,14 +164,14 @@ impl Pending {
         Ok(())
     }
 
-    /// The last keyframe, if it is complete.
+    /// Returns the last keyframe, if it is complete.
     pub fn whole_keyframe(&self) -> Option<&SavedState> {
         let (saved, total) = self.keyframe.as_ref()?;
         (saved.bytes.len() == *total).then_some(saved)
     }
 
-    /// The voxels that a state says were removed, and those that a reset removed before. In the initial state, all are
-    /// predrilled.
+    /// Returns the voxels removed according to a state, and those removed by a preceding reset. In the
+    /// initial state, all are predrilled.
     pub fn removed_of(
         &mut self,
         path: &Path,
@@ -183,7 +184,7 @@ impl Pending {
         let total = removals.last().map_or(self.removed_total, |(removed, _)| removed.removed_total);
         if total != state.removed_total {
             return Err(missing(format!(
-                "messages up to {total} voxels, the state counts {}",
+                "the messages add up to {total} voxels, the state counts {}",
                 state.removed_total
             )));
         }
@@ -191,7 +192,7 @@ impl Pending {
         let restores = removals.iter().any(|(removed, _)| removed.restores() == Restores::Drilled);
         if restores != (reset == Reset::Yes) {
             let word =
-                if restores { "voxels put back without a reset" } else { "a reset without voxels put back" };
+                if restores { "voxels restored without a reset" } else { "a reset without restored voxels" };
             return Err(missing(word.to_string()));
         }
         let mut voxels: Vec<u32> = removals.into_iter().flat_map(|(_, voxels)| voxels).collect();

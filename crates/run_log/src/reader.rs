@@ -18,33 +18,33 @@ use crate::topics::Topic;
 pub struct TickRecord {
     /// u_k.
     pub latched: Latched,
-    /// The state that u_k led to.
+    /// The state after u_k.
     pub state: State,
     /// Linear indices of the voxels drilled away in this tick.
     pub removed: Vec<u32>,
     /// After a reset, which restores all voxels: the predrilled voxels, removed again before `removed`.
     pub restored: Option<Vec<u32>>,
-    /// Readings of sensors that arrived with the state.
+    /// Sensor readings that arrived with the state.
     pub readings: Vec<SensorReading>,
 }
 
-/// The tick that a run's simulation could not compute.
+/// The tick that a run's simulation failed to compute.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RecordedFailure {
-    /// Its commands, the log's last.
+    /// The tick's commands, the log's last.
     pub latched: Box<Latched>,
-    /// The log's end reason: which tick, and why.
+    /// The log's end reason: the tick and the cause.
     pub text: String,
 }
 
 impl RecordedFailure {
-    /// Steps a plant in the last state with these commands.
+    /// Applies these commands to a plant in the last state and checks that it fails as recorded.
     ///
     /// # Errors
-    /// It does not fail, or for another reason: says so.
+    /// The plant does not fail, or fails for another reason.
     pub fn reproduce(&self, plant: &mut impl Plant) -> Result<(), String> {
         let Err(cause) = plant.step(&self.latched) else {
-            return Err(format!("it does not fail here; the log says: {}", self.text));
+            return Err(format!("the simulation does not fail here; the log says: {}", self.text));
         };
         match format!("tick {}: {cause}", self.latched.tick) {
             told if told == self.text => Ok(()),
@@ -53,7 +53,7 @@ impl RecordedFailure {
     }
 }
 
-/// A complete keyframe of a log.
+/// A complete keyframe.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct SavedState {
     /// `State.tick` of the saved state.
@@ -64,9 +64,9 @@ pub struct SavedState {
     pub bytes: Vec<u8>,
 }
 
-/// The ticks of a `run.mcap`, in order, from a complete log or one truncated at any byte.
+/// Iterates over the ticks of a `run.mcap` in order, from a complete log or one truncated at any byte.
 ///
-/// Iterates over complete ticks only. An error (a gap, damage) is the last item; after a gap, [`LogReader::go_on`]
+/// Returns complete ticks only. An error (a gap, damage) is the last item; after a gap, [`LogReader::go_on`]
 /// seeks to the next keyframe and the iteration resumes there.
 pub struct LogReader {
     stream: MessageStream,
@@ -83,7 +83,7 @@ pub struct LogReader {
     done: bool,
 }
 
-/// Where a log's ticks resume after a gap.
+/// The point at which a log's ticks resume after a gap.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Resumption {
     /// The first state after the gap that has a keyframe.
@@ -155,7 +155,7 @@ impl LogReader {
         let path: PathBuf = stream.path().into();
         let initial = loop {
             let Some(message) = stream.next_message()? else {
-                // For example, a timing-lane log.
+                // The log may be of the other lane, for example.
                 let is_whole = stream.ending().is_complete();
                 return Err(if is_whole {
                     LogError::NoStates { path }
@@ -185,8 +185,8 @@ impl LogReader {
         self.beginning.as_ref()
     }
 
-    /// Once the iteration has ended with [`LogError::Gap`], seeks to the next keyframe, where the iteration then
-    /// resumes. None if the iteration ended for another reason, or the log has no further keyframe.
+    /// Seeks to the next keyframe once the iteration has ended with [`LogError::Gap`]; the iteration resumes
+    /// there. Returns `None` if the iteration ended for another reason, or the log has no further keyframe.
     ///
     /// # Errors
     /// The log cannot be read further.
@@ -239,20 +239,20 @@ impl LogReader {
         &self.stream
     }
 
-    /// The keyframe of the state in which the last-read tick began, if there is one; at the end of the log, the
-    /// keyframe of the last state. Each keyframe is returned only once.
+    /// Returns the keyframe of the state in which the last-read tick began, if there is one; at the end of
+    /// the log, the keyframe of the last state. Each keyframe is returned only once.
     pub fn take_keyframe(&mut self) -> Option<SavedState> {
         self.pending.whole_keyframe()?;
         self.pending.keyframe.take().map(|(saved, _)| saved)
     }
 
-    /// `State.tick` of the last complete tick so far.
+    /// Returns `State.tick` of the last complete tick so far.
     pub fn last_complete_tick(&self) -> Tick {
         self.last
     }
 
-    /// The commands of the tick that the simulation could not compute, and its words for why, if the run ended by that. Known once the
-    /// iteration has ended without an error.
+    /// Returns the commands of the tick that the simulation failed to compute, and the recorded cause, if
+    /// that ended the run. Known once the iteration has ended without an error.
     pub fn failure(&self) -> Option<RecordedFailure> {
         if !self.done || self.at_gap {
             return None;
@@ -265,7 +265,7 @@ impl LogReader {
         }
     }
 
-    /// How the file ends. Known once the iteration has ended without an error.
+    /// Returns how the file ends. Known once the iteration has ended without an error.
     pub fn ending(&self) -> &Ending {
         self.stream.ending()
     }
@@ -312,7 +312,7 @@ impl Iterator for LogReader {
     }
 }
 
-/// Number of voxels in the log's volume.
+/// Returns the number of voxels in the log's volume.
 pub fn voxels_of(header: &LogHeader) -> u64 {
     header
         .volume_dimensions
@@ -321,7 +321,7 @@ pub fn voxels_of(header: &LogHeader) -> u64 {
         .min(voxel_grid::MAX_VOXELS as u64)
 }
 
-/// The voxel indices that follow a `Removed` struct.
+/// Returns the voxel indices that follow a `Removed` struct.
 pub fn voxel_indices(tail: &[u8]) -> Vec<u32> {
     tail.chunks_exact(4).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect()
 }

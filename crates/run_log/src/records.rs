@@ -1,8 +1,8 @@
 //! Reads a file's MCAP records in order, checking every length before trusting it.
 //!
-//! We do the framing here rather than with `mcap`'s readers because a log may be truncated or damaged anywhere: their
-//! attachment parser panics on short records, and they do not report the byte at which a file stops. Format:
-//! <https://mcap.dev/spec>, "Records", "Chunk", "Attachment", "Data End".
+//! Records are framed here rather than by `mcap`'s readers because a log may be truncated or damaged
+//! anywhere: their attachment parser panics on short records, and they do not report the offset at which a
+//! file ends. Format: <https://mcap.dev/spec>, "Records", "Chunk", "Attachment", "Data End".
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::{BufReader, Read, Seek, SeekFrom};
@@ -20,17 +20,18 @@ use crate::sink::MAX_MESSAGE_BYTES;
 use crate::source::ReadSeek;
 use crate::unpack::{read_full, unpack};
 
-/// Longest record or unpacked chunk: the longest message, with room for its neighbours.
+/// Longest record or unpacked chunk in bytes: the longest message, plus room for its neighbours.
 pub(crate) const MAX_RECORD_BYTES: u64 = MAX_MESSAGE_BYTES as u64 + (16 << 20);
 pub(crate) const RECORD_HEADER: usize = 9;
-/// A log still being written ends in fewer zeros than one block of the recorder's file (`recorder_proc::background`).
+/// Upper limit on the zeros at the end of a log that is still being written: one block of the recorder's file
+/// (`recorder_proc::background`).
 pub const PADDING_BYTES: u64 = 4096;
-/// Longest record that is read in one piece; a chunk of our own logs has a third of it.
+/// Longest record that is read in one piece; chunks of our own logs have a third of this size.
 const READ_AT_ONCE: usize = 1 << 20;
 /// Bytes of the footer's fields that its checksum covers.
 const FOOTER_COVERED: usize = 8 + 8;
 
-/// A file-level record that matters to a log.
+/// A file-level record relevant to a log.
 pub(crate) enum FileRecord {
     /// A chunk, checked and unpacked, or a record outside of chunks; read it with [`Records::chunk`].
     Chunk,
@@ -38,7 +39,7 @@ pub(crate) enum FileRecord {
     Metadata { name: String, entries: BTreeMap<String, String> },
     /// An attachment.
     Attachment(Attached),
-    /// The file is whole.
+    /// The file is complete.
     End,
     /// The file is truncated.
     Cut(Cut),
@@ -66,13 +67,13 @@ enum Loaded {
     Incomplete(u64),
 }
 
-/// The records of a file.
+/// Reads the records of a file.
 pub(crate) struct Records {
     source: Source,
     path: PathBuf,
     /// Start of the next record.
     offset: u64,
-    /// CRC of everything before it; none after the data section, or if parts of it are skipped.
+    /// CRC of everything before it; `None` after the data section, or if parts of it are skipped.
     data_crc: Option<crc32fast::Hasher>,
     /// CRC of the summary so far, with the footer's fields.
     summary_crc: crc32fast::Hasher,
@@ -101,8 +102,8 @@ impl Records {
         Ok(Records::from(source, path, MAGIC.len() as u64, Some(crc)))
     }
 
-    /// Reads the records from the given offset, which must be the start of one; `bare` is what its header told. The whole-file checksum is
-    /// not checked.
+    /// Reads the records from the given offset, which must be the start of one; `bare` is the state after the
+    /// file's header. The whole-file checksum is not checked.
     pub fn at(mut source: Source, path: &Path, offset: u64, bare: BareRecords) -> Result<Records, LogError> {
         let moved = source.seek(SeekFrom::Start(offset));
         moved.map_err(|source| LogError::Read { path: path.into(), offset, source })?;
@@ -126,7 +127,7 @@ impl Records {
         }
     }
 
-    /// Returns the source, and what its header told of records outside of chunks.
+    /// Returns the source and the state for records outside of chunks.
     pub fn into_source(self) -> (Source, BareRecords) {
         (self.source, self.bare)
     }
@@ -146,18 +147,19 @@ impl Records {
         &self.chunk
     }
 
-    /// Skips these chunks from now on. The whole-file checksum is then not checked; those of the chunks read are.
+    /// Skips these chunks from now on. The whole-file checksum is then not checked; those of the chunks that
+    /// are read still are.
     pub fn skip_chunks(&mut self, chunks: BTreeSet<u64>) {
         self.data_crc = self.data_crc.take().filter(|_| chunks.is_empty());
         self.unwanted = chunks;
     }
 
-    /// Whether the last record was an attachment or metadata, so that losing it loses no message.
+    /// Returns whether the last record was an attachment or metadata, so that losing it loses no message.
     pub fn is_beside_messages(&self) -> bool {
         matches!(self.opcode, op::ATTACHMENT | op::METADATA)
     }
 
-    /// Whether the file says that another program than ours wrote it.
+    /// Returns whether the file's header names another program.
     pub fn is_written_by_another(&self) -> bool {
         self.bare.is_by_another()
     }
@@ -167,7 +169,7 @@ impl Records {
         self.data_crc = None;
     }
 
-    /// The next record that a log needs.
+    /// Returns the next record that a log needs.
     pub fn next_record(&mut self) -> Result<FileRecord, LogError> {
         loop {
             if self.finished {
@@ -184,7 +186,7 @@ impl Records {
             };
             self.opcode = opcode;
             let found = self.interpret(opcode);
-            // Advance first, so that a caller that can do without this record may ask for the next one.
+            // Advance first, so that a caller that can skip this record may request the next one.
             self.offset = start + (RECORD_HEADER + self.record.len()) as u64;
             let found =
                 found.map_err(|cause| LogError::Damaged { path: self.path.clone(), offset: start, cause })?;
@@ -247,22 +249,22 @@ impl Records {
         crc.update(self.record.get(..covered).unwrap_or(&self.record));
     }
 
-    /// Number of zeros up to the end of the file; none if anything else follows, or if there is more than a block of
-    /// zeros.
+    /// Returns the number of zeros up to the end of the file; `None` if anything else follows, or if there is
+    /// more than a block of zeros.
     fn zeros_to_the_end(&mut self) -> Result<Option<u64>, LogError> {
         self.read_up_to(PADDING_BYTES)?;
         let few = (self.record.len() as u64) < PADDING_BYTES;
         Ok((few && self.record.iter().all(|byte| *byte == 0)).then_some(self.record.len() as u64))
     }
 
-    /// Reads this many bytes into `record`, or those up to the end of the file.
+    /// Reads this many bytes into `record`, or fewer at the end of the file.
     fn read_up_to(&mut self, count: u64) -> Result<(), LogError> {
         let read = match usize::try_from(count).ok().filter(|count| *count <= READ_AT_ONCE) {
             Some(count) => {
                 self.record.resize(count, 0);
                 read_full(&mut self.source, &mut self.record).inspect(|found| self.record.truncate(*found))
             }
-            // Memory for what is there, not for what a length says.
+            // Allocate for the bytes present, not for the claimed length.
             None => {
                 self.record.clear();
                 self.source.by_ref().take(count).read_to_end(&mut self.record)
@@ -280,7 +282,7 @@ impl Records {
             op::CHUNK => {
                 match parse_record(opcode, &self.record)? {
                     Record::Chunk { header, data } => unpack(&header, &data, &mut self.chunk)?,
-                    _ => return Err("a chunk that is none".to_string()),
+                    _ => return Err("malformed chunk".to_string()),
                 }
                 self.bare.chunk();
                 Ok(Some(FileRecord::Chunk))
@@ -297,13 +299,14 @@ impl Records {
                     Record::DataEnd(end) if calculated.is_none_or(|crc| crc == end.data_section_crc) => {
                         Ok(None)
                     }
-                    _ => Err("the CRC of the data section is wrong: a record before this one has changed"
-                        .to_string()),
+                    _ => {
+                        Err("wrong CRC of the data section: a record before this one has changed".to_string())
+                    }
                 }
             }
             op::HEADER => self.bare.header(&self.record).map(|()| None),
             op::FOOTER => self.check_summary().map(|()| None),
-            // In a file without chunks each record is read as a chunk of its own.
+            // In a file without chunks each record is treated as a chunk.
             opcode if self.in_data && is_bare(opcode) => {
                 self.bare.admit(opcode, &self.record)?;
                 self.chunk.clear();
@@ -317,7 +320,7 @@ impl Records {
         }
     }
 
-    /// Checks the summary's checksum; 0 is "not computed" (MCAP specification, "Footer").
+    /// Checks the summary's checksum; 0 means "not computed" (MCAP specification, "Footer").
     fn check_summary(&mut self) -> Result<(), String> {
         let told = self.record.get(FOOTER_COVERED..).and_then(|bytes| <[u8; 4]>::try_from(bytes).ok());
         let Some(told) = told.map(u32::from_le_bytes) else {
@@ -325,14 +328,14 @@ impl Records {
         };
         let calculated = std::mem::take(&mut self.summary_crc).finalize();
         if self.in_data {
-            return Err("a footer without the end of the data section before it".to_string());
+            return Err("footer without a preceding end of the data section".to_string());
         }
         if told == 0 || told == calculated {
             return Ok(());
         }
         Err(format!(
-            "CRC of the index is {calculated:08x}, the footer says {told:08x}: no message is touched, other programs may \
-             miss some"
+            "CRC of the index is {calculated:08x}, the footer says {told:08x}: no message is affected, but \
+             other programs may miss some"
         ))
     }
 
@@ -345,7 +348,7 @@ impl Records {
         } else if MAGIC.starts_with(&magic) {
             Ok(FileRecord::Cut(Cut { offset: self.offset, incomplete_bytes: magic.len() as u64 }))
         } else {
-            let cause = "bytes behind the footer that are not the end of an MCAP file".to_string();
+            let cause = "the bytes after the footer are not the end of an MCAP file".to_string();
             Err(LogError::Damaged { path: self.path.clone(), offset: self.offset, cause })
         }
     }
@@ -373,12 +376,12 @@ pub(crate) fn metadata(record: &[u8]) -> Result<(String, BTreeMap<String, String
             let length = found.name.len();
             Err(format!("a metadata record's name of {length} bytes, expected at most {MAX_NAME_BYTES}"))
         }
-        _ => Err("a metadata record that is none".to_string()),
+        _ => Err("malformed metadata record".to_string()),
     }
 }
 
-/// Parses an attachment. Layout: log time, create time (8 bytes each), name, media type (4 bytes of length each),
-/// 8 bytes of data length, data, CRC of all before it.
+/// Parses an attachment. Layout: log time, create time (8 bytes each), name, media type (4 bytes of length
+/// each), 8 bytes of data length, data, CRC of all before it.
 pub(crate) fn attachment(record: &[u8]) -> Result<Attached, String> {
     let parse = || -> Option<(Attached, u32)> {
         let (body, crc) = record.split_at_checked(record.len().checked_sub(4)?)?;
@@ -401,10 +404,9 @@ pub(crate) fn attachment(record: &[u8]) -> Result<Attached, String> {
         let crc = u32::from_le_bytes(crc.try_into().ok()?);
         (length == data.len() as u64).then_some((attached, crc))
     };
-    let (attached, crc) =
-        parse().ok_or("an attachment whose lengths do not fit, or whose name is too long")?;
+    let (attached, crc) = parse().ok_or("attachment with inconsistent lengths or an overlong name")?;
     if crc32fast::hash(&record[..record.len() - 4]) != crc {
-        return Err(format!("CRC of the attachment '{}' is wrong", attached.name));
+        return Err(format!("wrong CRC in attachment '{}'", attached.name));
     }
     Ok(attached)
 }
@@ -414,7 +416,7 @@ fn string(bytes: &[u8]) -> Option<(&[u8], &[u8])> {
     rest.split_at_checked(u32::from_le_bytes(length.try_into().ok()?) as usize)
 }
 
-/// Splits the first record off a chunk's records: type, body, number of bytes.
+/// Splits the first record off a chunk's records; returns its type, body and size in bytes.
 pub(crate) fn chunk_record(bytes: &[u8]) -> Option<(u8, &[u8], usize)> {
     let (header, rest) = bytes.split_at_checked(RECORD_HEADER)?;
     let length = u64::from_le_bytes(header[1..].try_into().ok()?);

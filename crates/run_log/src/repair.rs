@@ -1,10 +1,10 @@
-//! `repair` — turns a truncated or damaged log into a whole one, and reports what is missing.
+//! `repair` — turns a truncated or damaged log into a complete one, and reports what is missing.
 //!
-//! Every message in a chunk with a correct checksum is kept, with its number, its time and its place; the index and
-//! the summary are rewritten. If the chunk that declares a topic is damaged, the declaration comes from the old
-//! summary; if a run lane has lost that too, from the fixed order in which every run lane declares its topics. Losses
-//! are counted from the messages' numbers and, if the end marker survives, from its counts; both go into the new end
-//! marker, whose reason is `repaired`.
+//! Every message in a chunk with a correct checksum is kept, with its number, time and place; the index and
+//! the summary are rebuilt. If the chunk that declares a topic is damaged, the declaration comes from the old
+//! summary or, if a run lane has lost that too, from the fixed order in which every run lane declares its
+//! topics. Losses are counted from the messages' numbers and, if the end marker survives, from its counts;
+//! both go into the new end marker, whose reason is `repaired`.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::{Read, Seek, Write};
@@ -36,40 +36,41 @@ use crate::walk::{Lost, Piece, walk};
 pub struct TopicRepair {
     /// Found.
     pub recovered: u64,
-    /// Known to have been in the log and lost. After the last message found, only the end marker can tell.
+    /// Known to have been in the log and lost. After the last message found, only the end marker shows
+    /// losses.
     pub lost: u64,
 }
 
-/// What a repair found and what it left out.
+/// Result of a repair.
 #[derive(Debug, Default)]
 pub struct RepairReport {
     /// Messages by topic.
     pub topics: BTreeMap<String, TopicRepair>,
-    /// The verdict on the input, the same that every command reports; empty if it was intact.
+    /// The verdict on the input, as reported by every command; empty if it was intact.
     pub before: Verdict,
     /// The verdict on the result.
     pub after: Verdict,
-    /// The first pieces of the file that were left out.
+    /// The first pieces of the file that were skipped.
     pub pieces: Vec<Lost>,
     /// Number of pieces beyond those listed.
     pub more_pieces: u64,
-    /// Total bytes of all of them.
+    /// Total size of the skipped pieces in bytes.
     pub left_out_bytes: u64,
-    /// Messages whose topic cannot be determined; left out.
+    /// Messages skipped because their topic cannot be determined.
     pub undeclared: u64,
     /// Where the file is truncated, if it is.
     pub cut: Option<Cut>,
     /// The input's end marker.
     pub marker: Option<EndMarker>,
-    /// Last tick up to which every tick is complete and can be replayed; none in the timing lane and without an
-    /// initial state.
+    /// Last tick up to which every tick is complete and can be replayed; `None` in the timing lane and
+    /// without an initial state.
     pub complete_tick: Option<Tick>,
     /// Tick of the last state found.
     pub last_tick: Option<Tick>,
 }
 
 impl RepairReport {
-    /// True if nothing was wrong with the log.
+    /// Returns true if the log was intact.
     pub fn was_whole(&self) -> bool {
         self.before.is_intact()
     }
@@ -77,24 +78,24 @@ impl RepairReport {
     /// Writes the report as text.
     pub fn write(&self, out: &mut dyn Write) -> Result<(), LogError> {
         for Lost { offset, bytes, cause } in &self.pieces {
-            writeln!(out, "left out    {bytes} bytes from byte {offset}: {}", foreign_line(cause))?;
+            writeln!(out, "skipped     {bytes} bytes from byte {offset}: {}", foreign_line(cause))?;
         }
         if self.more_pieces > 0 {
             let (more, bytes) = (self.more_pieces, self.left_out_bytes);
-            writeln!(out, "left out    {more} more pieces; {bytes} bytes in all")?;
+            writeln!(out, "skipped     {more} more pieces; {bytes} bytes in total")?;
         }
         if self.undeclared > 0 {
-            writeln!(out, "left out    {} messages of undeclared topics", self.undeclared)?;
+            writeln!(out, "skipped     {} messages of undeclared topics", self.undeclared)?;
         }
         if let Some(Cut { offset, incomplete_bytes }) = self.cut {
             writeln!(
                 out,
-                "cut         after byte {offset}, {incomplete_bytes} bytes of an incomplete record left out"
+                "truncated   after byte {offset}, {incomplete_bytes} bytes of an incomplete record skipped"
             )?;
         }
         let before = match &self.marker {
             Some(marker) => format!("end marker: {}", foreign(&marker.reason.text())),
-            None => "no end marker: it is unknown what may have followed".to_string(),
+            None => "no end marker: what followed is unknown".to_string(),
         };
         writeln!(out, "before      {before}")?;
         for (topic, count) in &self.topics {
@@ -112,14 +113,14 @@ impl RepairReport {
             (None, None) => {}
         }
         match self.was_whole() {
-            true => writeln!(out, "nothing was wrong with it")?,
+            true => writeln!(out, "the log was intact")?,
             false => writeln!(out, "it was      {}\nit is now   {}", self.before, self.after)?,
         }
         Ok(())
     }
 
-    /// Reads both logs and fills in the verdicts and the last complete tick from what readers find, not from what the
-    /// repair intended.
+    /// Reads both logs and fills in the verdicts and the last complete tick according to the readers, not
+    /// according to the repair.
     ///
     /// # Errors
     /// The result cannot be read.
@@ -134,7 +135,8 @@ impl RepairReport {
         Ok(())
     }
 
-    /// The verdict that every command gives, plus what only a repair sees because it reads on where others stop.
+    /// Returns the verdict of the readers, plus faults that only a repair sees because it reads on where
+    /// readers stop.
     fn verdict_before(&self, told: Result<Verdict, LogError>) -> Verdict {
         let damage = |offset, cause| Fault::Damaged { offset, cause };
         let mut before = told.unwrap_or_else(|error| {
@@ -149,14 +151,14 @@ impl RepairReport {
         before
     }
 
-    /// Lost messages by topic, without the topics that lost none.
+    /// Returns the lost messages by topic, without the topics that lost none.
     pub fn lost(&self) -> BTreeMap<String, u64> {
         let lost = self.topics.iter().filter(|(_, count)| count.lost > 0);
         lost.map(|(topic, count)| (topic.clone(), count.lost)).collect()
     }
 }
 
-/// A repair: first a survey of the whole input, then the repaired copy.
+/// A repair: first surveys the whole input, then writes the repaired copy.
 pub struct Repair<'i> {
     input: &'i dyn LogSource,
     survey: Survey,
@@ -166,12 +168,13 @@ impl<'i> Repair<'i> {
     /// Surveys a log.
     ///
     /// # Errors
-    /// [`LogError::NotMcap`], [`LogError::NoHeader`] if both copies of the header are lost, [`LogError::Read`].
+    /// [`LogError::NotMcap`], [`LogError::NoHeader`] if both copies of the header are lost,
+    /// [`LogError::Read`].
     pub fn of(input: &'i dyn LogSource) -> Result<Repair<'i>, LogError> {
         Ok(Repair { input, survey: Survey::of(input.open()?, input.path())? })
     }
 
-    /// Writes the repaired copy to `out`; errors will name `path`. Returns the output and the report; call
+    /// Writes the repaired copy to `out`; errors name `path`. Returns the output and the report; call
     /// [`RepairReport::judge`] to fill in the verdicts once the result can be read.
     ///
     /// # Errors
@@ -185,7 +188,7 @@ impl<'i> Repair<'i> {
     }
 }
 
-/// What a repair would find in a log from any source; errors will name `path`. Does not replay the ticks.
+/// Reports what a repair would find in a log from any source; errors name `path`. Does not replay the ticks.
 ///
 /// # Errors
 /// As [`Repair::of`].
@@ -193,11 +196,11 @@ pub fn survey<R: Read + Seek>(source: R, path: &Path) -> Result<RepairReport, Lo
     Survey::of(source, path).map(|survey| survey.report)
 }
 
-/// What the input holds.
+/// Contents of the input.
 #[derive(Default)]
 struct Survey {
     report: RepairReport,
-    /// Topics of the channels, by their identifier in the input.
+    /// Topics of the channels, by their id in the input.
     topics: BTreeMap<u16, String>,
     schemas: BTreeSet<u16>,
     /// Declarations for channels whose own declaration is lost.
@@ -304,7 +307,7 @@ impl Survey {
         };
         let count = self.report.topics.entry(topic.clone()).or_default();
         let jump = sequence.wrapping_sub((count.recovered + count.lost) as u32);
-        // A number that goes backwards is not a gap; reading the result will judge it.
+        // A number that goes backwards is not a gap; reading the result will report it.
         count.lost += if jump < u32::MAX / 2 { u64::from(jump) } else { 0 };
         count.recovered += 1;
         if Topic::of_name(topic) == Some(Topic::State)
@@ -372,7 +375,7 @@ fn write_repaired<R: Read + Seek, W: Write>(
     out.metadata(END_RECORD.to_string(), marker.to_metadata())
 }
 
-/// Writes a copy of the header; one goes at the start, one after the first chunk.
+/// Writes a copy of the header; one goes at the start, the other after the first chunk.
 fn write_header<W: Write>(survey: &Survey, out: &mut Rewriter<W>) -> Result<(), LogError> {
     let Some((attached, entries)) = &survey.header else { return Ok(()) };
     attached.iter().try_for_each(|found| out.attachment(found))?;

@@ -40,30 +40,30 @@ impl Packing {
     }
 }
 
-/// A new log assembled from records of others.
+/// A new log assembled from records of other logs.
 pub(crate) struct Rewriter<W: Write> {
     writer: Writer<NoSeek<W>>,
     path: PathBuf,
-    /// Maps the current source's schema and channel identifiers to those of the new log.
+    /// Maps the current source's schema and channel ids to those of the new log.
     schemas: BTreeMap<u16, u16>,
     channels: BTreeMap<u16, u16>,
     /// Prefix of the current source's topics.
     prefix: String,
-    /// Declarations for channels whose own are lost.
+    /// Declarations for channels whose own declaration is lost.
     declared: Summary,
-    /// Schemas and channels of the new log, and how much memory they take.
+    /// Schemas and channels of the new log, and their memory use.
     written: BTreeSet<(u8, u16)>,
     counted: Declared,
 }
 
 impl<W: Write> Rewriter<W> {
-    /// Writes the start of a log to `out` that says `library` wrote it; errors will name `path`.
+    /// Writes the start of a log with this `library` field to `out`; errors name `path`.
     ///
     /// # Errors
     /// [`LogError::Write`].
     pub fn create(out: W, path: &Path, packing: Packing, library: &str) -> Result<Rewriter<W>, LogError> {
         let (compression, level) = packing.compression();
-        // We alone decide where chunks end, so the bytes depend on nothing but the calls.
+        // Only our own code decides where chunks end, so that the bytes depend on the calls alone.
         let options =
             WriteOptions::new().library(library).profile(PROFILE).chunk_size(None).disable_seeking(true);
         let options = options.compression(compression).compression_level(level).compression_threads(0);
@@ -80,19 +80,20 @@ impl<W: Write> Rewriter<W> {
         })
     }
 
-    /// Starts another source, with its own identifiers; its topics get `prefix`.
+    /// Starts another source, with its own ids; its topics get `prefix`.
     pub fn begin_source(&mut self, prefix: &str) {
         self.schemas.clear();
         self.channels.clear();
         self.prefix = prefix.to_owned();
     }
 
-    /// Declares channels and schemas of the current source; each is written before the first record that needs it.
+    /// Declares channels and schemas of the current source; each is written before the first record that
+    /// needs it.
     pub fn declare(&mut self, declared: Summary) {
         self.declared = declared;
     }
 
-    /// Whether a channel of the current source has been written.
+    /// Returns whether a channel of the current source has been written.
     pub fn knows(&self, channel: u16) -> bool {
         self.channels.contains_key(&channel)
     }

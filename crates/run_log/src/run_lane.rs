@@ -19,13 +19,13 @@ use crate::topics::{self, Topic};
 
 /// The deterministic lane of a run, being written.
 ///
-/// Calls may interleave in any way, as long as each topic stays in order and the removals of tick 0 come before its
-/// state, and the readings of a state before it. A tick is written as `Latched` k, `Removed` k+1, `SensorReading`s k+1, `State` k+1 once
-/// all of them have arrived. The arrival of
-/// frames and replies depends on the renderer, so they are held and written a fixed number of ticks after the tick
-/// that they show (`frame_lag_ticks`): two runs with the same messages produce the same bytes. Only a frame that
-/// arrives even later is written on arrival. A keyframe must be given before the next tick's state; it is written
-/// directly after its own state and the frames due there.
+/// Calls may be interleaved in any way, as long as each topic stays in order, the removals of tick 0 precede
+/// its state, and the readings of a state precede that state. A tick is written as `Latched` k, `Removed`
+/// k+1, `SensorReading`s k+1, `State` k+1 once all of them have arrived. The arrival of frames and replies
+/// depends on the renderer, so they are held and written a fixed number of ticks after the tick that they
+/// show (`frame_lag_ticks`): two runs with the same messages produce the same bytes. Only a frame that
+/// arrives even later is written on arrival. A keyframe must be passed before the next tick's state; it is
+/// written directly after its own state and the frames due there.
 ///
 /// `log_time` is tick × dt; for a frame, the tick that it shows.
 pub struct RunLog<W: Write> {
@@ -33,7 +33,7 @@ pub struct RunLog<W: Write> {
     ticks: TickOrder,
     frames: FrameOrder,
     keyframes: VecDeque<(Tick, Vec<u8>)>,
-    /// Of states that are not written yet.
+    /// Readings of states that are not written yet.
     readings: VecDeque<SensorReading>,
     places: Places,
     channels: Channels,
@@ -42,12 +42,12 @@ pub struct RunLog<W: Write> {
     lost: BTreeMap<&'static str, u64>,
 }
 
-/// What decides where replies, frames and keyframes go, and where chunks end.
+/// Decides where replies, frames and keyframes go, and where chunks end.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Places {
-    /// The tick that they belong to.
+    /// They go by the tick that they belong to.
     ByTick,
-    /// The caller, which copies a log.
+    /// The caller decides, when copying a log.
     AsGiven,
 }
 
@@ -70,7 +70,7 @@ struct Channels {
     keyframe: usize,
 }
 
-/// Numbers that the next messages should carry.
+/// Sequence numbers expected of the next messages.
 #[derive(Default)]
 struct Expected {
     latched_tick: Tick,
@@ -82,12 +82,12 @@ struct Expected {
 }
 
 impl<W: Write> RunLog<W> {
-    /// Writes the header to `w`; errors will name `run.mcap`, and the index is kept in memory.
+    /// Writes the header to `w`; errors name `run.mcap`, and the index is kept in memory.
     pub fn create(w: W, header: &LogHeader) -> Result<RunLog<W>, LogError> {
         RunLog::create_named(w, Path::new("run.mcap"), Box::new(Cursor::new(Vec::new())), header)
     }
 
-    /// Writes the header to `w`; errors will name `path`, and the index is kept in `index` until the end.
+    /// Writes the header to `w`; errors name `path`, and the index is kept in `index` until the end.
     pub fn create_named(
         w: W,
         path: &Path,
@@ -137,19 +137,19 @@ impl<W: Write> RunLog<W> {
         self.sink.close_chunk()
     }
 
-    /// Takes u_k.
+    /// Accepts u_k.
     pub fn latched(&mut self, latched: &Latched) -> Result<(), LogError> {
         self.ticks.latched(latched);
         self.write_ticks(Supply::Open)
     }
 
-    /// Takes a state.
+    /// Accepts a state.
     pub fn state(&mut self, state: &State) -> Result<(), LogError> {
         self.ticks.state(state);
         self.write_ticks(Supply::Open)
     }
 
-    /// Takes the bytes of a `Removed` message: struct and voxel indices.
+    /// Accepts the bytes of a `Removed` message: struct and voxel indices.
     pub fn removed(&mut self, message: &[u8]) -> Result<(), LogError> {
         let size = Removed::DESCRIPTION.size;
         let expected = match Removed::read_from_prefix(message) {
@@ -164,13 +164,13 @@ impl<W: Write> RunLog<W> {
         self.write_ticks(Supply::Open)
     }
 
-    /// Takes a sensor's reading, before the state with which it arrives.
+    /// Accepts a sensor's reading, before the state with which it arrives.
     pub fn reading(&mut self, reading: &SensorReading) -> Result<(), LogError> {
         self.readings.push_back(*reading);
         Ok(())
     }
 
-    /// Takes the bytes of a `Keyframe` message: struct and data.
+    /// Accepts the bytes of a `Keyframe` message: struct and data.
     pub fn keyframe(&mut self, message: &[u8]) -> Result<(), LogError> {
         let size = Keyframe::DESCRIPTION.size;
         match Keyframe::read_from_prefix(message) {
@@ -186,13 +186,13 @@ impl<W: Write> RunLog<W> {
         }
     }
 
-    /// Takes a reply.
+    /// Accepts a reply.
     pub fn drr_reply(&mut self, reply: &DrrReply) -> Result<(), LogError> {
         self.frames.reply(reply);
         self.write_frames(self.places.due())
     }
 
-    /// Takes a frame as sent on the wire: `Frame`, `ImagePrefix`, pixels.
+    /// Accepts a frame as sent on the wire: `Frame`, `ImagePrefix`, pixels.
     pub fn frame(&mut self, payload: &[u8]) -> Result<(), LogError> {
         let smallest = Frame::DESCRIPTION.size + ImagePrefix::DESCRIPTION.size;
         let Ok((frame, image)) = Frame::read_from_prefix(payload) else {
@@ -209,7 +209,7 @@ impl<W: Write> RunLog<W> {
         self.write_frames(self.places.due())
     }
 
-    /// Takes a frame whose image is not logged; its `pixel_hash` stands for the pixels.
+    /// Accepts a frame whose image is not logged; its `pixel_hash` replaces the pixels.
     pub fn frame_without_image(&mut self, frame: &Frame) -> Result<(), LogError> {
         self.frames.frame(frame, None);
         self.write_frames(self.places.due())
@@ -225,13 +225,13 @@ impl<W: Write> RunLog<W> {
         self.last.as_ref()
     }
 
-    /// Messages missed so far, by topic, according to their numbers.
+    /// Returns the messages missed so far, by topic, according to their numbers.
     pub fn lost(&self) -> &BTreeMap<&'static str, u64> {
         &self.lost
     }
 
-    /// Writes all waiting messages, the end marker, the index and the footer. `lost` is the owner's count; the marker
-    /// records the greater of the two counts per topic.
+    /// Writes all waiting messages, the end marker, the index and the footer. `lost` is the owner's count;
+    /// the marker records the greater of the two counts per topic.
     pub fn finish(
         mut self,
         reason: EndReason,
@@ -275,8 +275,8 @@ impl<W: Write> RunLog<W> {
         }
     }
 
-    /// Writes the keyframes of states up to this one in a chunk of their own, so that reading states does not read
-    /// keyframes.
+    /// Writes the keyframes of states up to this one in a separate chunk, so that reading states does not
+    /// read keyframes.
     fn write_keyframes(&mut self, tick: Tick) -> Result<(), LogError> {
         if self.keyframes.front().is_none_or(|(of, _)| *of > tick) {
             return Ok(());
@@ -334,7 +334,8 @@ impl<W: Write> RunLog<W> {
         }
     }
 
-    /// Writes the readings of states up to this one. Their channel is declared with the first, so that a log without sensors has none.
+    /// Writes the readings of states up to this one. Their channel is declared with the first reading, so a
+    /// log without sensors has no such channel.
     fn write_readings(&mut self, tick: Tick) -> Result<(), LogError> {
         while self.readings.front().is_some_and(|reading| reading.tick <= tick.0)
             && let Some(reading) = self.readings.pop_front()
@@ -358,7 +359,7 @@ impl<W: Write> RunLog<W> {
             self.expected.frame_sequence = frame.sequence.saturating_add(1);
             self.sink.message(self.channels.frame, Tick(frame.tick), &[frame.as_bytes()])?;
             let Some(image) = image else { continue };
-            // Images get chunks of their own, so that reading states does not read pixels.
+            // Images get separate chunks, so that reading states does not read pixels.
             self.sink.close_chunk()?;
             self.sink.message(self.channels.image, Tick(frame.tick), &[&image])?;
             self.sink.close_chunk()?;

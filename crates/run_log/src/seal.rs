@@ -1,5 +1,5 @@
-//! A checksum inside a metadata record. MCAP has none there: a flipped bit would show only in the checksum at the end
-//! of the file.
+//! Adds a checksum to a metadata record. MCAP has none there, so a flipped bit would show only in the
+//! checksum at the end of the file.
 
 use std::collections::BTreeMap;
 
@@ -12,12 +12,12 @@ pub(crate) fn seal(entries: &mut BTreeMap<String, String>) {
     entries.insert(SEAL.to_owned(), checksum);
 }
 
-/// Whether the checksum is right or absent, as in records of earlier builds.
+/// Returns whether the checksum is right, or absent as in records of earlier builds.
 pub(crate) fn is_unbroken(entries: &BTreeMap<String, String>) -> bool {
     entries.get(SEAL).is_none_or(|told| *told == of(entries))
 }
 
-/// Whether the entries include a checksum.
+/// Returns whether the entries include a checksum.
 pub(crate) fn is_sealed(entries: &BTreeMap<String, String>) -> bool {
     entries.contains_key(SEAL)
 }

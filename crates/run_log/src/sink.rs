@@ -17,16 +17,17 @@ use crate::mcap_writer::{IndexStore, McapWriter};
 use crate::records::MAX_RECORD_BYTES;
 use crate::topics;
 
-/// Declares that all channels are `cdr` with `ros2msg` schemas; `rosbags` opens no file without it.
+/// Declares that all channels are `cdr` with `ros2msg` schemas; `rosbags` does not open a file without it.
 pub(crate) const PROFILE: &str = "ros2";
 /// A chunk is closed after this much simulated time, which bounds what is lost if the recorder is killed.
 const CHUNK_NS: u64 = 100_000_000;
 /// A chunk is also closed once it holds this many bytes.
 const CHUNK_BYTES: usize = 4 << 20;
-/// Longest message that is logged. Readers refuse longer records, so that a damaged length cannot exhaust memory.
+/// Longest message that is logged, in bytes. Readers reject longer records, so that a damaged length cannot
+/// exhaust memory.
 pub(crate) const MAX_MESSAGE_BYTES: usize = 128 << 20;
 
-// What every session can send is logged; a frame's size depends on its scene.
+// Everything that a session can send is logged; a frame's size depends on its scene.
 const _: () = assert!(
     REMOVED.max_bytes < MAX_MESSAGE_BYTES
         && KEYFRAME.max_bytes < MAX_MESSAGE_BYTES
@@ -43,12 +44,12 @@ struct Channel {
     count: u64,
 }
 
-/// An MCAP file being written. Its bytes are a function of the calls alone.
+/// An MCAP file being written. Its bytes depend on the calls alone.
 pub(crate) struct Sink<W: Write> {
     writer: McapWriter<W>,
     path: PathBuf,
-    /// The second copy of the header, until it is written after the first chunk, out of reach of damage to the first
-    /// copy.
+    /// The second copy of the header, until it is written after the first chunk, where damage to the first
+    /// copy cannot reach it.
     second: Option<Header>,
     channels: Vec<Channel>,
     dt_ns: u64,
@@ -61,8 +62,8 @@ pub(crate) struct Sink<W: Write> {
     scratch: Vec<u8>,
 }
 
-/// What is written at the start of a log and again after its first chunk: scene and calibration as attachments,
-/// everything else as metadata.
+/// The content written at the start of a log and again after its first chunk: scene and calibration as
+/// attachments, everything else as metadata.
 struct Header {
     header: LogHeader,
     entries: BTreeMap<String, String>,
@@ -95,7 +96,7 @@ impl<W: Write> Sink<W> {
         let mut writer = McapWriter::create(w, index, PROFILE, LIBRARY).map_err(fail)?;
         let second = Header { header: header.clone(), entries: header.to_metadata(lane) };
         second.write(&mut writer).map_err(fail)?;
-        // A log says what it is of even if its writer is killed before the first chunk.
+        // A log is identifiable even if its writer is killed before the first chunk.
         writer.flush_output().map_err(fail)?;
         let dt_ns = header.dt_ns.max(1);
         Ok(Sink {

@@ -1,4 +1,4 @@
-//! Where the bytes of a log come from.
+//! Byte sources of logs.
 
 use std::io::{Cursor, Read, Seek};
 use std::path::{Path, PathBuf};
@@ -11,8 +11,8 @@ pub trait ReadSeek: Read + Seek + Send {}
 
 impl<T: Read + Seek + Send> ReadSeek for T {}
 
-/// A log that can be opened any number of times. This crate provides logs in memory ([`LogBytes`]); its users provide
-/// logs in files.
+/// A log that can be opened any number of times. This crate provides logs in memory ([`LogBytes`]); its users
+/// provide logs in files.
 pub trait LogSource {
     /// The log's name in error messages.
     fn path(&self) -> &Path;
@@ -32,7 +32,7 @@ pub struct LogBytes {
 }
 
 impl LogBytes {
-    /// A log in memory that error messages call `path`.
+    /// Creates a log in memory with `path` as its name in error messages.
     pub fn new(path: impl Into<PathBuf>, bytes: impl Into<Arc<[u8]>>) -> LogBytes {
         LogBytes { path: path.into(), bytes: bytes.into() }
     }

@@ -6,8 +6,9 @@ pub trait Bin: Clone {
     fn merge(&mut self, later: &Self);
 }
 
-/// Bins of equal width from time 0 on. When a time lies beyond the last possible bin, neighbouring bins are merged and
-/// the width doubles until it fits: the run always covers between half and all of `capacity` bins.
+/// Bins of equal width, starting at time 0. When a time lies beyond the last possible bin, neighbouring bins
+/// are merged and the width doubles until it fits: the run always covers between half and all of `capacity`
+/// bins.
 #[derive(Debug, Clone)]
 pub struct Timeline<B> {
     capacity: usize,
@@ -17,12 +18,12 @@ pub struct Timeline<B> {
 }
 
 impl<B: Bin> Timeline<B> {
-    /// At most `capacity` bins (2 or more), initially `width_ns` wide; `empty` is an empty bin.
+    /// Creates at most `capacity` bins (2 or more), initially `width_ns` wide; `empty` is an empty bin.
     pub fn new(capacity: usize, width_ns: u64, empty: B) -> Timeline<B> {
         Timeline { capacity: capacity.max(2), width_ns: width_ns.max(1), empty, bins: Vec::new() }
     }
 
-    /// The bin of a time.
+    /// Returns the bin that contains a time.
     pub fn bin(&mut self, time_ns: u64) -> &mut B {
         while time_ns / self.width_ns >= self.capacity as u64 {
             self.halve();
@@ -39,12 +40,12 @@ impl<B: Bin> Timeline<B> {
         self.width_ns
     }
 
-    /// The bins up to the last that was asked for, in order.
+    /// Returns the bins up to the last one used, in order.
     pub fn bins(&self) -> &Vec<B> {
         &self.bins
     }
 
-    /// Middle of each bin (s) and the bin, in order.
+    /// Returns the middle of each bin (s) and the bin, in order.
     pub fn iter(&self) -> impl Iterator<Item = (f64, &B)> {
         let width_s = self.width_ns as f64 * 1e-9;
         self.bins.iter().enumerate().map(move |(i, bin)| ((i as f64 + 0.5) * width_s, bin))
@@ -86,7 +87,7 @@ impl Extremes {
         }
     }
 
-    /// Minimum, mean and maximum; none without samples.
+    /// Minimum, mean and maximum; `None` without samples.
     pub fn range(&self) -> Option<[f64; 3]> {
         (self.count > 0).then(|| [self.low, self.sum / self.count as f64, self.high])
     }

@@ -15,20 +15,20 @@ use crate::mcap_writer::IndexStore;
 use crate::sink::Sink;
 use crate::topics::Topic;
 
-/// The wall-clock lane of a run, being written. Its log times are simulated time too, so that both files share an
-/// axis; its contents are not reproducible.
+/// The wall-clock lane of a run, being written. Its log times are simulated time too, so that both files
+/// share an axis; its contents are not reproducible.
 pub struct TimingLog<W: Write> {
     sink: Sink<W>,
     last_tick: Option<Tick>,
 }
 
 impl<W: Write> TimingLog<W> {
-    /// Writes the header to `w`; errors will name `timing.mcap`, and the index is kept in memory.
+    /// Writes the header to `w`; errors name `timing.mcap`, and the index is kept in memory.
     pub fn create(w: W, header: &LogHeader) -> Result<TimingLog<W>, LogError> {
         TimingLog::create_named(w, Path::new("timing.mcap"), Box::new(Cursor::new(Vec::new())), header)
     }
 
-    /// Writes the header to `w`; errors will name `path`, and the index is kept in `index` until the end.
+    /// Writes the header to `w`; errors name `path`, and the index is kept in `index` until the end.
     pub fn create_named(
         w: W,
         path: &Path,
@@ -38,12 +38,14 @@ impl<W: Write> TimingLog<W> {
         Ok(TimingLog { sink: Sink::create(w, path, index, header, "timing")?, last_tick: None })
     }
 
-    /// Writes a message's bytes, struct and tail. `tick` is `State.tick` of the newest state when the message arrived.
+    /// Writes a message's bytes, struct and tail. `tick` is `State.tick` of the newest state when the message
+    /// arrived.
     pub fn message(&mut self, topic: Topic, tick: Tick, message: &[u8]) -> Result<(), LogError> {
         self.write(topic.name(), topic.description(), tick, message)
     }
 
-    /// As [`message`](Self::message), for a command on its controller's topic ([`command_topic`](crate::command_topic)).
+    /// Like [`message`](Self::message), for a command on its controller's topic
+    /// ([`command_topic`](crate::command_topic)).
     pub fn command(&mut self, topic: &str, tick: Tick, message: &[u8]) -> Result<(), LogError> {
         self.write(topic, Command::DESCRIPTION, tick, message)
     }
@@ -77,8 +79,8 @@ impl<W: Write> TimingLog<W> {
         self.sink.path()
     }
 
-    /// Flushes everything so far to the operating system. The owner calls it when no tick will come for a while
-    /// (pause).
+    /// Flushes everything so far to the operating system. The owner calls it when no tick will follow for a
+    /// while (pause).
     pub fn flush(&mut self) -> Result<(), LogError> {
         self.sink.close_chunk()
     }

@@ -9,7 +9,7 @@ use messages::{
     RunControlReply, RunStatus, SENSOR_MSGS_IMAGE_SCHEMA, SensorReading, State, TickTiming,
 };
 
-/// A message with one topic of its own. [`messages::Command`] has one a controller: `command`.
+/// A message with exactly one topic. [`messages::Command`] has one topic per controller: `command`.
 pub trait Logged: Message {
     /// Its topic.
     const TOPIC: Topic;
@@ -78,12 +78,13 @@ topics! {
     RunStatus: RunStatus = "/run/status";
     /// `DrrRequest` of the timing lane.
     DrrRequest: DrrRequest = "/drr/request";
-    /// The sensors' readings, in `run.mcap`; only of scenes with sensors.
+    /// Sensor readings, in `run.mcap`; only for scenes with sensors.
     Sensor: SensorReading = "/sensor";
 }
 
 impl Topic {
-    /// The topic of this name; none for a controller's commands and for names that this build does not know.
+    /// Returns the topic with this name; `None` for a controller's commands and for names unknown to this
+    /// build.
     pub fn of_name(name: &str) -> Option<Topic> {
         Topic::ALL.iter().copied().find(|topic| topic.name() == name)
     }
@@ -103,7 +104,8 @@ pub fn command_topic(controller: &str) -> String {
 /// Schema name of [`Topic::DrrImage`].
 pub const IMAGE_SCHEMA_NAME: &str = "sensor_msgs/msg/Image";
 
-/// The topics of `run.mcap`, in the order in which their channels are declared. [`Topic::Sensor`] follows with the first reading.
+/// The topics of `run.mcap`, in the order in which their channels are declared. [`Topic::Sensor`] follows
+/// with the first reading.
 pub const RUN_TOPICS: [Topic; 7] = [
     Topic::Latched,
     Topic::State,
@@ -114,7 +116,8 @@ pub const RUN_TOPICS: [Topic; 7] = [
     Topic::Keyframe,
 ];
 
-/// Schema name and text under which a message is logged: its own, except that images use sensor_msgs/msg/Image.
+/// Returns the schema name and text under which a message is logged: its own, except that images use
+/// sensor_msgs/msg/Image.
 pub fn schema_of(description: &Description) -> (&'static str, String) {
     if description.name == ImagePrefix::DESCRIPTION.name {
         (IMAGE_SCHEMA_NAME, SENSOR_MSGS_IMAGE_SCHEMA.to_string())
@@ -137,7 +140,7 @@ const UNITS: [(&str, &str); 10] = [
     ("_s", "s"),
 ];
 
-/// A channel's metadata: the layout's hash, the unit of every field that has one, and the frame.
+/// Returns a channel's metadata: the layout's hash, the unit of every field that has one, and the frame.
 pub fn channel_metadata(description: &'static Description) -> BTreeMap<String, String> {
     let mut units = BTreeMap::new();
     collect_units(description, "", &mut units);
@@ -164,7 +167,7 @@ fn collect_units(description: &'static Description, prefix: &str, out: &mut BTre
     }
 }
 
-/// This build's description for a logged schema name.
+/// Returns this build's description for a logged schema name.
 pub fn description_of(schema_name: &str) -> Option<&'static Description> {
     if schema_name == IMAGE_SCHEMA_NAME {
         return Some(ImagePrefix::DESCRIPTION);
@@ -176,7 +179,7 @@ pub fn description_of(schema_name: &str) -> Option<&'static Description> {
 mod tests {
     use super::*;
 
-    /// Readers of logs, our own of earlier builds and others, know topics by these names.
+    /// Readers of logs (our earlier builds and other programs) know topics by these names.
     #[test]
     fn topics_have_the_names_that_logs_hold() {
         let names = [

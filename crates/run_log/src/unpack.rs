@@ -6,18 +6,19 @@ use mcap::records::ChunkHeader;
 
 use crate::records::MAX_RECORD_BYTES;
 
-/// Most bytes that one byte of a packed chunk can become at once. A chunk that claims more is unpacked piece by piece, so that it takes no
-/// memory before it has proved that it needs it. LZ4 reaches 255.
+/// Largest ratio at which a chunk is unpacked in one piece. A chunk that claims more is unpacked piece by
+/// piece, so that it takes no memory before it has proved that it needs it. LZ4 reaches 255.
 const LARGEST_RATIO: u64 = 256;
 
-/// Unpacks a chunk and checks its CRC before any of its records is read; 0 is "not computed" (MCAP specification, "Chunk").
+/// Unpacks a chunk and checks its CRC before any of its records is read; 0 means "not computed" (MCAP
+/// specification, "Chunk").
 pub(crate) fn unpack(header: &ChunkHeader, data: &[u8], out: &mut Vec<u8>) -> Result<(), String> {
     let size = header.uncompressed_size;
     if size > MAX_RECORD_BYTES {
         return Err(format!("a chunk of {size} bytes unpacked, expected at most {MAX_RECORD_BYTES}"));
     }
     let is_plausible = size <= LARGEST_RATIO.saturating_mul(data.len() as u64);
-    let cannot = |error: io::Error| format!("cannot unpack a chunk: {error}");
+    let cannot = |error: io::Error| format!("cannot decompress a chunk: {error}");
     match header.compression.as_str() {
         "" => {
             out.clear();
@@ -31,7 +32,7 @@ pub(crate) fn unpack(header: &ChunkHeader, data: &[u8], out: &mut Vec<u8>) -> Re
             let decoder = zstd::Decoder::new(data).map_err(cannot)?;
             unpack_with(decoder, size, is_plausible, out).map_err(cannot)?;
         }
-        other => return Err(format!("a chunk packed with '{other}', expected lz4, zstd or nothing")),
+        other => return Err(format!("unsupported chunk compression '{other}'; expected lz4, zstd or none")),
     }
     if out.len() as u64 != size {
         return Err(format!("a chunk of {} bytes unpacked, its header says {size}", out.len()));
@@ -46,8 +47,8 @@ pub(crate) fn unpack(header: &ChunkHeader, data: &[u8], out: &mut Vec<u8>) -> Re
     Ok(())
 }
 
-/// Unpacks `size` bytes, or one more if there are more. In one piece, the decoder writes where the bytes stay, instead of into its own
-/// memory first.
+/// Unpacks `size` bytes, or one more if there are more. If unpacked in one piece, the decoder writes directly
+/// to the destination, not to its own memory first.
 fn unpack_with(mut decoder: impl Read, size: u64, in_one_piece: bool, out: &mut Vec<u8>) -> io::Result<()> {
     if !in_one_piece {
         out.clear();
@@ -56,7 +57,7 @@ fn unpack_with(mut decoder: impl Read, size: u64, in_one_piece: bool, out: &mut 
     out.resize(size as usize, 0);
     let found = read_full(&mut decoder, out)?;
     out.truncate(found);
-    // The decoder checks its own checksum only when it is asked for what follows.
+    // The decoder checks its own checksum only when asked for more.
     let mut more = [0];
     if found as u64 == size && read_full(&mut decoder, &mut more)? > 0 {
         out.extend_from_slice(&more);

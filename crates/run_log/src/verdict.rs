@@ -1,4 +1,4 @@
-//! What is wrong with a log. One function gives every command the same answer.
+//! The faults of a log. One function gives every command the same answer.
 
 use std::fmt;
 use std::io::Write;
@@ -10,14 +10,14 @@ use crate::opening::HeaderCopy;
 use crate::source::LogSource;
 use crate::stream::{MessageStream, ReadOptions};
 
-/// One thing that is wrong with a log.
+/// A fault of a log.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Fault {
-    /// One copy of the header cannot be read; the other one was used.
+    /// One copy of the header cannot be read; the other one is used.
     HeaderDamaged {
         /// The unreadable copy.
         copy: HeaderCopy,
-        /// What is wrong with it.
+        /// The fault.
         cause: String,
     },
     /// Messages are missing between others, or never reached the log.
@@ -26,7 +26,7 @@ pub enum Fault {
     Damaged {
         /// Where the damaged record begins.
         offset: u64,
-        /// What is wrong.
+        /// The fault.
         cause: String,
     },
     /// The file is truncated.
@@ -46,13 +46,13 @@ impl fmt::Display for Fault {
             Fault::HeaderDamaged { copy, cause } => {
                 write!(
                     f,
-                    "header damaged: the copy {} is unreadable ({cause}); the other one was used",
+                    "header damaged: the copy {} is unreadable ({cause}); using the other one",
                     copy.name()
                 )
             }
             Fault::Gap(gap) => {
                 let lost: Vec<String> = gap.lost.iter().map(|(topic, n)| format!("{n} of {topic}")).collect();
-                write!(f, "gap: missing from the log are {}", lost.join(", "))?;
+                write!(f, "gap: missing messages: {}", lost.join(", "))?;
                 gap.stretches.iter().try_for_each(|stretch| write!(f, "\n  {stretch}"))?;
                 if gap.more > 0 {
                     write!(f, "\n  and {} more stretches", gap.more)?;
@@ -60,14 +60,14 @@ impl fmt::Display for Fault {
                 Ok(())
             }
             Fault::Damaged { offset, cause } => {
-                write!(f, "damaged at byte {offset}: {cause}; `trabecula log repair` keeps what lies behind")
+                write!(f, "damaged at byte {offset}: {cause}; `trabecula log repair` recovers what follows")
             }
             Fault::Cut { cut: Cut { offset, incomplete_bytes }, ended } => {
-                let lost =
-                    if *ended { "no message is missing" } else { "it is unknown what may have followed" };
+                let lost = if *ended { "no message is missing" } else { "what followed is unknown" };
                 write!(
                     f,
-                    "cut after byte {offset}, {incomplete_bytes} bytes of an incomplete record left out: {lost}"
+                    "truncated after byte {offset}, {incomplete_bytes} bytes of an incomplete record \
+                     skipped: {lost}"
                 )
             }
             Fault::NotEnded => {
@@ -80,19 +80,19 @@ impl fmt::Display for Fault {
 /// Everything that is wrong with a log; empty if it is intact.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Verdict {
-    /// What is wrong.
+    /// The faults.
     pub faults: Vec<Fault>,
     /// How the file ends.
     pub ending: Ending,
 }
 
 impl Verdict {
-    /// True if nothing is wrong.
+    /// Returns true if nothing is wrong.
     pub fn is_intact(&self) -> bool {
         self.faults.is_empty()
     }
 
-    /// Whether damage stopped the reader: nothing after it was read.
+    /// Whether damage stopped the reader, so that nothing after it was read.
     pub fn is_stopped_by_damage(&self) -> bool {
         self.faults.iter().any(|fault| matches!(fault, Fault::Damaged { .. }))
     }

@@ -1,4 +1,4 @@
-//! What a replay found, and where its ticks differ from the log's.
+//! Result of a replay: where its ticks differ from the log's.
 
 use messages::layout::Message;
 use messages::{Keyframe, Plant, SensorReading, State, Tick};
@@ -10,7 +10,7 @@ use crate::error::LogError;
 use crate::reader::{SavedState, TickRecord};
 use crate::topics::Topic;
 
-/// What a replay found.
+/// Result of a replay.
 #[derive(Debug)]
 pub struct ReplayReport {
     /// Ticks whose hash, state bytes, removals and readings are identical.
@@ -25,7 +25,7 @@ pub struct ReplayReport {
     pub divergence: Option<Divergence>,
     /// Tick that the simulation failed to compute, and why.
     pub simulation_error: Option<(Tick, String)>,
-    /// The simulation failed behind the last tick, as it had in the run: which tick, and why.
+    /// Set if the simulation failed after the last tick, as it had in the run: which tick, and why.
     pub failure: Option<String>,
     /// Why the log could not be read further (a gap, damage).
     pub log_error: Option<LogError>,
@@ -34,20 +34,20 @@ pub struct ReplayReport {
 }
 
 impl ReplayReport {
-    /// True if nothing differs and no error stopped the replay.
+    /// Returns true if nothing differs and no error stopped the replay.
     pub fn is_identical(&self) -> bool {
         self.divergence.is_none() && self.simulation_error.is_none() && self.log_error.is_none()
     }
 }
 
-/// Where a simulation's last tick differs from the recorded one.
+/// Compares a simulation's last tick with the recorded one.
 pub fn compare_tick(recorded: &TickRecord, replayed: &impl Plant) -> Option<Divergence> {
     compare_state(&recorded.state, replayed.state())
         .or_else(|| compare_removed(Tick(recorded.state.tick), &recorded.removed, replayed.removed()))
         .or_else(|| compare_readings(Tick(recorded.state.tick), &recorded.readings, replayed.readings()))
 }
 
-/// Where the readings of a tick differ.
+/// Compares the readings of a tick.
 pub fn compare_readings(
     tick: Tick,
     recorded: &[SensorReading],
@@ -60,13 +60,13 @@ pub fn compare_readings(
     })
 }
 
-/// Where two states of a tick differ.
+/// Compares two states of a tick.
 pub fn compare_state(recorded: &State, replayed: &State) -> Option<Divergence> {
     let (a, b) = (recorded.as_bytes(), replayed.as_bytes());
     compare(Topic::State, Tick(recorded.tick), State::DESCRIPTION, a, b)
 }
 
-/// Where two keyframes differ.
+/// Compares two keyframes.
 pub fn compare_keyframe(recorded: &SavedState, replayed: &SavedState) -> Option<Divergence> {
     let message = |saved: &SavedState| {
         let head = Keyframe {

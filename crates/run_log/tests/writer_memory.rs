@@ -1,4 +1,4 @@
-//! Why we do not use the `mcap` crate's writer: its memory grows with the file, ours does not.
+//! Why the `mcap` crate's writer is not used: its memory grows with the file, that of ours does not.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, missing_docs)]
 
 mod common;

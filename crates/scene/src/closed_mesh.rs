@@ -1,7 +1,7 @@
-//! Closed triangle meshes: surfaces that bound a solid, which is what a ray can be long in.
+//! Closed triangle meshes: surfaces that bound a solid, so that a ray has a length inside it.
 //!
-//! A mesh is closed if every edge is run through as often one way as the other, once equal corners are one: then what enters it leaves it,
-//! whatever the ray. Shells that touch or overlap are allowed, and count each for itself.
+//! A mesh is closed if, with equal corners merged, every edge is traversed equally often in both directions:
+//! then every ray that enters also leaves. Shells may touch or overlap; each counts separately.
 
 use std::collections::BTreeMap;
 
@@ -9,33 +9,35 @@ use thiserror::Error;
 
 use crate::mesh::Triangle;
 
-/// Shells of a mesh, at most: each is compared with each.
+/// Largest number of shells of a mesh: each is compared with every other.
 pub const MOST_SHELLS: usize = 10_000;
 
-/// Why triangles bound no solid.
+/// Why triangles do not bound a solid.
 #[derive(Debug, Clone, PartialEq, Error)]
 pub enum MeshFault {
-    /// A hole, or neighbours that are turned against each other.
+    /// There is a hole, or neighbours are oriented oppositely.
     #[error(
-        "is not closed: {edges} edges lack a neighbour that is turned alike, the first from {from:?} to {to:?} (in the file's unit)"
+        "is not closed: {edges} edges lack a consistently oriented neighbour, the first from {from:?} to \
+         {to:?} (in the file's unit)"
     )]
     Open {
-        /// Edges without one.
+        /// Unmatched edges.
         edges: usize,
-        /// One end of the first.
+        /// One end of the first one.
         from: [f64; 3],
-        /// The other end.
+        /// Its other end.
         to: [f64; 3],
     },
-    /// All in a plane, or two shells that cancel.
+    /// All triangles lie in a plane, or two shells cancel.
     #[error("encloses no volume; expected the surface of a solid")]
     Flat,
-    /// More than can be compared.
+    /// More shells than can be compared.
     #[error(
-        "has {shells} separate shells, expected {MOST_SHELLS} at most: join the parts, or leave out the small ones"
+        "has {shells} separate shells, expected at most {MOST_SHELLS}: merge the parts, or remove the small \
+         ones"
     )]
     Shells {
-        /// How many.
+        /// Number of shells.
         shells: usize,
     },
 }
@@ -48,8 +50,9 @@ pub struct ClosedMesh {
 }
 
 impl ClosedMesh {
-    /// Joins equal corners and checks that the triangles bound a solid. Triangles of no area are left out. A shell that lies within no
-    /// other is turned outward if it is not; one within another is a cavity if it is turned against it.
+    /// Merges equal corners and checks that the triangles bound a solid. Triangles without area are dropped.
+    /// A shell inside no other is flipped to face outward if needed; one inside another and oriented
+    /// oppositely is a cavity.
     ///
     /// # Errors
     /// [`MeshFault`].
@@ -61,17 +64,17 @@ impl ClosedMesh {
         Ok(mesh)
     }
 
-    /// The corners, in the file's unit or as [`ClosedMesh::scaled`] made them.
+    /// The corners, in the file's unit or as scaled by [`ClosedMesh::scaled`].
     pub fn corners(&self) -> &[[f64; 3]] {
         &self.corners
     }
 
-    /// The triangles, as numbers of corners.
+    /// The triangles, as indices into the corners.
     pub fn triangles(&self) -> &[[u32; 3]] {
         &self.triangles
     }
 
-    /// The same mesh stretched along its axes; mirrored where a factor is below 0.
+    /// Scales the mesh along its axes; a negative factor mirrors it.
     #[must_use]
     pub fn scaled(mut self, factors: [f64; 3]) -> Self {
         for corner in &mut self.corners {
@@ -83,17 +86,17 @@ impl ClosedMesh {
         self
     }
 
-    /// Least and greatest coordinates.
+    /// Smallest and largest coordinates.
     pub fn bounds(&self) -> [[f64; 3]; 2] {
         bounds(&self.corners)
     }
 
-    /// Volume, in cubes of the unit; what two shells share counts twice.
+    /// Volume in cubic units; overlaps of shells count twice.
     pub fn volume(&self) -> f64 {
         self.triangles.iter().map(|triangle| self.part_of_volume(triangle)).sum()
     }
 
-    /// Volume between a triangle and the first corner, below 0 if it is seen from inside.
+    /// Signed volume between a triangle and the first corner, negative if seen from inside.
     fn part_of_volume(&self, triangle: &[u32; 3]) -> f64 {
         let first = self.corners[0];
         let [a, b, c] = triangle.map(|corner| {
@@ -108,7 +111,7 @@ impl ClosedMesh {
         let shells = self.shells()?;
         let mut turned: Vec<bool> = Vec::with_capacity(shells.len());
         for shell in &shells {
-            // From the largest on, so what is around it has been decided.
+            // In order from the largest, so that the enclosing shells are already decided.
             let around = shells[..turned.len()].iter().rposition(|other| other.is_around(shell));
             let is_turned = around.map_or(shell.volume < 0.0, |around| turned[around]);
             if is_turned {
@@ -119,7 +122,7 @@ impl ClosedMesh {
         if self.volume() > 0.0 { Ok(()) } else { Err(MeshFault::Flat) }
     }
 
-    /// The parts that share no corner, from the one with the largest box to that with the smallest.
+    /// The parts that share no corner, sorted by bounding box from the largest.
     fn shells(&self) -> Result<Vec<Shell>, MeshFault> {
         let mut leads: Vec<u32> = (0..self.corners.len() as u32).collect();
         for [a, b, c] in &self.triangles {
@@ -149,9 +152,9 @@ impl ClosedMesh {
     }
 }
 
-/// A part of a mesh that hangs together.
+/// A connected part of a mesh.
 struct Shell {
-    /// Below 0 if its triangles are seen from inside.
+    /// Signed volume, negative if the triangles face inward.
     volume: f64,
     bounds: [[f64; 3]; 2],
     triangles: Vec<usize>,
@@ -162,7 +165,7 @@ impl Shell {
         (0..3).map(|axis| self.bounds[1][axis] - self.bounds[0][axis]).product()
     }
 
-    /// Whether its box holds another one.
+    /// Whether its bounding box contains the other's.
     fn is_around(&self, other: &Shell) -> bool {
         let [low, high] = &self.bounds;
         (0..3).all(|axis| low[axis] < other.bounds[0][axis] && other.bounds[1][axis] < high[axis])
@@ -173,7 +176,7 @@ fn turn(triangle: &mut [u32; 3]) {
     triangle.swap(1, 2);
 }
 
-/// The corner that stands for all that hang together with it.
+/// Representative corner of a connected set (union-find with path halving).
 fn lead(leads: &mut [u32], mut corner: u32) -> u32 {
     while leads[corner as usize] != corner {
         let above = leads[leads[corner as usize] as usize];
@@ -190,7 +193,7 @@ fn bounds(corners: &[[f64; 3]]) -> [[f64; 3]; 2] {
     [end(f64::INFINITY, f64::min), end(f64::NEG_INFINITY, f64::max)]
 }
 
-/// The different corners, and the triangles as their numbers, without those that have two corners in one place.
+/// The distinct corners, and the triangles as indices into them, without those with two equal corners.
 fn joined(triangles: &[Triangle]) -> (Vec<[f64; 3]>, Vec<[u32; 3]>) {
     // -0 is 0.
     let places: Vec<[f64; 3]> =
@@ -212,7 +215,7 @@ fn joined(triangles: &[Triangle]) -> (Vec<[f64; 3]>, Vec<[u32; 3]>) {
     (corners, triangles.filter(|[a, b, c]| a != b && b != c && c != a).collect())
 }
 
-/// Every edge is run through as often one way as the other.
+/// Checks that every edge is traversed equally often in both directions.
 fn check_edges(corners: &[[f64; 3]], triangles: &[[u32; 3]]) -> Result<(), MeshFault> {
     let edges_of = |[a, b, c]: &[u32; 3]| [(*a, *b), (*b, *c), (*c, *a)];
     let upward = |(a, b): (u32, u32)| if a < b { (a, b, 1_i64) } else { (b, a, -1) };

@@ -1,47 +1,50 @@
-//! A cutter as balls along the tool's axis: contact, drilling, X-ray and pictures all take it from here.
+//! A cutter as balls along the tool's axis, used by contact, drilling, X-ray and pictures alike.
 //!
-//! A cutter is a body of revolution. Its outline is a row of balls at the corners of the shape, and the envelope of balls between them: a
-//! cylinder between equal balls, a cone between unequal ones. Between two balls the union of balls is narrower than that envelope by the
-//! scallop; there are as many balls as keep it below a bound.
+//! A cutter is a body of revolution. Its outline is the envelope of balls at the corners of the shape: a
+//! cylinder between equal balls, a cone between unequal ones. Intermediate balls approximate the envelope;
+//! between two of them the union is narrower by the scallop, and enough balls are used to keep the scallop
+//! below a bound.
 
 use crate::{CutterShape, ToolBurr};
 
-/// Most balls of a cutter: each is a contact sphere of the tool.
+/// Largest number of balls of a cutter: each is a contact sphere of the tool.
 pub const MAX_CUTTER_BALLS: usize = 16;
 
-/// Largest scallop of a cutter that states none, mm: half of what a burr cuts beyond its surface.
+/// Default scallop limit, mm: half of what a burr cuts beyond its surface.
 pub const STANDARD_SCALLOP_MM: f64 = 0.05;
 
 /// A ball of a cutter.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CutterBall {
-    /// From the centre of the front ball back to its own, along the tool's axis.
+    /// Distance from the centre of the front ball back to its centre, along the tool's axis.
     pub behind_m: f64,
     /// Its radius.
     pub radius_m: f64,
 }
 
-/// A ball of a cutter, and what of the union is its own: the part between the planes through the circles in which it meets its neighbours.
+/// A ball of a cutter and its share of the union: the part between the planes through the circles where it
+/// meets its neighbours.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CutterZone {
     /// The ball.
     pub ball: CutterBall,
-    /// Where its part begins and ends, from the ball's centre toward the front, m; its poles where there is no neighbour.
+    /// Where its part begins and ends, from the ball's centre toward the front, m; its pole where it has no
+    /// neighbour.
     pub ahead_m: [f64; 2],
 }
 
-/// The solid of a cutter, per mass, of one density.
+/// Mass properties of a cutter of uniform density, per unit mass.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CutterSolid {
-    /// From the centre of the front ball back to the centre of mass.
+    /// Distance from the centre of the front ball back to the centre of mass.
     pub behind_m: f64,
-    /// Moment of inertia across the axis about the centre of mass.
+    /// Moment of inertia about a transverse axis through the centre of mass.
     pub across_m2: f64,
-    /// Moment of inertia about the axis.
+    /// Moment of inertia about the tool's axis.
     pub along_m2: f64,
 }
 
-/// A cutter: one ball or more, from the front to the back.
+/// A cutter: one or more balls, from front to back.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Cutter {
     ball: [CutterBall; MAX_CUTTER_BALLS],
@@ -49,40 +52,41 @@ pub struct Cutter {
 }
 
 impl Cutter {
-    /// One ball.
+    /// A cutter of a single ball.
     pub const fn ball(radius_m: f64) -> Self {
         Self { ball: [CutterBall { behind_m: 0.0, radius_m }; MAX_CUTTER_BALLS], count: 1 }
     }
 
-    /// The balls, from the front to the back.
+    /// The balls, from front to back.
     pub fn balls(&self) -> &[CutterBall] {
         &self.ball[..self.count]
     }
 
-    /// The radius, of a cutter that is one ball.
+    /// The radius if the cutter is a single ball.
     pub fn only_radius_m(&self) -> Option<f64> {
         (self.count == 1).then(|| self.ball[0].radius_m)
     }
 
-    /// Radius of the front ball: so far the cutter stands out ahead of its centre.
+    /// Radius of the front ball: how far the cutter extends ahead of its centre.
     pub fn front_radius_m(&self) -> f64 {
         self.ball[0].radius_m
     }
 
-    /// Radius where it is widest.
+    /// Largest radius.
     pub fn widest_radius_m(&self) -> f64 {
         self.balls().iter().fold(0.0, |widest, ball| ball.radius_m.max(widest))
     }
 
-    /// From the centre of the front ball to that of the last.
+    /// Distance between the centres of the first and last balls.
     pub fn span_m(&self) -> f64 {
         self.ball[self.count - 1].behind_m
     }
 
-    /// The parts of the union, from the front to the back; they do not overlap.
+    /// The parts of the union, from front to back, without overlap.
     pub fn zones(&self) -> impl Iterator<Item = CutterZone> {
         let balls = self.balls();
-        // From the centre of a ball back to the circle in which it meets the next one: where both have the same power.
+        // Distance from a ball's centre back to the circle where it meets the next ball: the plane of equal
+        // power.
         let meets = |index: usize| {
             let (own, next) = (balls.get(index)?, balls.get(index + 1)?);
             let apart_m = next.behind_m - own.behind_m;
@@ -99,7 +103,8 @@ impl Cutter {
         })
     }
 
-    /// Mass properties of the union, from its zones: a slice at z of a ball of radius r has the area `pi (r^2 - z^2)`.
+    /// Mass properties of the union, integrated over its zones: a slice at z of a ball of radius r has the
+    /// area `pi (r^2 - z^2)`.
     pub fn solid(&self) -> CutterSolid {
         let (mut volume, mut first, mut second, mut along) = (0.0, 0.0, 0.0, 0.0);
         for CutterZone { ball, ahead_m: [from, to] } in self.zones() {
@@ -124,13 +129,13 @@ impl Cutter {
         }
     }
 
-    /// The largest scallop between its balls, m.
+    /// Largest scallop between its balls, m.
     pub fn scallop_m(&self) -> f64 {
         self.balls().windows(2).map(|pair| scallop_m(&pair[0], &pair[1])).fold(0.0, f64::max)
     }
 }
 
-/// How much narrower the union of two balls is than their envelope, at the circle in which they meet, m.
+/// How much narrower the union of two balls is than their envelope at the circle where they meet, m.
 fn scallop_m(front: &CutterBall, back: &CutterBall) -> f64 {
     let apart_m = back.behind_m - front.behind_m;
     let sine = (back.radius_m - front.radius_m) / apart_m;
@@ -141,8 +146,8 @@ fn scallop_m(front: &CutterBall, back: &CutterBall) -> f64 {
 }
 
 impl ToolBurr {
-    /// The balls at the corners of its shape, from the front to the back. Two that touch from within or that lie in each other are no
-    /// shape; the check refuses them.
+    /// The balls at the corners of its shape, from front to back. The checks refuse shapes whose balls touch
+    /// internally or are nested.
     pub(crate) fn corners(&self) -> Vec<CutterBall> {
         let radius_m = |diameter_mm: f64| diameter_mm / 2e3;
         let widest_m = radius_m(self.diameter_mm);
@@ -164,23 +169,23 @@ impl ToolBurr {
         corners
     }
 
-    /// From the centre of its front ball to that of its last, to a nanometre.
+    /// Distance between the centres of its first and last balls, to a nanometre.
     pub(crate) fn span_mm(&self) -> f64 {
         let span_m = self.corners().last().map_or(0.0, |corner| corner.behind_m);
         (span_m * 1e9).round() / 1e6
     }
 
-    /// What it is.
+    /// Its shape.
     pub fn shape(&self) -> CutterShape {
         self.shape.unwrap_or_default()
     }
 
-    /// The largest scallop allowed, m.
+    /// Largest allowed scallop, m.
     pub(crate) fn most_scallop_m(&self) -> f64 {
         self.scallop_mm.unwrap_or(STANDARD_SCALLOP_MM) / 1e3
     }
 
-    /// Its balls: those at the corners, and between them as many as the scallop asks for; no more than there is room for.
+    /// Its balls: those at the corners, with as many in between as the scallop requires, up to the limit.
     pub fn cutter(&self) -> Cutter {
         let mut cutter = Cutter::ball(self.diameter_mm / 2e3);
         for (slot, ball) in cutter.ball.iter_mut().zip(self.balls()) {
@@ -190,7 +195,7 @@ impl ToolBurr {
         cutter
     }
 
-    /// How many balls its scallop asks for, however many there may be.
+    /// Number of balls that its scallop requires, regardless of the limit.
     pub(crate) fn balls_wanted(&self) -> usize {
         self.balls().count()
     }
@@ -203,15 +208,16 @@ impl ToolBurr {
     }
 }
 
-/// Most balls between two corners that are counted: many more than there may be.
+/// Largest number of balls counted between two corners, far above the limit.
 const MOST_COUNTED: usize = 1000;
 
-/// The balls of the envelope of two, behind the front one and with the back one, whose radius is no smaller.
+/// Balls that approximate the envelope of two balls: those after `front`, up to and including `back`, whose
+/// radius is no smaller.
 ///
-/// Two balls of a cone with the half angle a, the front one of radius r, leave the scallop h if they are
-/// `s = 2 (h sin a + cos a sqrt(h (2r - h))) / cos^2 a` apart: [`scallop_m`] solved for the distance. These are the longest steps; all are
-/// shortened in proportion, so that the last one ends at the back ball. That leaves no larger scallop, since the longest step grows less
-/// than in proportion to the radius.
+/// Two balls of a cone with half angle a, the front one of radius r, leave the scallop h if they are `s = 2
+/// (h sin a + cos a sqrt(h (2r - h))) / cos^2 a` apart: [`scallop_m`] solved for the distance. All steps are
+/// then shortened in proportion so that the last one ends at the back ball. This leaves no larger scallop,
+/// because the longest step grows less than proportionally to the radius.
 fn between(front: CutterBall, back: CutterBall, most_m: f64) -> impl Iterator<Item = CutterBall> {
     let apart_m = back.behind_m - front.behind_m;
     let sine = (back.radius_m - front.radius_m) / apart_m;
@@ -222,7 +228,7 @@ fn between(front: CutterBall, back: CutterBall, most_m: f64) -> impl Iterator<It
     };
     let mut ends_m = Vec::new();
     let mut at_m = 0.0;
-    // Balls that lie in each other have no such step: the comparison fails, and one is left.
+    // Nested balls have no such step: the comparison fails, and one ball remains.
     while at_m < apart_m * (1.0 - 1e-9) && ends_m.len() < MOST_COUNTED {
         at_m += longest_m(front.radius_m + sine * at_m);
         ends_m.push(at_m);
@@ -251,7 +257,7 @@ mod tests {
         }
     }
 
-    /// Volume and moments of the union by slices of the union itself, the widest of all balls at each place.
+    /// Volume and moments of the union by slicing: the widest of all balls at each position.
     fn by_slices(cutter: &Cutter) -> CutterSolid {
         let (from, to) = (-cutter.span_m() - 5e-3, 5e-3);
         let count = 400_000;
@@ -273,7 +279,7 @@ mod tests {
         }
     }
 
-    /// The zones neither overlap nor leave anything out, so their sums are those of the union. 1e-8: the slices.
+    /// The zones tile the union, so their sums equal the sliced ones; 1e-8 is the slicing error.
     #[test]
     fn the_zones_of_a_cutter_are_its_union() {
         for (shape, length_mm) in [
@@ -296,7 +302,7 @@ mod tests {
         }
     }
 
-    /// Of a ball 2/5 m r^2 about any axis; of a bit the point's angle and the ends.
+    /// A ball has 2/5 m r^2 about any axis; a bit has its point angle and its ends.
     #[test]
     fn shapes_have_the_dimensions_that_their_file_states() {
         let ball = Cutter::ball(2e-3);
@@ -313,7 +319,7 @@ mod tests {
         let apart_m: f64 = cylinder.balls()[1].behind_m;
         let scallop_m = 2e-3 - (4e-6 - 0.25 * apart_m * apart_m).sqrt();
         assert!((cylinder.scallop_m() - scallop_m).abs() < 1e-15);
-        // One ball fewer would be too few.
+        // One ball fewer exceeds the scallop.
         let fewer = apart_m * (cylinder.balls().len() - 1) as f64 / (cylinder.balls().len() - 2) as f64;
         assert!(2e-3 - (4e-6 - 0.25 * fewer * fewer).sqrt() > 0.05e-3);
     }

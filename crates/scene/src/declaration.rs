@@ -1,4 +1,5 @@
-//! The declarations of a scene's keys as values, read from the JSON schema: what the range checks and the reference page go by.
+//! The declarations of a scene's keys as values, read from the JSON schema, for the range checks and the
+//! reference page.
 
 use std::sync::LazyLock;
 
@@ -12,7 +13,7 @@ use crate::{Scene, ToolDescription};
 #[derive(Debug)]
 pub(crate) struct Table {
     pub(crate) doc: String,
-    /// In the order of the declaration.
+    /// In declaration order.
     pub(crate) keys: Vec<Key>,
 }
 
@@ -25,22 +26,22 @@ pub(crate) struct Key {
     pub(crate) absent: Absent,
 }
 
-/// What a key may hold.
+/// Type of a key's value.
 #[derive(Debug)]
 pub(crate) enum Kind {
     Number(Option<Range>),
     Integer(Option<Range>),
     Boolean,
-    /// What it must match and how that is said, if not every text will do.
+    /// With a pattern, if not every text is allowed.
     Text(Option<Pattern>),
-    /// Either of the two, as the value of the key says.
+    /// An integer or a text.
     IntegerOrText,
     Path,
     OneOf(Vec<String>),
-    /// As many elements as the first number says or more, up to the second.
+    /// Element kind, smallest and largest number of elements.
     List(Box<Kind>, Option<u64>, Option<u64>),
     Table(Table),
-    /// A form of schema that this module does not know. No key has it, which a test holds.
+    /// A schema form that this module does not know. A test checks that no key has it.
     Unknown,
 }
 
@@ -49,24 +50,24 @@ pub(crate) enum Kind {
 pub(crate) struct Range {
     pub(crate) lowest: f64,
     pub(crate) highest: f64,
-    /// Zero is allowed, too, and switches something off.
+    /// Zero is also allowed, and switches something off.
     pub(crate) or_zero: bool,
 }
 
-/// A regular expression, and the same in words.
+/// A regular expression, and its description.
 #[derive(Debug)]
 pub(crate) struct Pattern {
     pub(crate) expression: String,
     pub(crate) expected: String,
 }
 
-/// What holds where a key is absent.
+/// What applies if a key is absent.
 #[derive(Debug, PartialEq)]
 pub(crate) enum Absent {
     /// The scene is refused.
     Refused,
     Default(Value),
-    /// In the word of the reference: `standard` or `none`.
+    /// Text of the reference: `standard` or `none`.
     Word(String),
 }
 
@@ -82,7 +83,7 @@ fn table_of<T: JsonSchema>() -> Table {
 }
 
 impl Table {
-    /// The kind of a key by its path, such as `run.dt_ms`; tables of an array have no number in it.
+    /// The kind of a key by its path, such as `run.dt_ms`; array indices are omitted.
     pub(crate) fn kind(&self, path: &str) -> Option<&Kind> {
         let (first, rest) = path.split_once('.').map_or((path, None), |(first, rest)| (first, Some(rest)));
         let kind = &self.keys.iter().find(|key| key.name == first)?.kind;
@@ -94,7 +95,7 @@ impl Table {
 }
 
 impl Kind {
-    /// The table that a key opens, once or as an array.
+    /// The table that a key opens, directly or as an array.
     pub(crate) fn table(&self) -> Option<&Table> {
         match self {
             Kind::Table(table) => Some(table),
@@ -116,7 +117,7 @@ impl Kind {
     }
 }
 
-/// Two schemas of one type, with the definitions that they refer to.
+/// Two schemas of one type, with the definitions they refer to.
 struct Reader<'a> {
     read: &'a Value,
     written: &'a Value,
@@ -169,7 +170,7 @@ impl Reader<'_> {
     }
 }
 
-/// The kind of a value that has one of several forms.
+/// The kind of a value with alternative forms.
 fn either(forms: &[Value]) -> Kind {
     let types: Vec<&str> = forms.iter().filter_map(|form| form["type"].as_str()).collect();
     match types.as_slice() {
@@ -194,7 +195,7 @@ fn texts(list: &Value) -> impl Iterator<Item = &str> {
     list.as_array().into_iter().flatten().filter_map(Value::as_str)
 }
 
-/// A doc comment in one line.
+/// Returns a doc comment as a single line.
 fn doc(schema: &Value) -> String {
     schema["description"].as_str().unwrap_or_default().replace('\n', " ")
 }
@@ -223,7 +224,7 @@ mod tests {
         }
     }
 
-    /// A key that is lost here would have neither a range check nor a line in the reference.
+    /// A key lost here would have neither a range check nor a line in the reference.
     #[test]
     fn every_declared_key_is_read_with_its_kind_and_text() {
         let mut paths = Vec::new();
@@ -235,7 +236,8 @@ mod tests {
         let declared = |schema: &Value| schema["properties"].as_object().map_or(0, serde_json::Map::len);
         let read = as_read::<Scene>();
         let definitions = read["$defs"].as_object().unwrap();
-        // A table that stands in two places, as `[contact]` and `[truth.contact]`, is defined once and referred to twice.
+        // A table used in two places, as `[contact]` and `[truth.contact]`, is defined once and referred to
+        // twice.
         let text = read.to_string();
         let places = |name: &str| text.matches(&format!("\"#/$defs/{name}\"")).count();
         let below: usize = definitions.iter().map(|(name, schema)| places(name) * declared(schema)).sum();
@@ -243,7 +245,7 @@ mod tests {
         assert_eq!(paths.len(), expected, "{paths:?}");
     }
 
-    /// The unit ends a physical number's name; without a range any value of it would pass.
+    /// The unit ends a physical number's name; without a range any value would pass.
     #[test]
     fn every_physical_number_has_a_range_but_those_that_are_checked_elsewhere() {
         let mut without = Vec::new();
@@ -272,7 +274,7 @@ mod tests {
         assert_eq!(without, elsewhere);
     }
 
-    /// Only given keys are checked against their ranges.
+    /// Only keys that are set are checked against their ranges.
     #[test]
     fn every_default_is_within_its_range() {
         each_key(&SCENE, "", &mut |path, key| {

@@ -1,4 +1,4 @@
-//! Why a scene is refused.
+//! Errors of scene files.
 
 use std::path::PathBuf;
 
@@ -27,7 +27,7 @@ pub enum SceneError {
         cause: String,
     },
     /// A number is outside its range.
-    #[error("{file}: `{key}` is {}, allowed is {lowest} to {highest}", number(*.value))]
+    #[error("{file}: `{key}` is {}; allowed: {lowest} to {highest}", number(*.value))]
     OutOfRange {
         /// Scene file.
         file: PathBuf,
@@ -47,13 +47,13 @@ pub enum SceneError {
         file: PathBuf,
         /// Key with its path.
         key: String,
-        /// What is wrong and what is expected.
+        /// What is wrong, and what is expected.
         problem: String,
     },
 }
 
 impl SceneError {
-    /// The same of a key in another table.
+    /// The same error for the key inside another table.
     pub(crate) fn below(mut self, table: &str) -> SceneError {
         if let SceneError::OutOfRange { key, .. } | SceneError::Invalid { key, .. } = &mut self {
             *key = format!("{table}.{key}");

@@ -1,13 +1,17 @@
 //! Scenes: one TOML file holds everything that a run needs.
 //!
-//! Keys carry their unit (`_mm`, `_deg`, `_rpm`); what a scene does not name is not simulated: without `[volume]` no bone, without `[drr]`
-//! no X-ray process. Parsing checks every key and every range; errors name file, key, value and allowed range.
+//! Keys carry their unit (`_mm`, `_deg`, `_rpm`). A scene simulates only what it names: no bone without
+//! `[volume]`, no X-ray process without `[drr]`. Parsing checks every key and every range; errors name file,
+//! key, value and allowed range.
 //!
-//! **Boundary:** text in, a [`Scene`] or a [`SceneError`] out. Files are opened elsewhere (`ipc_types::scene_file`).
+//! **Boundary:** text in, a [`Scene`] or a [`SceneError`] out. Files are opened elsewhere
+//! (`ipc_types::scene_file`).
 //!
-//! **Invariants:** a [`Scene`] from [`Scene::parse`] is within every range and consistent, so no later code checks it again; an unknown
-//! key is an error. **One declaration a key**, in `model`: type, unit, range, default and text. `schemars` derives the JSON schema from it
-//! ([`json_schema`]); the range checks, their errors and the [`reference`](mod@reference) are made from that schema, so each knows every key.
+//! **Invariants:** a [`Scene`] from [`Scene::parse`] is within every range and consistent, so later code need
+//! not check it again; an unknown key is an error. **One declaration per key**, in `model`: type, unit,
+//! range, default and text. `schemars` derives the JSON schema from it ([`json_schema`]); the range checks,
+//! their errors and the [`reference`](mod@reference) are generated from that schema, so all of them cover
+//! every key.
 //!
 //! ```
 //! use std::path::Path;
@@ -65,14 +69,15 @@ pub use truth::planned_path_in_bone_mm;
 
 use std::path::{Path, PathBuf};
 
-/// Longest run. MCAP numbers a channel's messages with 32 bits: at the shortest time step, 0.1 ms, a day needs a fifth of
-/// them. All other counts of ticks, frames and bytes have 64 bits.
+/// Longest run. MCAP counts a channel's messages in 32 bits: at the shortest time step, 0.1 ms, a day uses a
+/// fifth of them. All other counts of ticks, frames and bytes have 64 bits.
 pub const LONGEST_RUN_S: f64 = 86_400.0;
 
-/// Most readings of a sensor that are measured and have not arrived: its rate times its longest delay.
+/// Largest number of readings of a sensor in transit, measured but not delivered: its rate times its longest
+/// delay.
 pub const MAX_READINGS_UNDERWAY: usize = 256;
 
-/// The error of a text that was parsed, which is the file's or was completed from it.
+/// Error of a parsed text, which is the file's own or was completed from it.
 fn malformed(text: &str, path: &Path, parsed: &str, cause: &toml::de::Error) -> SceneError {
     let start = cause.span().map(|span| span.start);
     let key = start.and_then(|start| place::key_at(parsed, start));
@@ -88,39 +93,43 @@ fn malformed(text: &str, path: &Path, parsed: &str, cause: &toml::de::Error) -> 
     SceneError::Malformed { file: path.to_owned(), line, cause }
 }
 
-/// The path from the root of the file system: a scene's text is copied into the session's folder and into the log.
+/// Makes a path absolute: a scene's text is copied into the session's folder and into the log.
 fn absolute(path: PathBuf) -> PathBuf {
     std::path::absolute(&path).unwrap_or(path)
 }
 
 impl Scene {
-    /// Parses and checks a scene's text; `path` names it in errors, and relative paths in the scene are relative to its folder.
+    /// Parses and checks a scene's text; `path` names it in errors, and relative paths in the scene are
+    /// relative to its folder.
     ///
     /// # Errors
-    /// [`SceneError`]: a key is unknown or missing, or a value is out of its range; the scene names a file (a plan, a tool, a URDF), which
-    /// [`Scene::parse_with`] reads.
+    /// [`SceneError`]: a key is unknown or missing, a value is out of range, or the scene names a file (a
+    /// plan, a tool, a URDF), which only [`Scene::parse_with`] reads.
     pub fn parse(text: &str, path: &Path) -> Result<Scene, SceneError> {
-        let refused =
-            |_: &Path| Err(std::io::Error::other("such a file is read with the scene's file alone"));
+        let refused = |_: &Path| {
+            Err(std::io::Error::other(
+                "files named by a scene are read only when the scene itself is read from a file",
+            ))
+        };
         Scene::parse_with(text, path, &refused)
     }
 
-    /// The same, with a function that reads the files that the scene may name (`tool.plan`, `manipulator.file`, `arm.urdf`). The scene
-    /// returned holds what follows from them, and names no file.
+    /// As [`Scene::parse`], with a function that reads the files that the scene names (`tool.plan`,
+    /// `manipulator.file`, `arm.urdf`). The returned scene holds their content and no longer names them.
     ///
     /// # Errors
-    /// As [`Scene::parse`]; a file cannot be read or is none of its kind, or gives what the scene gives, too.
+    /// As [`Scene::parse`]; a file cannot be read, is of the wrong kind, or sets what the scene sets too.
     pub fn parse_with(text: &str, path: &Path, read: &ReadText) -> Result<Scene, SceneError> {
         let folder = path.parent().unwrap_or(Path::new("."));
         let mut given: toml::Table =
             toml::from_str(text).map_err(|cause| malformed(text, path, text, &cause))?;
         let checker = check::Checker { file: path };
-        // The plan's pilot hole is as wide as the tool's burr.
+        // The tool first: the plan's pilot hole is as wide as its burr.
         let tool = tool_file::put_in(&mut given, folder, read, &checker)?;
         let planned = plan::put_in(&mut given, folder, read, &checker)?;
         let arm = urdf::put_in(&mut given, folder, read, &checker)?;
         let completed = match tool || planned || arm {
-            // The scene as it is written, with its lines.
+            // The scene as written, with its line numbers.
             false => text.to_owned(),
             true => toml::to_string(&given).map_err(|cause| SceneError::Malformed {
                 file: path.to_owned(),
@@ -179,15 +188,16 @@ impl Scene {
         (rate_hz > 0.0).then(|| ((1.0 / (rate_hz * self.dt_s())) + 0.5).max(1.0) as u64)
     }
 
-    /// The tick of the scheduled frame that controllers see at `tick` in lockstep: each is seen half a period after its tick, however
-    /// long it took to render, so that a run repeats bit for bit. `None` where none is due.
+    /// The tick of the scheduled frame that controllers see at `tick` in lockstep: each becomes visible half
+    /// a period after its tick, however long it took to render, so that a run repeats bit for bit. `None` if
+    /// none is due.
     pub fn frame_seen_at(&self, tick: u64) -> Option<u64> {
         let period = self.frame_period_ticks()?;
         let frame = tick.checked_sub((period / 2).max(1))?;
         frame.is_multiple_of(period).then_some(frame)
     }
 
-    /// Ticks between two keyframes; `None` without.
+    /// Ticks between two keyframes; `None` without keyframes.
     pub fn keyframe_period_ticks(&self) -> Option<u64> {
         let interval_s = self.recording.keyframe_interval_s;
         (interval_s > 0.0).then(|| (interval_s / self.dt_s() + 0.5).max(1.0) as u64)

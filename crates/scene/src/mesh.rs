@@ -1,6 +1,7 @@
-//! Triangles of the mesh files with which an arm is drawn: STL, binary or as text, and OBJ.
+//! Triangles of the mesh files that an arm is drawn with: STL (binary or ASCII) and OBJ.
 //!
-//! The files are as foreign as any: a count is believed only if the file is as long as it says, and no coordinate may be infinite or NaN.
+//! The files are untrusted: a count is believed only if it matches the file's length, and no coordinate may
+//! be infinite or NaN.
 
 use std::io::Cursor;
 use std::path::Path;
@@ -8,16 +9,16 @@ use std::path::Path;
 use foreign_text::foreign;
 use thiserror::Error;
 
-/// Triangles of an arm, at most: some ten times those of a whole arm's published meshes.
+/// Largest number of triangles of an arm: some ten times those of a whole arm's published meshes.
 pub const MOST_TRIANGLES: usize = 500_000;
-/// Bytes of a mesh file, at most: a binary STL of [`MOST_TRIANGLES`] has 25 MB.
+/// Largest mesh file: a binary STL of [`MOST_TRIANGLES`] has 25 MB.
 pub const MAX_MESH_BYTES: u64 = 32 << 20;
-/// Farthest that a mesh may reach from the frame of its link, m.
+/// Largest distance of a mesh from its link's frame, m.
 pub const FARTHEST_M: f64 = 10.0;
 
-/// Bytes of a binary STL before its triangles: 80 of any text, then how many there are.
+/// Bytes of a binary STL before its triangles: 80 of free text, then the triangle count.
 const STL_HEAD_BYTES: usize = 84;
-/// Bytes of a triangle there: normal and corners as 12 float32, and 2 bytes that mean nothing.
+/// Bytes per triangle: normal and corners as 12 float32, and 2 unused bytes.
 const STL_TRIANGLE_BYTES: usize = 50;
 
 /// Three corners, counterclockwise seen from outside, in the file's unit.
@@ -26,14 +27,14 @@ pub type Triangle = [[f32; 3]; 3];
 /// Kind of a mesh file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum MeshFormat {
-    /// STL, binary or as text.
+    /// STL, binary or ASCII.
     Stl,
-    /// Wavefront OBJ; only its corners and faces count.
+    /// Wavefront OBJ; only vertices and faces are read.
     Obj,
 }
 
 impl MeshFormat {
-    /// By the end of the file's name; `None` for a kind that is not read, such as COLLADA (`.dae`).
+    /// The format by file extension; `None` for an unsupported one, such as COLLADA (`.dae`).
     pub fn of(path: &Path) -> Option<MeshFormat> {
         match path.extension()?.to_str()?.to_ascii_lowercase().as_str() {
             "stl" => Some(MeshFormat::Stl),
@@ -46,57 +47,62 @@ impl MeshFormat {
 /// Why a mesh file is refused.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 pub enum MeshError {
-    /// Neither form of STL.
-    #[error("is no STL: its {bytes} bytes neither begin with `solid` nor are a count's 84 and 50 a triangle{}", told(*.count))]
+    /// Neither binary nor ASCII STL.
+    #[error("is not an STL file: its {bytes} bytes neither begin with `solid` nor fit a binary STL (84 bytes \
+             plus 50 per triangle){}", told(*.count))]
     NotStl {
         /// Length of the file.
         bytes: usize,
-        /// Triangles that a binary file of these bytes would announce.
+        /// Triangle count in the header, if read as a binary file.
         count: Option<u32>,
     },
-    /// The reader's reason.
-    #[error("is damaged: {}", foreign(.cause))]
+    /// The reader failed.
+    #[error("is malformed: {}", foreign(.cause))]
     Damaged {
-        /// What it met.
+        /// The reader's message.
         cause: String,
     },
-    /// A face that is none.
-    #[error("has a face of {corners} corners in line {line}, expected 3 or more; the file may be cut")]
+    /// A face with too few corners.
+    #[error(
+        "has a face with {corners} corners in line {line}, expected 3 or more; the file may be truncated"
+    )]
     ShortFace {
         /// Line, from 1.
         line: usize,
-        /// Corners that it names.
+        /// Number of corners.
         corners: usize,
     },
-    /// A corner without a place.
-    #[error("has a corner of triangle {triangle} that is infinite or no number; expected finite coordinates")]
+    /// A coordinate is infinite or NaN.
+    #[error("has an infinite or NaN coordinate in triangle {triangle}; expected finite coordinates")]
     NotFinite {
         /// Triangle, from 1.
         triangle: usize,
     },
     /// Nothing to draw.
-    #[error("holds no triangle with an area; expected 1 or more")]
+    #[error("has no triangle with an area; expected 1 or more")]
     Empty,
-    /// More than an arm may have.
+    /// More triangles than an arm may have.
     #[error(
-        "has more than {most} triangles, with those of the arm's other meshes {MOST_TRIANGLES} at most; expected a coarser mesh"
+        "has more than {most} triangles; all meshes of the arm together may have {MOST_TRIANGLES}, so use a \
+         coarser mesh"
     )]
     TooMany {
-        /// Room that the other meshes left.
+        /// Triangles left by the other meshes.
         most: usize,
     },
 }
 
 fn told(count: Option<u32>) -> String {
-    count.map_or(String::new(), |count| format!(", and it announces {count}"))
+    count.map_or(String::new(), |count| format!("; its header declares {count} triangles"))
 }
 
-/// The triangles of a file's content, `most` of them at most.
+/// Reads at most `most` triangles from a file's content.
 ///
-/// Formats: Marshall Burns, "Automated Fabrication" (1993), section 6.5 (STL); Wavefront's "Object Files", appendix B1 (OBJ).
+/// Formats: Marshall Burns, "Automated Fabrication" (1993), section 6.5 (STL); Wavefront's "Object Files",
+/// appendix B1 (OBJ).
 ///
 /// # Errors
-/// [`MeshError`]: the content is none of its kind, holds no triangle or too many, or a corner that is nowhere.
+/// [`MeshError`]: the content is malformed, has no or too many triangles, or a coordinate that is not finite.
 pub fn triangles(content: &[u8], format: MeshFormat, most: usize) -> Result<Vec<Triangle>, MeshError> {
     let triangles = match format {
         MeshFormat::Stl => stl(content, most)?,
@@ -122,7 +128,7 @@ fn damaged(cause: &impl ToString) -> MeshError {
     MeshError::Damaged { cause: cause.to_string() }
 }
 
-/// The count decides what is binary: the text of a binary file may begin with `solid`, too.
+/// The count decides whether the file is binary: a binary file's header can begin with `solid`, too.
 fn stl(content: &[u8], most: usize) -> Result<Vec<Triangle>, MeshError> {
     let count =
         content.get(80..STL_HEAD_BYTES).and_then(|bytes| bytes.try_into().ok()).map(u32::from_le_bytes);
@@ -133,7 +139,7 @@ fn stl(content: &[u8], most: usize) -> Result<Vec<Triangle>, MeshError> {
         }
         [&[0; 80], &content[80..]].concat()
     } else if content.starts_with(b"solid") {
-        // The reader wants a name in the first line, which not every program writes.
+        // The reader requires a name in the first line, which some programs do not write.
         let rest = content.iter().position(|byte| *byte == b'\n').map_or(&[][..], |end| &content[end..]);
         [b"solid mesh", rest].concat()
     } else {
@@ -150,7 +156,7 @@ fn stl(content: &[u8], most: usize) -> Result<Vec<Triangle>, MeshError> {
     Ok(triangles)
 }
 
-/// A face of an OBJ with fewer than three corners, which its reader would take for a line or a point.
+/// Finds a face of an OBJ with fewer than three corners, which the reader would take for a line or a point.
 fn short_face(content: &[u8]) -> Option<MeshError> {
     (1..).zip(content.split(|byte| *byte == b'\n')).find_map(|(line, text)| {
         let mut words = text.split(u8::is_ascii_whitespace).filter(|word| !word.is_empty());
@@ -170,7 +176,7 @@ fn obj(content: &[u8], most: usize) -> Result<Vec<Triangle>, MeshError> {
         ignore_lines: true,
         ..tobj::LoadOptions::default()
     };
-    // Colours are in files of their own, which nobody asks for.
+    // Colours are in separate files, which are not needed.
     let without_materials = |_: &Path| Err(tobj::LoadError::OpenFileFailed);
     let mut content = content;
     let (models, _) =
@@ -186,7 +192,7 @@ fn obj(content: &[u8], most: usize) -> Result<Vec<Triangle>, MeshError> {
         };
         for face in mesh.indices.chunks_exact(3) {
             let [Some(a), Some(b), Some(c)] = [face[0], face[1], face[2]].map(corner) else {
-                return Err(damaged(&"a face names a corner that is not there"));
+                return Err(damaged(&"a face refers to a missing vertex"));
             };
             triangles.push([a, b, c]);
         }

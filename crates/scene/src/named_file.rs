@@ -1,4 +1,4 @@
-//! Files that a scene names: what follows from them is put into the scene's table before it is parsed.
+//! Files that a scene names: their content goes into the scene's table before parsing.
 
 use std::path::Path;
 
@@ -10,10 +10,10 @@ use crate::error::SceneError;
 /// Returns the text of a file that a scene names; this crate opens no files itself.
 pub type ReadText<'a> = dyn Fn(&Path) -> std::io::Result<String> + 'a;
 
-/// Takes a text out of the table `[above]` of a scene; `None` if the key is not there.
+/// Removes a text from the table `[above]` of a scene; `None` if the key is absent.
 ///
 /// # Errors
-/// The value is no text; `expected` says what it should be.
+/// The value is not a text; `expected` describes what it should be.
 pub(crate) fn take_text(
     table: &mut Table,
     [above, key]: [&str; 2],
@@ -23,17 +23,15 @@ pub(crate) fn take_text(
     match table.remove(key) {
         None => Ok(None),
         Some(Value::String(text)) => Ok(Some(text)),
-        Some(other) => {
-            Err(checker
-                .invalid(&format!("{above}.{key}"), format!("is {other}, expected {expected} as text")))
-        }
+        Some(other) => Err(checker
+            .invalid(&format!("{above}.{key}"), format!("is {other}, expected {expected} as a string"))),
     }
 }
 
-/// Takes a flag out of the table `[above]` of a scene; `None` if the key is not there.
+/// Removes a flag from the table `[above]` of a scene; `None` if the key is absent.
 ///
 /// # Errors
-/// The value is no flag.
+/// The value is not a boolean.
 pub(crate) fn take_flag(
     table: &mut Table,
     [above, key]: [&str; 2],
@@ -48,7 +46,7 @@ pub(crate) fn take_flag(
     }
 }
 
-/// Three numbers as a value of a scene.
+/// Three numbers as a TOML value.
 pub(crate) fn numbers(place: [f64; 3]) -> Value {
     Value::Array(place.map(Value::Float).to_vec())
 }

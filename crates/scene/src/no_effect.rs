@@ -1,11 +1,11 @@
-//! Keys of a valid scene that change nothing, because another key stands in their place.
+//! Keys of a valid scene that have no effect, because another key overrides them.
 
 use crate::model::{Arm, ArmModel, Drr, Phantom, Scene, TendonCable, ToolDescription, Tracker, Volume};
 
-/// A key with another value than its default, and why it changes nothing.
+/// A key set to a value other than its default, and why it has no effect.
 pub type NoEffect = (&'static str, &'static str);
 
-/// Keys whose values, other than the defaults, have no effect.
+/// Keys set to non-default values without effect.
 pub fn keys_without_effect(scene: &Scene) -> impl Iterator<Item = NoEffect> {
     let trackers = scene.sensor.iter().filter_map(|sensor| sensor.tracker.as_ref());
     let has_encoders = scene.sensor.iter().any(|sensor| sensor.encoders.is_some());
@@ -16,7 +16,7 @@ pub fn keys_without_effect(scene: &Scene) -> impl Iterator<Item = NoEffect> {
     )
     .chain(vain(
         matches!(scene.arm.model, Some(ArmModel::Gantry | ArmModel::Fixed)),
-        "on an arm without joints that turn: its readings are empty",
+        "on an arm without revolute joints: its readings are empty",
         [("sensor.encoders", has_encoders)],
     ));
     let of_volume = scene.volume.iter().flat_map(of_volume);
@@ -26,7 +26,7 @@ pub fn keys_without_effect(scene: &Scene) -> impl Iterator<Item = NoEffect> {
     of_parts.chain(trackers.flat_map(of_tracker)).chain(of_scene)
 }
 
-/// Of these keys, the ones that are given, if they change nothing.
+/// Returns those of the keys that are set, if they have no effect.
 fn vain<const N: usize>(
     they_are: bool,
     why: &'static str,
@@ -39,7 +39,7 @@ fn of_volume(volume: &Volume) -> impl Iterator<Item = NoEffect> {
     let ratio = Volume::default_block_density_ratio();
     vain(
         volume.path.is_some(),
-        "beside `volume.path`: it is for a phantom",
+        "together with `volume.path`: it applies to a phantom",
         [
             ("volume.spacing_mm", volume.spacing_mm != Volume::default_spacing_mm()),
             ("volume.block_density_ratio", volume.block_density_ratio != ratio),
@@ -47,7 +47,7 @@ fn of_volume(volume: &Volume) -> impl Iterator<Item = NoEffect> {
     )
     .chain(vain(
         volume.phantom == Some(Phantom::Femur),
-        "in the femur: it is for the phantom `block`",
+        "for the femur: it applies to the phantom `block`",
         [("volume.block_density_ratio", volume.block_density_ratio != ratio)],
     ))
 }
@@ -62,7 +62,7 @@ fn of_arm(arm: &Arm) -> impl Iterator<Item = NoEffect> {
     let [x, y, z] = arm.tool_position_mm.map(|mm| mm * 1e-3);
     vain(
         arm.holder().reach_m((x * x + y * y + z * z).sqrt()).is_none(),
-        "without `arm.tool_position_mm`: the tool's base is on the flange, and there is no holder",
+        "without `arm.tool_position_mm`: the tool's base is on the flange, so there is no holder",
         [
             ("arm.holder_length_mm", arm.holder_length_mm.is_some()),
             ("arm.holder_diameter_mm", arm.holder_diameter_mm.is_some()),
@@ -83,7 +83,7 @@ fn of_drr(drr: &Drr) -> impl Iterator<Item = NoEffect> {
     let (isocentre_mm, detector_mm) = (Drr::default_source_isocentre_mm(), Drr::default_source_detector_mm());
     let by_c_arm = vain(
         drr.carm.is_some(),
-        "beside `[drr.carm]`",
+        "together with `[drr.carm]`",
         [
             ("drr.primary_angle_deg", drr.primary_angle_deg != 0.0),
             ("drr.secondary_angle_deg", drr.secondary_angle_deg != 0.0),
@@ -92,7 +92,7 @@ fn of_drr(drr: &Drr) -> impl Iterator<Item = NoEffect> {
         ],
     );
     let energy = [("drr.energy_kev", drr.energy_kev != Drr::default_energy_kev())];
-    by_c_arm.chain(vain(drr.spectrum.is_some(), "beside `[drr.spectrum]`", energy))
+    by_c_arm.chain(vain(drr.spectrum.is_some(), "together with `[drr.spectrum]`", energy))
 }
 
 fn of_tracker(tracker: &Tracker) -> impl Iterator<Item = NoEffect> {

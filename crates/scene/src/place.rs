@@ -1,11 +1,11 @@
-//! What a TOML error is about: the key at its place, and the types in a roboticist's words.
+//! Locates TOML errors: the key at a position, and types in plain words.
 
 use core::ops::Range;
 
 use toml::de::{DeTable, DeValue};
 
-/// The key whose name or value lies at a byte of the text, with its path: `run.duration_s`, `tool.direction[1]`; `None` outside of all, or in
-/// a text that is not TOML.
+/// The key whose name or value spans a byte of the text, with its path: `run.duration_s`,
+/// `tool.direction[1]`. `None` outside all keys, or if the text is not TOML.
 pub(crate) fn key_at(text: &str, byte: usize) -> Option<String> {
     let document = DeTable::parse(text).ok()?;
     let here = |path: &str, spans: [Range<usize>; 2]| {
@@ -14,7 +14,7 @@ pub(crate) fn key_at(text: &str, byte: usize) -> Option<String> {
     search_table(document.get_ref(), "", &here)
 }
 
-/// The line, from 1, of a key by its path; `None` where the text has no such key.
+/// The line, from 1, of a key by its path; `None` if the text lacks the key.
 pub(crate) fn line_of(text: &str, wanted: &str) -> Option<usize> {
     let document = DeTable::parse(text).ok()?;
     let here = |path: &str, [key, _]: [Range<usize>; 2]| (path == wanted).then_some(key.start);
@@ -22,12 +22,13 @@ pub(crate) fn line_of(text: &str, wanted: &str) -> Option<usize> {
     Some(line_at(text, byte))
 }
 
-/// The line, from 1, in which a byte of the text lies.
+/// The line, from 1, of a byte of the text.
 pub(crate) fn line_at(text: &str, byte: usize) -> usize {
     text.bytes().take(byte).filter(|byte| *byte == b'\n').count() + 1
 }
 
-/// What `found` first says of a key: of its path, and of the places of its name and of its value. Those below a key come before it.
+/// Called with a key's path and the spans of its name and value; the first result ends the search. Nested
+/// keys come before the key that contains them.
 type Found<'f, T> = &'f dyn Fn(&str, [Range<usize>; 2]) -> Option<T>;
 
 fn search_table<T>(table: &DeTable<'_>, path: &str, found: Found<'_, T>) -> Option<T> {
@@ -50,7 +51,7 @@ fn search_value<T>(value: &DeValue<'_>, path: &str, found: Found<'_, T>) -> Opti
     }
 }
 
-/// The parser's message with what was expected in words: `expected f64` is `expected a number`.
+/// The parser's message with types in plain words: `expected f64` becomes `expected a number`.
 pub(crate) fn in_words(message: &str) -> String {
     const WORDS: [(&str, &str); 10] = [
         ("expected f64", "expected a number"),
@@ -59,7 +60,7 @@ pub(crate) fn in_words(message: &str) -> String {
         ("expected u32", "expected a whole number, 0 or more"),
         ("expected i64", "expected a whole number"),
         ("expected i16", "expected a whole number, -32768 to 32767"),
-        ("expected any valid TOML value", "expected a number of 64 bits"),
+        ("expected any valid TOML value", "expected a 64-bit number"),
         ("expected a boolean", "expected true or false"),
         ("expected a sequence", "expected a list"),
         ("expected a map", "expected a table"),
@@ -75,10 +76,12 @@ mod tests {
     use crate::Scene;
 
     const TEXT: &str = "name = \"a\"\n[run]\nmode = \"lockstep\"\nduration_s = 1.0\n[tool]\n\
-                        burr_start_mm = [0.0, 0.0, 0.0]\ndirection = [1.0, 0.0, 0.0]\nbend_toward = [0.0, 0.0, 1.0]\n\
+                        burr_start_mm = [0.0, 0.0, 0.0]\ndirection = [1.0, 0.0, 0.0]\nbend_toward = [0.0, \
+                        0.0, 1.0]\n\
                         [[controller]]\nname = \"c\"\ndrives = []\nexternal = true\n";
 
-    /// `invalid type: string "long", expected f64` named neither the key nor a type that one can write.
+    /// The bare parser message, `invalid type: string "long", expected f64`, names neither the key nor a TOML
+    /// type.
     #[test]
     fn a_value_of_a_wrong_type_is_refused_with_its_key_and_the_type_in_words() {
         let refused = |from: &str, to: &str| {
@@ -99,7 +102,8 @@ mod tests {
             (
                 "[tool]",
                 "[volume]\nbone_threshold_hu = 40000\n[tool]",
-                "line 6: `volume.bone_threshold_hu`: invalid value: integer `40000`, expected a whole number, -32768 to 32767",
+                "line 6: `volume.bone_threshold_hu`: invalid value: integer `40000`, expected a whole \
+                 number, -32768 to 32767",
             ),
             (
                 "external = true",

@@ -1,7 +1,7 @@
-//! `tool.plan`: a file of 3D Slicer's markups in place of the points of a scene.
+//! `tool.plan`: a 3D Slicer markups file in place of the points of a scene.
 //!
-//! The keys that follow from the plan are put into the scene's table before it is parsed, so a [`Scene`](crate::Scene) holds numbers only,
-//! and so does its copy in the session and in the log.
+//! The keys derived from the plan go into the scene's table before parsing, so a [`Scene`](crate::Scene)
+//! holds numbers only, and so do its copies in the session and in the log.
 
 use std::path::Path;
 
@@ -13,15 +13,17 @@ use crate::error::SceneError;
 use crate::named_file::{ReadText, numbers, take_text};
 use crate::tool::STANDARD_RADII;
 
-/// How much wider than the burr the pilot hole is, mm: as in the scenes of `configs/`, 7 mm for a burr of 6.5 mm.
+/// Clearance of the pilot hole around the burr, mm in diameter: as in the scenes of `configs/`, 7 mm for a
+/// burr of 6.5 mm.
 const PILOT_PLAY_MM: f64 = 0.5;
-/// The keys that the plan's points give. Beside a plan they would stand twice.
+/// Keys given by the plan's points, which a scene with a plan must not set.
 const PLACES: [&str; 2] = ["burr_start_mm", "direction"];
 
-/// Puts what follows from `tool.plan` into a scene's table, and takes the key out. `false`: the scene names no plan.
+/// Replaces `tool.plan` in a scene's table by the keys derived from the plan. Returns false if the scene
+/// names no plan.
 ///
 /// # Errors
-/// The file cannot be read or holds no plan; a point of it also stands in the scene.
+/// The file cannot be read or holds no plan, or the scene also sets one of its points.
 pub(crate) fn put_in(
     scene: &mut Table,
     folder: &Path,
@@ -55,7 +57,7 @@ pub(crate) fn put_in(
 /// Reads a plan.
 ///
 /// # Errors
-/// The file cannot be read or holds no plan: a message that names it.
+/// A message that names the file: it cannot be read or holds no plan.
 pub fn load(file: &Path, read_text: &ReadText) -> Result<Plan, String> {
     let name = foreign_text::foreign_path(file);
     let text = read_text(file).map_err(|cause| format!("{name}: cannot be read ({cause})"))?;
@@ -64,10 +66,11 @@ pub fn load(file: &Path, read_text: &ReadText) -> Result<Plan, String> {
 }
 
 fn stands_twice(checker: &Checker, key: &str) -> SceneError {
-    checker.invalid(key, "stands beside `tool.plan`, from which it follows; expected one of the two")
+    checker.invalid(key, "follows from `tool.plan`; set only one of the two")
 }
 
-/// The scene's burr, or its tool's; the standard one where neither key is there or is refused later.
+/// The diameter of the scene's or its tool's burr; the standard one if neither is set or both will be
+/// refused.
 fn burr_diameter_mm(scene: &Table) -> f64 {
     let manipulator = scene.get("manipulator");
     let number = |value: &Value| value.as_float().or(value.as_integer().map(|whole| whole as f64));
@@ -77,7 +80,7 @@ fn burr_diameter_mm(scene: &Table) -> f64 {
     own.or_else(of_tool).unwrap_or(2e3 * STANDARD_RADII.cutter.widest_radius_m())
 }
 
-/// Adds the pilot hole behind the scene's own holes, whose numbers in messages stay.
+/// Appends the pilot hole after the scene's own holes, so that their numbers in messages stay the same.
 fn drill(scene: &mut Table, [from_mm, to_mm]: [[f64; 3]; 2], diameter_mm: f64) {
     let hole = [
         ("from_mm", numbers(from_mm)),
@@ -91,7 +94,7 @@ fn drill(scene: &mut Table, [from_mm, to_mm]: [[f64; 3]; 2], diameter_mm: f64) {
     }
 }
 
-/// Gives a built-in controller its target and how far it feeds.
+/// Sets a built-in controller's target and feed length.
 fn steer(controller: &mut Table, plan: &Plan, checker: &Checker) -> Result<(), SceneError> {
     if let Some(Value::Table(drilling)) = controller.get_mut("curved_drilling") {
         if drilling.contains_key("target_mm") {

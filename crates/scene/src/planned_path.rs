@@ -5,17 +5,18 @@ use markups::vector::{across, cross, dot, length, minus, plus, unit};
 
 use crate::{CurvedDrilling, Predrill, Scene, ToolDescription, ToolOuterTube, TubeDeployment};
 
-/// Distance of the points of a planned path, mm: the chord of an arc of 20 mm radius is within 0.4 micrometres of it.
+/// Spacing of the points of a planned path, mm: the chord of an arc of 20 mm radius deviates by less than 0.4
+/// micrometres.
 const STEP_MM: f64 = 0.25;
-/// A hole this near to the burr's start, mm, leads to it.
+/// A hole that ends this close to the burr's start, mm, leads to it.
 const SAME_MM: f64 = 0.01;
-/// A target this near the line, mm, is on it.
+/// A target this close to the line, mm, is on it.
 const ON_THE_LINE_MM: f64 = 1e-6;
 
-/// The planned path of the burr's centre, LPS, mm: through the pilot hole that leads to its start, straight to where the bend begins, and
-/// on the circle that the controller steers for, which leaves the line as its tangent and ends at the target. Without a target: straight.
-/// Of a tool that slides out of an outer tube: the way of its burr, on the rest shape of what is out.
-/// `None`: no built-in controller drills.
+/// Planned path of the burr's centre, LPS, mm: through the pilot hole that leads to its start, straight to
+/// where the bend begins, then along the controller's circle, which is tangent to the line and ends at the
+/// target; straight without a target. For a tool that slides out of an outer tube: the path of its burr along
+/// the rest shape of the deployed part. `None` if no built-in controller drills.
 pub fn planned_path_mm(scene: &Scene) -> Option<Vec<[f64; 3]>> {
     let start_mm = scene.tool.burr_start_mm;
     let along = unit(scene.tool.direction);
@@ -32,12 +33,13 @@ pub fn planned_path_mm(scene: &Scene) -> Option<Vec<[f64; 3]>> {
     Some(dense(&hole.into_iter().chain(path).collect::<Vec<_>>()))
 }
 
-/// The same path with points on its straight parts: a program that draws a smooth line through few points leaves them.
+/// Adds points on the straight parts: a program that draws a smooth curve through few points would leave
+/// them.
 fn dense(path: &[[f64; 3]]) -> Vec<[f64; 3]> {
     let mut points: Vec<[f64; 3]> = path.first().copied().into_iter().collect();
     for piece in path.windows(2) {
         let way = minus(piece[1], piece[0]);
-        // Chords of the arc are not longer than a step, but for rounding.
+        // Chords of the arc are no longer than a step, up to rounding.
         let count = (length(way) / STEP_MM - 1e-9).ceil().max(1.0);
         points.extend((1..count as usize).map(|point| plus(piece[0], point as f64 / count, way)));
         points.push(piece[1]);
@@ -71,7 +73,8 @@ fn curve_mm(drilling: &CurvedDrilling, start_mm: [f64; 3], along: [f64; 3]) -> V
     path
 }
 
-/// The way of the burr while the tool slides out: each flexure bends by the share of it that is out, the outer tube does not bend.
+/// Path of the burr while the tool slides out: each flexure bends by its deployed fraction; the outer tube
+/// does not bend.
 fn deployment_mm(plan: &TubeDeployment, scene: &Scene, along: [f64; 3]) -> Option<Vec<[f64; 3]>> {
     let tool = scene.manipulator.tool.as_ref()?;
     let outer = tool.outer_tube.as_ref()?;
@@ -88,7 +91,7 @@ fn deployment_mm(plan: &TubeDeployment, scene: &Scene, along: [f64; 3]) -> Optio
     Some(way.collect())
 }
 
-/// The burr's centre from the tool's base, beside and ahead, with a length of the tool out of its outer tube.
+/// The burr's centre from the tool's base, lateral and axial, with a given length of the tool deployed.
 fn burr_mm(tool: &ToolDescription, outer: &ToolOuterTube, deployed_mm: f64) -> [f64; 2] {
     let places = tool.flexures();
     let (mut place, mut angle, mut along_mm) = ([0.0, deployed_mm], 0.0_f64, 0.0);
@@ -110,11 +113,15 @@ mod tests {
 
     use super::*;
 
-    const SCENE: &str = "name = \"a\"\n[run]\nmode = \"lockstep\"\nduration_s = 1.0\n[volume]\nphantom = \"block\"\n\
+    const SCENE: &str = "name = \"a\"\n[run]\nmode = \"lockstep\"\nduration_s = 1.0\n[volume]\nphantom \
+                         = \"block\"\n\
         [[predrill]]\nfrom_mm = [0.0, 0.0, -10.0]\nto_mm = [0.0, 0.0, 40.0]\ndiameter_mm = 7.0\n\
-        [tool]\nburr_start_mm = [0.0, 0.0, 40.0]\ndirection = [0.0, 0.0, 2.0]\nbend_toward = [1.0, 0.0, 0.0]\n\
-        [[controller]]\nname = \"c\"\ndrives = []\n[controller.curved_drilling]\nfeed_mm_per_s = 1.0\ntension_n = 3.0\nburr_speed_rpm = 1.0\n\
-        feedback = \"none\"\nramp_start_mm = 2.0\nramp_end_mm = 17.0\ninsertion_mm = 18.0\ntarget_mm = [5.0, 0.0, 57.0]\n";
+        [tool]\nburr_start_mm = [0.0, 0.0, 40.0]\ndirection = [0.0, 0.0, 2.0]\nbend_toward = [1.0, 0.0, \
+        0.0]\n\
+        [[controller]]\nname = \"c\"\ndrives = []\n[controller.curved_drilling]\nfeed_mm_per_s = \
+        1.0\ntension_n = 3.0\nburr_speed_rpm = 1.0\n\
+        feedback = \"none\"\nramp_start_mm = 2.0\nramp_end_mm = 17.0\ninsertion_mm = 18.0\ntarget_mm = [5.0, \
+        0.0, 57.0]\n";
 
     fn scene(text: &str) -> Scene {
         Scene::parse(text, Path::new("a.toml")).unwrap()

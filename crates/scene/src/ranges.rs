@@ -8,13 +8,14 @@ use crate::declaration::{Kind, Pattern, Range, Table};
 use crate::error::SceneError;
 
 impl Range {
-    /// Whether a value is in the range. NaN never is.
+    /// Whether a value is in the range; false for NaN.
     pub(crate) fn allows(&self, value: f64) -> bool {
         (self.or_zero && value == 0.0) || (value >= self.lowest && value <= self.highest)
     }
 }
 
-/// Checks the values of a table, in the order of the declaration, and of the tables in it; `path` is its own key.
+/// Checks the values of a table and of its nested tables, in declaration order; `path` is the table's own
+/// key.
 ///
 /// # Errors
 /// [`SceneError::OutOfRange`], [`SceneError::Invalid`]: the first value that is not allowed.
@@ -44,7 +45,7 @@ fn check_value(kind: &Kind, value: &Value, path: &str, checker: &Checker) -> Res
         (Kind::List(of, _, most), Value::Array(values)) => {
             if let Some(most) = most {
                 let count = Range { lowest: 0.0, highest: *most as f64, or_zero: false };
-                checker.range(&format!("{path} (their number)"), values.len() as f64, count)?;
+                checker.range(&format!("{path} (count)"), values.len() as f64, count)?;
             }
             let is_vector = matches!(**of, Kind::Number(_) | Kind::Integer(_));
             values.iter().enumerate().try_for_each(|(index, value)| match is_vector {
@@ -53,7 +54,7 @@ fn check_value(kind: &Kind, value: &Value, path: &str, checker: &Checker) -> Res
             })
         }
         (Kind::Table(declared), Value::Table(given)) => check(declared, given, path, checker),
-        // Whether a value is of its key's type, serde has looked.
+        // serde has already checked the types.
         _ => Ok(()),
     }
 }
@@ -87,7 +88,7 @@ mod tests {
         }
     }
 
-    /// A scene that has this key alone.
+    /// A scene with this key alone.
     fn with_key(path: &[&str], kind: &Kind, value: f64) -> toml::Table {
         let mut value = match kind {
             Kind::List(_, Some(count), _) => Value::Array((0..*count).map(|_| Value::Float(value)).collect()),
@@ -123,7 +124,7 @@ mod tests {
                 let said = refused(&scene(value)).map(|error| error.to_string());
                 let given = foreign_text::number(value);
                 let expected =
-                    format!("a.toml: `{path}` is {given}, allowed is {} to {}", range.lowest, range.highest);
+                    format!("a.toml: `{path}` is {given}; allowed: {} to {}", range.lowest, range.highest);
                 assert_eq!(said, Some(expected), "{path} = {value}");
             }
         });
@@ -138,7 +139,7 @@ mod tests {
         assert_eq!(refused(&scene("0")), None);
         assert_eq!(refused(&scene("0.0")), None);
         let said = refused(&scene("0.001")).unwrap().to_string();
-        assert_eq!(said, "a.toml: `recording.keyframe_interval_s` is 0.001, allowed is 0.01 to 3600");
+        assert_eq!(said, "a.toml: `recording.keyframe_interval_s` is 0.001; allowed: 0.01 to 3600");
     }
 
     #[test]
@@ -147,10 +148,7 @@ mod tests {
             let scene = |count: usize| toml::from_str(&format!("[[{table}]]\n").repeat(count)).unwrap();
             assert_eq!(refused(&scene(most)), None);
             let said = refused(&scene(most + 1)).unwrap().to_string();
-            assert_eq!(
-                said,
-                format!("a.toml: `{table} (their number)` is {}, allowed is 0 to {most}", most + 1)
-            );
+            assert_eq!(said, format!("a.toml: `{table} (count)` is {}; allowed: 0 to {most}", most + 1));
         }
     }
 
@@ -175,10 +173,10 @@ mod tests {
     fn of_a_vector_the_component_that_is_out_of_range_is_named() {
         let scene = toml::from_str("[tool]\nburr_start_mm = [0.0, 1e9, 0.0]").unwrap();
         let said = refused(&scene).unwrap().to_string();
-        assert_eq!(said, "a.toml: `tool.burr_start_mm[1]` is 1e9, allowed is -100000 to 100000");
+        assert_eq!(said, "a.toml: `tool.burr_start_mm[1]` is 1e9; allowed: -100000 to 100000");
     }
 
-    /// Of several errors always the same is named: the first in the order of the declarations, not of the file.
+    /// The reported error is always that of the key declared first, whatever the order in the file.
     #[test]
     fn the_first_error_is_that_of_the_key_declared_first() {
         let scene =

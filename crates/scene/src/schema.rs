@@ -1,4 +1,4 @@
-//! The JSON schema of scene files, derived from the declarations of [`model`](crate::model) by the crate `schemars`.
+//! The JSON schema of scene files, derived by `schemars` from the declarations in [`model`](crate::model).
 
 use schemars::generate::SchemaSettings;
 use schemars::transform::RecursiveTransform;
@@ -7,17 +7,17 @@ use serde_json::{Map, Value, json};
 
 use crate::Scene;
 
-/// The JSON schema of scene files, for editors: draft 7, which those that know TOML read.
+/// Returns the JSON schema of scene files for editors: draft 7, which TOML editors support.
 ///
-/// It holds each key's type, range, default and text, and refuses unknown keys. What relates keys to each other, such as "either
-/// `phantom` or `path`", only [`Scene::parse`] checks.
+/// It holds each key's type, range, default and text, and refuses unknown keys. Relations between keys, such
+/// as "either `phantom` or `path`", are checked only by [`Scene::parse`].
 pub fn json_schema() -> Value {
     let mut schema = generate::<Scene>(SchemaSettings::draft07());
     allow_plan(&mut schema);
     schema
 }
 
-/// Keys that are required, unless `tool.plan` gives them: table and key.
+/// Keys that are required unless `tool.plan` gives them: table and key.
 const OF_A_PLAN: [(&str, &str); 7] = [
     ("Tool", "burr_start_mm"),
     ("Tool", "direction"),
@@ -28,8 +28,8 @@ const OF_A_PLAN: [(&str, &str); 7] = [
     ("Skiving", "depth_mm"),
 ];
 
-/// Lets a scene with a plan leave out what follows from it. An editor sees one table at a time: of the tool it knows whether there is a
-/// plan, of the others it does not.
+/// Makes keys optional that a plan gives. An editor validates one table at a time: in `[tool]` it sees
+/// whether there is a plan, elsewhere it does not.
 fn allow_plan(schema: &mut Value) {
     for (table, key) in OF_A_PLAN {
         if let Some(required) = schema["definitions"][table]["required"].as_array_mut() {
@@ -41,23 +41,23 @@ fn allow_plan(schema: &mut Value) {
     schema["definitions"]["Tool"]["anyOf"] = json!([{"required": ["plan"]}, {"required": without}]);
 }
 
-/// A type's schema as a reader of files sees it, with `$defs`; texts and defaults may stand beside a `$ref`.
+/// A type's schema for reading, with `$defs`; texts and defaults can accompany a `$ref`.
 pub(crate) fn as_read<T: JsonSchema>() -> Value {
     generate::<T>(SchemaSettings::draft2020_12())
 }
 
-/// A type's schema as a writer sees it: `required` lists every key of a table, in the order of the declaration.
+/// A type's schema for writing: `required` lists every key of a table, in declaration order.
 pub(crate) fn as_written<T: JsonSchema>() -> Value {
     generate::<T>(SchemaSettings::draft2020_12().for_serialize())
 }
 
 fn generate<T: JsonSchema>(mut settings: SchemaSettings) -> Value {
-    // Before the transforms of the draft, which would wrap the alternatives of an optional table.
+    // Before the draft's own transforms, which would wrap the alternatives of an optional table.
     settings.transforms.insert(0, Box::new(RecursiveTransform(remove_null)));
     settings.into_generator().into_root_schema_for::<T>().into()
 }
 
-/// TOML has no null: an optional key is there or not.
+/// TOML has no null: an optional key is present or absent.
 fn remove_null(schema: &mut Schema) {
     let Some(object) = schema.as_object_mut() else { return };
     if let Some(Value::Array(types)) = object.get_mut("type") {
@@ -100,7 +100,7 @@ mod tests {
         }
     }
 
-    /// An editor would offer `null`, which no TOML file can hold.
+    /// An editor would offer `null`, which TOML cannot represent.
     #[test]
     fn the_schema_knows_no_null() {
         let schema = json_schema();
@@ -123,13 +123,14 @@ mod tests {
         assert_eq!(count, 49, "tables, the top level among them");
     }
 
-    /// One declaration: what the schema says is what the check and the reference say.
+    /// One declaration: schema, check and reference agree.
     #[test]
     fn the_schema_holds_type_range_default_and_text_of_a_key() {
         let schema = json_schema();
         let key = &schema["definitions"]["Run"]["properties"]["dt_ms"];
         let expected = serde_json::json!({
-            "type": "number", "format": "double", "minimum": 0.1, "maximum": 10.0, "default": 1.0, "description": "Time step.",
+            "type": "number", "format": "double", "minimum": 0.1, "maximum": 10.0, "default": 1.0,
+            "description": "Time step.",
         });
         assert_eq!(*key, expected);
         assert_eq!(schema["definitions"]["Run"]["required"], serde_json::json!(["mode", "duration_s"]));

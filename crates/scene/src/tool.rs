@@ -1,37 +1,39 @@
-//! The tool's dimensions, from which physics, contact spheres, X-ray, viewer and controllers take theirs.
+//! The tool's dimensions, shared by physics, contact spheres, X-ray, viewer and controllers.
 
 use crate::{Arm, Cutter, Manipulator, ToolDescription, ToolFlexure, ToolOuterTube};
 
 /// Radii of the tool.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ToolRadii {
-    /// Outside of the notched tube; the contact spheres of shaft and links have it too.
+    /// Outer radius of the notched tube, and of the contact spheres of shaft and links.
     pub tube_outer_m: f64,
     /// Lumen of the tube.
     pub tube_inner_m: f64,
-    /// Flexible drive cable in the lumen; 0 without.
+    /// Radius of the flexible drive cable in the lumen; 0 without.
     pub drive_cable_m: f64,
-    /// The tube out of which the tool slides, if there is one.
+    /// The tube that the tool slides out of, if any.
     pub outer_tube: Option<OuterTubeSize>,
     /// The burr.
     pub cutter: Cutter,
 }
 
-/// Size of a straight tube out of which a tool slides.
+/// Size of a straight tube that a tool slides out of.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct OuterTubeSize {
-    /// Outside.
+    /// Outer radius.
     pub outer_m: f64,
-    /// Lumen.
+    /// Lumen radius.
     pub inner_m: f64,
-    /// From the tool's base to its end.
+    /// Distance from the tool's base to its end.
     pub end_m: f64,
 }
 
-/// The BIGSS/JHU manipulator: a nitinol tube with an outer diameter of 6 mm and a lumen of 4 mm (Murphy et al. 2014, "Design and kinematic
-/// characterization of a surgical manipulator with a focus on treating osteolysis", Robotica 32, doi 10.1017/S0263574713001082); contact
-/// spheres of 3 mm radius and a burr of 3.25 mm radius as in the open-source simulator (htp2/continuum-manip-volumetric-drilling-plugin).
-/// The cable's 2 mm are an assumption: only X-ray frames show it.
+/// The BIGSS/JHU manipulator: a nitinol tube with an outer diameter of 6 mm and a lumen of 4 mm
+/// (Murphy et al. 2014, "Design and kinematic characterization of a surgical manipulator with a focus
+/// on treating osteolysis", Robotica 32, doi 10.1017/S0263574713001082); contact spheres of 3 mm
+/// radius and a burr of 3.25 mm radius as in the open-source simulator
+/// (htp2/continuum-manip-volumetric-drilling-plugin). The cable's 2 mm are an assumption: only X-ray
+/// frames show it.
 pub const STANDARD_RADII: ToolRadii = ToolRadii {
     tube_outer_m: 3.0e-3,
     tube_inner_m: 2.0e-3,
@@ -40,27 +42,29 @@ pub const STANDARD_RADII: ToolRadii = ToolRadii {
     cutter: Cutter::ball(3.25e-3),
 };
 
-/// What joins the tool to the arm's flange. The shaft goes on from it to the tool's base.
+/// The holder between the arm's flange and the tool. The shaft continues from it to the tool's base.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Holder {
-    /// Length from the flange on.
+    /// Length from the flange.
     pub length_m: f64,
     /// Outer radius.
     pub radius_m: f64,
 }
 
-/// An assumption, about the size of a drive unit with two motors; only the pictures and the check of the arm against bone use it.
+/// Assumed, about the size of a drive unit with two motors; used only for pictures and for the check of the
+/// arm against bone.
 pub const STANDARD_HOLDER: Holder = Holder { length_m: 0.06, radius_m: 0.02 };
 
 impl Holder {
-    /// How far the holder reaches along the straight line from the flange to the tool's base, which is `distance_m` long, m: to the base at
-    /// most. `None` if the base is on the flange: then there is neither holder nor bare shaft.
+    /// Length of the holder along the straight line from the flange to the tool's base, which is `distance_m`
+    /// long, m: at most up to the base. `None` if the base is on the flange: then there is neither holder nor
+    /// bare shaft.
     pub fn reach_m(&self, distance_m: f64) -> Option<f64> {
         (distance_m > ON_FLANGE_M).then(|| self.length_m.min(distance_m))
     }
 
-    /// Where the holder ends and the bare shaft begins, on the line from the flange to the tool's base, world, m. `None` if the base is on
-    /// the flange; the base itself if it is no farther away than the holder is long.
+    /// Where the holder ends and the bare shaft begins, on the line from the flange to the tool's base,
+    /// world, m. `None` if the base is on the flange; the base itself if the holder reaches it.
     pub fn front_m(&self, flange_m: [f64; 3], base_m: [f64; 3]) -> Option<[f64; 3]> {
         let way: [f64; 3] = core::array::from_fn(|axis| base_m[axis] - flange_m[axis]);
         let length_m = way.iter().map(|x| x * x).sum::<f64>().sqrt();
@@ -69,7 +73,7 @@ impl Holder {
     }
 }
 
-/// A base so near to the flange is on it: the mount gives way by less than this, m.
+/// A base closer to the flange than this is on it, m: the mount deflects by less.
 const ON_FLANGE_M: f64 = 5e-3;
 
 impl Arm {
@@ -83,14 +87,14 @@ impl Arm {
 }
 
 impl ToolRadii {
-    /// Radius of the tool where it is widest, but for the burr: of the tube, or of the one that it slides out of.
+    /// Largest tube radius of the tool: of the tube, or of the outer tube if it has one.
     pub fn widest_tube_m(&self) -> f64 {
         self.outer_tube.map_or(self.tube_outer_m, |tube| tube.outer_m)
     }
 }
 
 impl Manipulator {
-    /// The tube that the scene's tool slides out of, if there is one.
+    /// The tube that the scene's tool slides out of, if any.
     pub fn outer_tube(&self) -> Option<&ToolOuterTube> {
         self.tool.as_ref()?.outer_tube.as_ref()
     }
@@ -103,14 +107,14 @@ impl Manipulator {
     }
 }
 
-/// A flexure of a tool, counted out of its group.
+/// A single flexure of a tool, expanded from its group.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FlexurePlace<'a> {
     /// Its entry in the list of flexures, from 0.
     pub entry: usize,
     /// Its centre on the straight tool, from the flange.
     pub at_mm: f64,
-    /// What it is.
+    /// Its description.
     pub flexure: &'a ToolFlexure,
 }
 
@@ -131,7 +135,7 @@ impl ToolDescription {
         }
     }
 
-    /// Its flexures, counted out of their groups, in the order of the file.
+    /// Its flexures, expanded from their groups, in file order.
     pub fn flexures(&self) -> Vec<FlexurePlace<'_>> {
         let mut places = Vec::new();
         for (entry, flexure) in self.flexure.iter().enumerate() {
@@ -146,14 +150,15 @@ impl ToolDescription {
         places
     }
 
-    /// Mean distance of a flexure from its neighbours, mm; `None` for the only one.
+    /// Mean distance of a flexure from its neighbours, mm; `None` for a single flexure.
     pub fn pitch_mm(places: &[FlexurePlace], index: usize) -> Option<f64> {
         let (from, to) = (index.saturating_sub(1), (index + 1).min(places.len().saturating_sub(1)));
         let length_mm = places.get(to)?.at_mm - places.get(from)?.at_mm;
         (to > from).then(|| length_mm / (to - from) as f64)
     }
 
-    /// Length of tube that a flexure bends, mm: its own, or half way to either neighbour. `None` for an only one without length.
+    /// Length of tube that a flexure bends, mm: its own, or half way to either neighbour. `None` for a single
+    /// flexure without a length.
     pub fn length_mm(places: &[FlexurePlace], index: usize) -> Option<f64> {
         places.get(index)?.flexure.length_mm.or_else(|| ToolDescription::pitch_mm(places, index))
     }

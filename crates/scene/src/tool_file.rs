@@ -1,7 +1,7 @@
 //! `manipulator.file`: a file that describes a tool.
 //!
-//! It is put into the scene's table as `[manipulator.tool]` before the scene is parsed, so a [`Scene`](crate::Scene) holds the tool itself,
-//! and so does its copy in the session and in the log.
+//! It goes into the scene's table as `[manipulator.tool]` before parsing, so a [`Scene`](crate::Scene) holds
+//! the tool itself, and so do its copies in the session and in the log.
 
 use std::path::Path;
 
@@ -17,7 +17,7 @@ impl ToolDescription {
     /// Parses and checks a tool file's text; `path` names it in errors.
     ///
     /// # Errors
-    /// [`SceneError`]: a key is unknown or missing, a value is out of its range, or the tool cannot stand.
+    /// [`SceneError`]: a key is unknown or missing, a value is out of range, or the tool is inconsistent.
     pub fn parse(text: &str, path: &Path) -> Result<ToolDescription, SceneError> {
         let given: Table = toml::from_str(text).map_err(|cause| malformed(text, path, text, &cause))?;
         let tool: ToolDescription =
@@ -29,10 +29,11 @@ impl ToolDescription {
     }
 }
 
-/// Puts the tool that `manipulator.file` describes into a scene's table, and takes the key out. `false`: the scene names no file.
+/// Replaces `manipulator.file` in a scene's table by the tool it describes. Returns false if the scene names
+/// no file.
 ///
 /// # Errors
-/// The file cannot be read or describes no tool; the scene also describes one.
+/// The file cannot be read or describes no tool, or the scene also describes one.
 pub(crate) fn put_in(
     scene: &mut Table,
     folder: &Path,
@@ -45,7 +46,7 @@ pub(crate) fn put_in(
     };
     let file = folder.join(named);
     if manipulator.contains_key("tool") {
-        let problem = "stands beside `manipulator.tool`; expected one of the two";
+        let problem = "and `manipulator.tool` are mutually exclusive; set only one";
         return Err(checker.invalid("manipulator.file", problem));
     }
     let name = foreign_text::foreign_path(&file);
@@ -53,8 +54,9 @@ pub(crate) fn put_in(
         checker.invalid("manipulator.file", format!("names {name}, which cannot be read ({cause})"))
     })?;
     let tool = ToolDescription::parse(&text, &file)?;
-    let table = Value::try_from(&tool)
-        .map_err(|cause| checker.invalid("manipulator.file", format!("cannot be kept: {cause}")))?;
+    let table = Value::try_from(&tool).map_err(|cause| {
+        checker.invalid("manipulator.file", format!("cannot be embedded in the scene: {cause}"))
+    })?;
     manipulator.insert("tool".to_owned(), table);
     Ok(true)
 }

@@ -1,12 +1,12 @@
-//! The simulated world where it differs from what a scene's plan and controllers take it for.
+//! The simulated world where it differs from what the plan and the controllers assume.
 
 use markups::vector::{cross, dot, length, minus, plus};
 
 use crate::{Contact, Drilling, Manipulator, Scene, TrueManipulator, Truth, planned_path_mm};
 
 impl Scene {
-    /// The scene as it is: with what `[truth]` says in the place of what the plan and the controllers believe, and without `[truth]`. The
-    /// bone's place is [`Scene::in_bone_mm`].
+    /// The true scene: the values of `[truth]` replace those that the plan and the controllers assume, and
+    /// `[truth]` itself is removed. For the bone's position see [`Scene::in_bone_mm`].
     pub fn as_it_is(&self) -> Scene {
         let mut scene = self.clone();
         if let Some(truth) = scene.truth.take() {
@@ -17,7 +17,7 @@ impl Scene {
         scene
     }
 
-    /// Where a point that is fixed to the bone truly lies, mm; `point_mm` is where the plan has it. LPS.
+    /// True position of a point fixed to the bone, mm, LPS; `point_mm` is its position in the plan.
     pub fn in_bone_mm(&self, point_mm: [f64; 3]) -> [f64; 3] {
         let Some(truth) = &self.truth else { return point_mm };
         let start_mm = self.tool.burr_start_mm;
@@ -25,12 +25,12 @@ impl Scene {
         plus(plus(start_mm, 1.0, turned), 1.0, truth.registration_error_mm)
     }
 
-    /// The direction that a direction of the plan has in the true bone.
+    /// Rotates a direction of the plan with the true bone.
     pub fn turned_with_bone(&self, direction: [f64; 3]) -> [f64; 3] {
         self.truth.as_ref().map_or(direction, |truth| turned(direction, truth.registration_error_deg))
     }
 
-    /// Whether the bone lies elsewhere than the plan has it.
+    /// Whether the bone's true pose differs from the plan.
     pub fn has_registration_error(&self) -> bool {
         let moves = |truth: &Truth| {
             [truth.registration_error_mm, truth.registration_error_deg].iter().flatten().any(|x| *x != 0.0)
@@ -39,13 +39,14 @@ impl Scene {
     }
 }
 
-/// The path of [`planned_path_mm`] where it truly lies in the bone: what a run is judged by.
+/// The path of [`planned_path_mm`] at its true position in the bone, against which a run is evaluated.
 pub fn planned_path_in_bone_mm(scene: &Scene) -> Option<Vec<[f64; 3]>> {
     let path = planned_path_mm(scene)?;
     Some(path.into_iter().map(|point_mm| scene.in_bone_mm(point_mm)).collect())
 }
 
-/// Rodrigues' formula. Sine and cosine are those of `libm`, the same on every machine: the bone's place enters the hash of a run.
+/// Rodrigues' formula. Sine and cosine come from `libm`, identical on every machine: the bone's pose enters
+/// the hash of a run.
 fn turned(vector: [f64; 3], rotation_vector_deg: [f64; 3]) -> [f64; 3] {
     let angle_deg = length(rotation_vector_deg);
     if angle_deg == 0.0 {
@@ -59,7 +60,7 @@ fn turned(vector: [f64; 3], rotation_vector_deg: [f64; 3]) -> [f64; 3] {
     plus(plus(vector.map(|x| cosine * x), sine, across), along * (1.0 - cosine), axis)
 }
 
-/// Takes what is given of a table. It takes the table apart, so that a key added there is not forgotten here.
+/// Copies the keys that are set. Destructures the table, so that a new key cannot be forgotten here.
 macro_rules! put {
     ($into:expr, $table:ident { $($key:ident),+ $(,)? } = $given:expr) => {{
         let $table { $($key),+ } = $given;
@@ -114,9 +115,11 @@ mod tests {
     use crate::SceneError;
     use crate::declaration::SCENE;
 
-    const TEXT: &str = "name = \"a\"\n[run]\nmode = \"lockstep\"\nduration_s = 1.0\n[volume]\nphantom = \"block\"\n\
+    const TEXT: &str = "name = \"a\"\n[run]\nmode = \"lockstep\"\nduration_s = 1.0\n[volume]\nphantom \
+                        = \"block\"\n\
         [drilling]\nedge_pressure_mpa = 1.0\nedge_exponent = 2.0\n\
-        [tool]\nburr_start_mm = [1.0, 2.0, 3.0]\ndirection = [0.0, 0.0, 1.0]\nbend_toward = [1.0, 0.0, 0.0]\n";
+        [tool]\nburr_start_mm = [1.0, 2.0, 3.0]\ndirection = [0.0, 0.0, 1.0]\nbend_toward = [1.0, 0.0, \
+        0.0]\n";
 
     fn scene(truth: &str) -> Result<Scene, SceneError> {
         Scene::parse(&format!("{TEXT}{truth}"), Path::new("a.toml"))
@@ -148,7 +151,7 @@ mod tests {
         assert!(scene.has_registration_error());
     }
 
-    /// Rodrigues' turn keeps lengths, and its trace is 1 + 2 cos of the angle.
+    /// Rodrigues' rotation preserves lengths, and its trace is 1 + 2 cos of the angle.
     #[test]
     fn a_turn_about_any_axis_is_a_rotation_by_its_angle() {
         let vector = [3.0, -4.0, 12.0];

@@ -1,8 +1,9 @@
-//! `arm.urdf`: a serial arm out of a URDF file (<https://wiki.ros.org/urdf/XML>, `joint` and `link`).
+//! `arm.urdf`: a serial arm from a URDF file (<https://wiki.ros.org/urdf/XML>, `joint` and `link`).
 //!
-//! The joints between base and tip are put into the scene's table as `arm.joint` before it is parsed, and the meshes of the links there as
-//! `arm.mesh`. A [`Scene`](crate::Scene) therefore holds the arm's kinematics as numbers, and so does its copy in the session and in the log;
-//! of the meshes, which are only its looks, it holds the files' paths.
+//! The joints between base and tip go into the scene's table as `arm.joint` before parsing, and the meshes of
+//! the links between them as `arm.mesh`. A [`Scene`](crate::Scene) therefore holds the arm's kinematics as
+//! numbers, and so do its copies in the session and in the log; of the meshes, which only affect its
+//! appearance, it holds the files' paths.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -16,25 +17,26 @@ use crate::error::SceneError;
 use crate::named_file::{ReadText, numbers, take_flag, take_text};
 use crate::urdf_meshes::{self, MeshPlaces};
 
-/// Elements and texts of a file, at most: files of whole robots have some thousands.
+/// Largest number of XML nodes of a file: files of whole robots have some thousands.
 const MOST_NODES: u32 = 200_000;
-/// Joints between base and tip, at most: as many as `arm.joint` takes.
+/// Largest number of joints between base and tip: as many as `arm.joint` takes.
 const MOST_JOINTS: usize = 64;
-/// Farthest that a joint may stand from the one before it.
+/// Largest distance between consecutive joints.
 pub(crate) const FARTHEST_M: f64 = 10.0;
-/// Least range of a joint that turns, rad.
+/// Smallest range of a revolute joint, rad.
 const LEAST_TURN_RAD: f64 = 2e-5;
-/// Greatest angle of a limit or an orientation: two turns.
+/// Largest angle of a limit or an orientation: two turns.
 pub(crate) const GREATEST_RAD: f64 = 4.0 * core::f64::consts::PI;
-/// Range of a joint that turns without end, as of a wrist of Universal Robots.
+/// Range of a continuous joint, as for a wrist of Universal Robots.
 const CONTINUOUS_RAD: f64 = 2.0 * core::f64::consts::PI;
-/// Fastest turn that a file may give, 10 turns a second.
+/// Largest joint speed that a file may give: 10 turns per second.
 const FASTEST_RAD_PER_S: f64 = 20.0 * core::f64::consts::PI;
 
-/// Puts the joints of the file that `arm.urdf` names into a scene's table, and takes the keys of the file out. `false`: it names none.
+/// Replaces `arm.urdf` and its keys in a scene's table by the joints and meshes of that file. Returns false
+/// if the scene names no URDF file.
 ///
 /// # Errors
-/// The file cannot be read, or holds no serial arm of the kind that a scene takes.
+/// The file cannot be read, or holds no serial arm that a scene supports.
 pub(crate) fn put_in(
     scene: &mut Table,
     folder: &Path,
@@ -44,10 +46,10 @@ pub(crate) fn put_in(
     let Some(Value::Table(arm)) = scene.get_mut("arm") else { return Ok(false) };
     let Some(file) = take_text(arm, ["arm", "urdf"], "a path", checker)? else { return Ok(false) };
     if arm.contains_key("joint") {
-        return Err(checker.invalid("arm.joint", "stands beside `arm.urdf`; expected one of the two"));
+        return Err(checker.invalid("arm.joint", "and `arm.urdf` are mutually exclusive; set only one"));
     }
     if arm.contains_key("mesh") {
-        return Err(checker.invalid("arm.mesh", "stands beside `arm.urdf`; expected one of the two"));
+        return Err(checker.invalid("arm.mesh", "and `arm.urdf` are mutually exclusive; set only one"));
     }
     let base = take_text(arm, ["arm", "base_link"], "a link's name", checker)?;
     let tip = take_text(arm, ["arm", "tip_link"], "a link's name", checker)?;
@@ -66,7 +68,8 @@ pub(crate) fn put_in(
     Ok(true)
 }
 
-/// The joints from base to tip, each as a table of `arm.joint`, and the meshes of the links there, each as one of `arm.mesh`.
+/// The joints from base to tip as tables of `arm.joint`, and the meshes of the links between them as tables
+/// of `arm.mesh`.
 fn arm_of(
     text: &str,
     base: Option<&str>,
@@ -75,13 +78,11 @@ fn arm_of(
 ) -> Result<(Vec<Value>, Vec<Value>), String> {
     let options = ParsingOptions { nodes_limit: MOST_NODES, ..ParsingOptions::default() };
     let document = Document::parse_with_options(text, options)
-        .map_err(|cause| format!("is no XML ({})", foreign(&cause.to_string())))?;
+        .map_err(|cause| format!("is not valid XML ({})", foreign(&cause.to_string())))?;
     let robot = document.root_element();
     if !robot.has_tag_name("robot") {
         let name = foreign(robot.tag_name().name());
-        return Err(format!(
-            "its root is `{name}`, expected `robot`, as in URDF; xacro has to be expanded first"
-        ));
+        return Err(format!("its root element is `{name}`, expected `robot`; expand xacro files first"));
     }
     let tree = Tree::new(robot)?;
     let base = tree.end(base, "base_link", |link| !tree.parents.contains_key(link))?;
@@ -100,12 +101,12 @@ fn arm_of(
     Ok((chain.into_iter().map(UrdfJoint::table).collect::<Result<_, _>>()?, meshes))
 }
 
-/// Children of the robot of one kind.
+/// The robot's child elements with a tag.
 fn named<'a>(robot: Node<'a, 'a>, tag: &'static str) -> impl Iterator<Item = Node<'a, 'a>> {
     robot.children().filter(move |node| node.has_tag_name(tag))
 }
 
-/// A joint of the file.
+/// A joint element of the file.
 struct UrdfJoint<'a> {
     name: &'a str,
     parent: &'a str,
@@ -124,7 +125,7 @@ impl<'a> Tree<'a> {
         let mut links = BTreeSet::new();
         for link in named(robot, "link").filter_map(|node| node.attribute("name")) {
             if !links.insert(link) {
-                return Err(format!("link `{}` stands twice", foreign(link)));
+                return Err(format!("duplicate link `{}`", foreign(link)));
             }
         }
         let mut parents = BTreeMap::new();
@@ -136,7 +137,7 @@ impl<'a> Tree<'a> {
                 match links.contains(link) {
                     true => Ok(link),
                     false => Err(format!(
-                        "joint `{}` has the {tag} link `{}`, which the file does not have",
+                        "joint `{}` refers to the {tag} link `{}`, which the file does not define",
                         foreign(name),
                         foreign(link)
                     )),
@@ -146,7 +147,8 @@ impl<'a> Tree<'a> {
             let joint = UrdfJoint { name, parent: above, child: below, node };
             if let Some(other) = parents.insert(below, joint) {
                 return Err(format!(
-                    "link `{}` hangs on the joints `{}` and `{}`; expected one: a serial arm has no loops",
+                    "link `{}` is the child of both joint `{}` and joint `{}`; expected one parent: a serial \
+                     arm has no loops",
                     foreign(below),
                     foreign(other.name),
                     foreign(name)
@@ -156,7 +158,7 @@ impl<'a> Tree<'a> {
         Ok(Tree { links, parents })
     }
 
-    /// The link that a key names, or the only one that could be meant.
+    /// The link named by a key, or else the only candidate.
     fn end(&self, named: Option<&str>, key: &str, is_end: impl Fn(&str) -> bool) -> Result<&'a str, String> {
         let listed = |links: &mut dyn Iterator<Item = &&str>| {
             links.take(20).map(|link| foreign(link).to_string()).collect::<Vec<_>>().join(", ")
@@ -173,8 +175,10 @@ impl<'a> Tree<'a> {
         let ends: Vec<&str> = self.links.iter().copied().filter(|link| is_end(link)).collect();
         match ends.as_slice() {
             [one] => Ok(one),
-            [] => Err(format!("has no link to be `arm.{key}`: its joints form a loop")),
-            several => Err(format!("expected `arm.{key}` to be one of {}", listed(&mut several.iter()))),
+            [] => Err(format!("has no candidate for `arm.{key}`: its joints form a loop")),
+            several => {
+                Err(format!("`arm.{key}` is ambiguous; set it to one of {}", listed(&mut several.iter())))
+            }
         }
     }
 
@@ -221,19 +225,17 @@ impl UrdfJoint<'_> {
             "revolute" | "continuous" => self.turn(kind == "continuous", &mut table)?,
             other => {
                 let expected =
-                    "expected revolute, continuous or fixed: a state holds the joints of an arm as angles";
-                return Err(self.says(&format!("is of the type `{}`; {expected}", foreign(other))));
+                    "expected revolute, continuous or fixed: the state holds joint positions as angles";
+                return Err(self.says(&format!("is of type `{}`; {expected}", foreign(other))));
             }
         }
         Ok(Value::Table(table))
     }
 
-    /// Axis and limits of a joint that turns.
+    /// Sets axis and limits of a revolute joint.
     fn turn(&self, is_endless: bool, table: &mut Table) -> Result<(), String> {
         if child(self.node, "mimic").is_some() {
-            return Err(
-                self.says("copies another (`mimic`); expected each joint of the arm to move by itself")
-            );
+            return Err(self.says("mimics another joint (`mimic`), which is not supported in an arm"));
         }
         let axis = match child(self.node, "axis").and_then(|node| node.attribute("xyz")) {
             None => [1.0, 0.0, 0.0],
@@ -242,7 +244,9 @@ impl UrdfJoint<'_> {
         let limit = child(self.node, "limit");
         let limit_of = |key: &str, lowest: f64, highest: f64| match limit.and_then(|node| node.attribute(key))
         {
-            None => Err(self.says(&format!("has no `limit {key}`; expected it, {lowest} to {highest}"))),
+            None => {
+                Err(self.says(&format!("has no `limit {key}`; expected a number from {lowest} to {highest}")))
+            }
             Some(text) => self.number("limit", key, text, lowest, highest),
         };
         let [lower, upper] = match is_endless {
@@ -254,7 +258,8 @@ impl UrdfJoint<'_> {
         };
         if upper - lower < LEAST_TURN_RAD {
             let problem = format!(
-                "has `limit lower` = {lower} and `upper` = {upper}, expected the upper above the lower, rad"
+                "has `limit lower` = {lower} and `upper` = {upper}, expected the upper limit above the lower \
+                 one, rad"
             );
             return Err(self.says(&problem));
         }
@@ -275,7 +280,8 @@ impl UrdfJoint<'_> {
     }
 }
 
-/// Three numbers of an attribute, none of them farther from zero than `most`; the error is about what has the attribute.
+/// Parses three numbers of an attribute, each at most `most` in magnitude; errors read as predicates of the
+/// element.
 pub(crate) fn three(tag: &str, key: &str, text: &str, most: f64) -> Result<[f64; 3], String> {
     let parts: Vec<&str> = text.split_ascii_whitespace().collect();
     let [x, y, z] = parts.as_slice() else {
@@ -286,7 +292,7 @@ pub(crate) fn three(tag: &str, key: &str, text: &str, most: f64) -> Result<[f64;
 }
 
 fn number(tag: &str, key: &str, text: &str, lowest: f64, highest: f64) -> Result<f64, String> {
-    // A NaN is in no range, so this refuses it too.
+    // NaN is in no range and therefore refused too.
     match text.trim().parse::<f64>() {
         Ok(value) if (lowest..=highest).contains(&value) => Ok(value),
         _ => Err(format!(

@@ -1,4 +1,5 @@
-//! What the links of a URDF file are drawn with: meshes of their `visual`, and those of their `collision` where none of it can be drawn.
+//! Meshes of the links of a URDF file: those of `visual`, or of `collision` where none of the former can be
+//! drawn.
 
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
@@ -11,21 +12,21 @@ use crate::mesh::MeshFormat;
 use crate::named_file::{ReadText, numbers};
 use crate::urdf::{FARTHEST_M, GREATEST_RAD, child, three};
 
-/// Greatest factor of a mesh, m for a unit of its file.
+/// Largest scale factor of a mesh, m per file unit.
 const GREATEST_SCALE: f64 = 1e3;
 
-/// Where mesh files are looked for.
+/// Where mesh files are searched.
 pub(crate) struct MeshPlaces<'a> {
-    /// Folder of the URDF file, from the root of the file system.
+    /// Folder of the URDF file, absolute.
     pub(crate) folder: &'a Path,
-    /// Asks whether a file is there.
+    /// Probes whether a file exists.
     pub(crate) read: &'a ReadText<'a>,
 }
 
 /// The meshes of one link, each as a table of `arm.mesh` that moves with `joint`.
 ///
 /// # Errors
-/// A file that is not there, or numbers that are none; names the link.
+/// A file that is missing, or malformed numbers; the message names the link.
 pub(crate) fn of_link(link: Node, joint: Option<&str>, places: &MeshPlaces) -> Result<Vec<Value>, String> {
     let name = link.attribute("name").unwrap_or_default();
     let of = |kind: &'static str| -> Vec<Mesh> {
@@ -40,7 +41,7 @@ pub(crate) fn of_link(link: Node, joint: Option<&str>, places: &MeshPlaces) -> R
     meshes.iter().map(table).collect()
 }
 
-/// A mesh of the file.
+/// A mesh element of the file.
 struct Mesh<'a> {
     file: &'a str,
     scale: Option<&'a str>,
@@ -48,7 +49,7 @@ struct Mesh<'a> {
 }
 
 impl<'a> Mesh<'a> {
-    /// The mesh of a `visual` or a `collision`; none: it is a box, a cylinder or a sphere.
+    /// The mesh of a `visual` or a `collision`; `None` if its geometry is a box, a cylinder or a sphere.
     fn of(node: Node<'a, 'a>) -> Option<Mesh<'a>> {
         let mesh = child(node, "geometry").and_then(|node| child(node, "mesh"))?;
         let file = mesh.attribute("filename")?;
@@ -63,7 +64,7 @@ impl<'a> Mesh<'a> {
         let file = places.found(self.file)?;
         let file = file
             .to_str()
-            .ok_or_else(|| format!("has the mesh {}, expected a path in UTF-8", foreign_path(&file)))?;
+            .ok_or_else(|| format!("has the mesh {}, whose path is not UTF-8", foreign_path(&file)))?;
         let scale = self.scale.map_or(Ok([1.0; 3]), |text| three("mesh", "scale", text, GREATEST_SCALE))?;
         let mut table = Table::new();
         if let Some(joint) = joint {
@@ -81,9 +82,10 @@ impl<'a> Mesh<'a> {
 }
 
 impl MeshPlaces<'_> {
-    /// The file that a name means: `package://NAME/PATH` is `NAME/PATH` in the URDF file's folder or in one above it, as in a ROS workspace.
+    /// Resolves a file name: `package://NAME/PATH` is `NAME/PATH` in the URDF file's folder or in one above
+    /// it, as in a ROS workspace.
     fn found(&self, name: &str) -> Result<PathBuf, String> {
-        // Reading it only tells whether it is there: most meshes are no text.
+        // Reading only tests for existence: most meshes are not text.
         let is_there = |path: &PathBuf| match (self.read)(path) {
             Ok(_) => true,
             Err(cause) => !matches!(cause.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory),
@@ -96,7 +98,8 @@ impl MeshPlaces<'_> {
             Some((kind, _)) if kind != "file" => {
                 let (name, kind) = (foreign(name), foreign(kind));
                 return Err(format!(
-                    "has the mesh {name} of the kind `{kind}`, expected `package://`, `file://` or a path"
+                    "has the mesh {name} with the unsupported scheme `{kind}`, expected `package://`, \
+                     `file://` or a path"
                 ));
             }
             Some((_, path)) => (Some(PathBuf::from(path)).filter(is_there), foreign(path).to_string()),
@@ -108,7 +111,8 @@ impl MeshPlaces<'_> {
         };
         found.ok_or_else(|| {
             format!(
-                "has the mesh {}, which is not there; expected {expected}; `arm.meshes = false` draws tubes instead",
+                "has the mesh {}, which was not found; expected {expected}; `arm.meshes = false` draws tubes \
+                 instead",
                 foreign(name)
             )
         })

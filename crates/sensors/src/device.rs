@@ -1,4 +1,4 @@
-//! One sensor: samples, errors, and what is underway.
+//! One sensor: its samples, errors and pending readings.
 
 use std::collections::VecDeque;
 
@@ -10,14 +10,15 @@ use serde::{Deserialize, Serialize};
 use crate::measure::{Measure, Sample};
 use crate::timing::Timing;
 
-/// A number in the place of the tick for what is drawn once a run.
+/// Replaces the tick as counter for values drawn once per run.
 const ONCE: u64 = u64::MAX;
-/// Counters of a sample's random words beside those of noise, 0 to 63, and of drift, 64 to 127.
+/// Counters of a sample's random words. A normal deviate takes two, so noise uses 0 to 63 and drift 64 to
+/// 127.
 const DRIFT: u64 = 32;
 const JITTER: u64 = 128;
 const DROPOUT: u64 = 129;
 
-/// A sensor and what it keeps.
+/// A sensor and its state.
 #[derive(Debug, Clone)]
 pub(crate) struct Device {
     index: u32,
@@ -29,19 +30,19 @@ pub(crate) struct Device {
     pub state: DeviceState,
 }
 
-/// What a sensor keeps between ticks.
+/// State of a sensor between ticks.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub(crate) struct DeviceState {
     /// Random walk of each value.
     drift: Vec<f64>,
-    /// The low-pass filter's output; none before the first state.
+    /// Output of the low-pass filter; `None` before the first state.
     filtered: Option<Vec<f64>>,
     underway: VecDeque<Underway>,
-    /// When the last sample arrives.
+    /// Tick at which the last sample arrives.
     last_arrival: u64,
 }
 
-/// A sample that had not arrived by the state before.
+/// A sample that had not arrived by the previous state.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 struct Underway {
     arrival: u64,
@@ -80,7 +81,7 @@ impl Device {
             && state.underway.iter().all(|sample| sample.count as usize <= MAX_SENSOR_VALUES)
     }
 
-    /// As at the start of a run.
+    /// Resets to the start of a run.
     pub fn reset(&mut self) {
         self.state.drift.fill(0.0);
         self.state.filtered = None;
@@ -88,7 +89,7 @@ impl Device {
         self.state.last_arrival = 0;
     }
 
-    /// Takes a state: lets the filter follow it, and samples it if that is due.
+    /// Takes a state: updates the filter, and samples if a sample is due.
     pub fn see(&mut self, state: &State) {
         let share = self.measure.low_pass_share();
         let is_due = self.timing.is_due(state.tick);
@@ -104,7 +105,8 @@ impl Device {
         }
     }
 
-    /// A first-order low pass: y += (1 − e^(−2π f dt)) (x − y), exact for an input that is constant within a tick.
+    /// Applies a first-order low-pass filter: y += (1 − e^(−2π f dt)) (x − y), exact for an input that is
+    /// constant within a tick.
     fn filter(&mut self, sample: &mut Sample, share: f64) {
         match &mut self.state.filtered {
             Some(filtered) => {
@@ -113,7 +115,7 @@ impl Device {
                 }
                 sample.value.copy_from_slice(filtered);
             }
-            // The one allocation of a sensor's life, at its first state.
+            // The only allocation of a sensor, at its first state.
             none => *none = Some(sample.value.to_vec()),
         }
     }
@@ -136,7 +138,7 @@ impl Device {
         self.state.underway.push_back(underway);
     }
 
-    /// The readings that have arrived by this tick, without sequence numbers.
+    /// Returns the readings that have arrived by this tick, without sequence numbers.
     pub fn arrived(&self, tick: u64) -> impl Iterator<Item = SensorReading> + '_ {
         let arrived = self.state.underway.iter().take_while(move |sample| sample.arrival <= tick);
         arrived.map(move |sample| SensorReading {
@@ -151,7 +153,7 @@ impl Device {
         })
     }
 
-    /// Forgets what had arrived by the last state.
+    /// Drops readings that had arrived by the last state.
     pub fn forget_arrived(&mut self, last: Option<u64>) {
         let Some(last) = last else { return };
         while self.state.underway.front().is_some_and(|sample| sample.arrival <= last) {

@@ -1,25 +1,25 @@
-//! Curvature along the tool, and the shape that follows from it.
+//! Curvature along the tool, and the shape integrated from it.
 //!
-//! The tool bends at its flexures. Each flexure's angle counts as even along the stretch of tool between the middles to its neighbours, so
-//! the curvature is constant there. A node reads the mean curvature over its gauge length, in two directions: toward tendon 0 (the bend
-//! plane, +x of the tool's base) and across (+y).
+//! The tool bends at its flexures. Each flexure's angle is spread evenly over the section between the
+//! midpoints to its neighbours, so the curvature is constant there. A node reads the mean curvature over its
+//! gauge length, in two directions: toward tendon 0 (the bend plane, +x of the tool's base) and across (+y).
 
 use messages::{MAX_JOINTS, Pose, State};
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
 
 use crate::measure::rotation;
 
-/// Steps along the fibre when a shape is made from curvatures; each is a circular arc.
+/// Integration steps along the fibre when computing a shape from curvatures; each is a circular arc.
 const STEPS: usize = 128;
 
-/// Where the nodes of a fibre lie, from its start, as shares of its length: in the middles of equal stretches.
+/// Positions of a fibre's nodes from its start, as fractions of its length: the midpoints of equal sections.
 pub fn node_places(nodes: u32) -> impl Iterator<Item = f64> {
     (0..nodes).map(move |node| (f64::from(node) + 0.5) / f64::from(nodes))
 }
 
-/// The part of a tool that bends, as stretches of constant curvature.
+/// The bending part of a tool as sections of constant curvature.
 struct Stretches {
-    /// Ends of the stretches, from the fibre's start, metres.
+    /// Ends of the sections from the fibre's start, metres.
     end_m: [f64; MAX_JOINTS],
     /// Curvature of each, toward and across, 1/m.
     curvature_per_m: [[f64; 2]; MAX_JOINTS],
@@ -38,7 +38,7 @@ impl Stretches {
             let here = rotation(&state.t_world_link[i]);
             let turn = (before.inverse() * here).scaled_axis();
             if length_m > 0.0 {
-                // A turn about +y bends toward +x, one about -x toward +y.
+                // A rotation about +y bends toward +x, one about -x toward +y.
                 stretches.curvature_per_m[i] = [turn.y / length_m, -turn.x / length_m];
             }
             start_m += length_m;
@@ -52,7 +52,7 @@ impl Stretches {
         self.count.checked_sub(1).map_or(0.0, |last| self.end_m[last])
     }
 
-    /// Mean curvature between two places.
+    /// Mean curvature between two positions.
     fn mean_per_m(&self, from_m: f64, to_m: f64) -> [f64; 2] {
         let (mut sum, mut covered_m, mut start_m) = ([0.0; 2], 0.0, 0.0);
         for (end_m, curvature) in self.end_m.iter().zip(&self.curvature_per_m).take(self.count) {
@@ -66,7 +66,8 @@ impl Stretches {
     }
 }
 
-/// Pose of the base of the tube in which the fibre lies: the tool's base, but for a tool that has slid out of an outer tube and turned in it.
+/// Pose of the base of the tube that contains the fibre. It differs from the tool's base only if the tool has
+/// slid out of an outer tube and rotated in it.
 pub fn t_world_tube(state: &State) -> Pose {
     if state.tube_deployed_m == 0.0 && state.tube_roll_rad == 0.0 {
         return state.t_world_base;
@@ -84,7 +85,8 @@ fn distance_m(a: &Pose, b: &Pose) -> f64 {
     (Vector3::from(a.position_m) - Vector3::from(b.position_m)).norm()
 }
 
-/// Length of tool that bends at flexure i: half the way to either neighbour; at the ends, twice the half way to the only one.
+/// Length of tool that bends at flexure i: half the distance to each neighbour; at the ends, the full
+/// distance to the only neighbour.
 fn stretch_m(state: &State, i: usize, count: usize) -> f64 {
     let link = &state.t_world_link;
     let before = (i > 0).then(|| distance_m(&link[i - 1], &link[i]));
@@ -96,7 +98,8 @@ fn stretch_m(state: &State, i: usize, count: usize) -> f64 {
     }
 }
 
-/// What the nodes of a fibre without errors read: toward and across of each, from base to tip, 1/m. All zero for a tool that does not bend.
+/// Error-free node readings: curvature toward and across for each node, from base to tip, 1/m. All zero for a
+/// tool that does not bend.
 pub(crate) fn node_curvatures(state: &State, nodes: u32, gauge_m: f64) -> impl Iterator<Item = f64> {
     let stretches = Stretches::of(state);
     let length_m = stretches.length_m();
@@ -106,8 +109,8 @@ pub(crate) fn node_curvatures(state: &State, nodes: u32, gauge_m: f64) -> impl I
     })
 }
 
-/// Where a fibre lies in its tool: what is needed to make a shape from curvatures. The dimensions are the tool's; of a state, only they are
-/// used, not its shape.
+/// Location of a fibre in its tool, as needed to compute a shape from curvatures. Depends only on the tool's
+/// dimensions in a state, not on its shape.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Fibre {
     /// From the tube's base ([`t_world_tube`]) to the fibre's start, metres.
@@ -119,7 +122,7 @@ pub struct Fibre {
 }
 
 impl Fibre {
-    /// The fibre of the tool in a state.
+    /// Locates the fibre of the tool in a state.
     pub fn of(state: &State) -> Fibre {
         let count = (state.joint_count as usize).min(MAX_JOINTS);
         let Some(last) = count.checked_sub(1) else {
@@ -139,8 +142,9 @@ impl Fibre {
         }
     }
 
-    /// Pose of the burr, from that of the tube's base and the curvatures of the nodes (toward and across of each): between nodes the curvature
-    /// is linear, outside it is that of the nearest node.
+    /// Computes the pose of the burr from that of the tube's base and the node curvatures (toward and across
+    /// for each). Between nodes the curvature is interpolated linearly; outside it is that of the nearest
+    /// node.
     pub fn burr(&self, t_world_tube: &Pose, curvatures_per_m: &[f64]) -> Pose {
         let nodes = (curvatures_per_m.len() / 2) as u32;
         let mut here = Isometry3::from_parts(
@@ -162,7 +166,7 @@ impl Fibre {
     }
 }
 
-/// Curvature at a share of the fibre's length.
+/// Curvature at a fraction of the fibre's length.
 fn interpolated(curvatures_per_m: &[f64], nodes: u32, share: f64) -> [f64; 2] {
     if nodes == 0 {
         return [0.0; 2];
@@ -177,7 +181,8 @@ fn interpolated(curvatures_per_m: &[f64], nodes: u32, share: f64) -> [f64; 2] {
     })
 }
 
-/// The pose at the end of a circular arc along +z that turns by `turn_per_m` for each metre: half the turn, the chord, half the turn.
+/// Pose at the end of a circular arc along +z that rotates by `turn_per_m` per metre: half the rotation, the
+/// chord, half the rotation.
 fn arc(turn_per_m: Vector3<f64>, length_m: f64) -> Isometry3<f64> {
     let half = UnitQuaternion::from_scaled_axis(turn_per_m * (0.5 * length_m));
     let angle = turn_per_m.norm() * length_m;

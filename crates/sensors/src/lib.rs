@@ -1,13 +1,15 @@
-//! Sensors: what measures the simulated tool, instead of the exact state.
+//! Sensors: simulated measurements of the tool, in place of the exact state.
 //!
-//! A reading is a function of the states up to its sample, its tick and the seeds of run and sensor: noise, bias, jitter and drop-outs are
-//! counter-based random numbers, drift and the low-pass filter are kept in the state. [`SensorArray::see`] is given every state, in order,
-//! and says which readings arrive with it.
+//! A reading is a function of the states up to its sample, its tick and the seeds of the run and the sensor:
+//! noise, bias, jitter and drop-outs are counter-based random numbers; drift and the low-pass filter are kept
+//! in [`SensorArrayState`]. [`SensorArray::see`] takes every state, in order; [`SensorArray::readings`] then
+//! lists the readings that arrive with it.
 //!
-//! [`MeasuredState`] is the other end: it puts readings in the place of a state's exact values, for controllers.
+//! [`MeasuredState`] is the receiving end: it replaces a state's exact values by readings, for controllers.
 //!
-//! **Boundary:** states in, readings out. It only computes. **Invariants:** readings of a sensor arrive in the order of their samples; at
-//! most [`scene::MAX_READINGS_UNDERWAY`] of them wait; a step allocates nothing.
+//! **Boundary:** states in, readings out. It only computes. **Invariants:** readings of a sensor arrive in
+//! the order of their samples; at most [`scene::MAX_READINGS_UNDERWAY`] of them are pending; a step allocates
+//! nothing.
 //!
 //! ```
 //! use std::path::Path;
@@ -38,7 +40,8 @@
 //! for tick in 0..=15 {
 //!     state.tick = tick;
 //!     sensors.see(&state);
-//!     arrived.extend(sensors.readings().iter().map(|reading| (reading.tick, reading.sample_tick, reading.value[0])));
+//!     let readings = sensors.readings().iter();
+//!     arrived.extend(readings.map(|reading| (reading.tick, reading.sample_tick, reading.value[0])));
 //! }
 //! assert_eq!(arrived, [(5, 0, 3.0), (15, 10, 3.0)]);
 //! ```
@@ -65,35 +68,35 @@ pub struct SensorArray {
     arrived: Vec<SensorReading>,
 }
 
-/// What [`SensorArray`] keeps between ticks.
+/// State of a [`SensorArray`] between ticks.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SensorArrayState {
     devices: Vec<DeviceState>,
     clock: Clock,
 }
 
-/// How far the sensors have come.
+/// Progress of the sensors.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 struct Clock {
-    /// `State.tick` of the last state seen; none before the first.
+    /// `State.tick` of the last state seen; `None` before the first.
     tick: Option<u64>,
     /// Readings that arrived before that state.
     sent: u64,
 }
 
 impl SensorArray {
-    /// The sensors of a scene before its first state; none if the scene names none.
+    /// Creates the sensors of a scene; empty if the scene has none.
     pub fn new(scene: &Scene) -> SensorArray {
         let devices: Vec<Device> = (0..)
             .zip(&scene.sensor)
             .map(|(index, sensor)| Device::new(index, sensor, scene.run.seed, scene.dt_s()))
             .collect();
-        // All that wait may arrive at once, after a long jitter.
+        // After a long jitter, all pending readings can arrive at once.
         let most = devices.len() * (MAX_READINGS_UNDERWAY + 2);
         SensorArray { devices, clock: Clock::default(), arrived: Vec::with_capacity(most) }
     }
 
-    /// Takes the next state: samples what is due, and lists what arrives.
+    /// Takes the next state: samples the sensors that are due and lists the readings that arrive.
     pub fn see(&mut self, state: &State) {
         let last = self.clock.tick.replace(state.tick);
         self.clock.sent += self.arrived.len() as u64;
@@ -104,7 +107,7 @@ impl SensorArray {
         self.list();
     }
 
-    /// Lists what arrives with the last state seen.
+    /// Lists the readings that arrive with the last state seen.
     fn list(&mut self) {
         self.arrived.clear();
         let Some(tick) = self.clock.tick else { return };
@@ -114,34 +117,34 @@ impl SensorArray {
         }
     }
 
-    /// Whether there is none.
+    /// Returns true if there are no sensors.
     pub fn is_empty(&self) -> bool {
         self.devices.is_empty()
     }
 
-    /// What arrives with the last state, by sensor.
+    /// Readings that arrive with the last state, ordered by sensor.
     pub fn readings(&self) -> &[SensorReading] {
         &self.arrived
     }
 
-    /// What it keeps between ticks.
+    /// Returns the state between ticks.
     pub fn state(&self) -> SensorArrayState {
         let devices = self.devices.iter().map(|device| device.state.clone()).collect();
         SensorArrayState { devices, clock: self.clock }
     }
 
-    /// What it keeps between ticks, to be written: as [`SensorArray::state`], without a copy.
+    /// Serialises the state between ticks: the same as [`SensorArray::state`], without a copy.
     pub fn serialised(&self) -> impl Serialize + '_ {
         Kept { devices: Borrowed(&self.devices), clock: self.clock }
     }
 
-    /// Whether a state is of sensors like these.
+    /// Returns true if a state belongs to sensors like these.
     pub fn fits(&self, state: &SensorArrayState) -> bool {
         self.devices.len() == state.devices.len()
             && self.devices.iter().zip(&state.devices).all(|(device, state)| device.fits(state))
     }
 
-    /// Goes on from a state that [`SensorArray::fits`].
+    /// Resumes from a state that [`SensorArray::fits`].
     pub fn restore(&mut self, state: &SensorArrayState) {
         for (device, saved) in self.devices.iter_mut().zip(&state.devices) {
             device.state.clone_from(saved);
@@ -150,7 +153,8 @@ impl SensorArray {
         self.list();
     }
 
-    /// Begins anew at the present tick: filters and drift as at the start, nothing underway. Sequence numbers go on.
+    /// Restarts at the present tick: resets filters and drift and drops pending readings. Sequence numbers
+    /// continue.
     pub fn reset(&mut self) {
         self.devices.iter_mut().for_each(Device::reset);
         self.clock.sent += self.arrived.len() as u64;
@@ -158,7 +162,7 @@ impl SensorArray {
     }
 }
 
-/// The same bytes as [`SensorArrayState`].
+/// Serialises to the same bytes as [`SensorArrayState`].
 #[derive(Serialize)]
 struct Kept<'a> {
     devices: Borrowed<'a>,

@@ -1,4 +1,4 @@
-//! What each kind of sensor measures, and with which errors.
+//! Exact values and errors of each kind of sensor.
 
 use messages::{MAX_ARM_JOINTS, MAX_SENSOR_VALUES, MAX_TENDONS, Pose, SensorKind, State};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
@@ -11,7 +11,7 @@ const POSE_VALUES: u32 = 7;
 /// Values of a wrench: force, then torque.
 const WRENCH_VALUES: usize = 6;
 
-/// What a sensor measures, in SI units.
+/// Kind of sensor with its parameters, in SI units.
 #[derive(Debug, Clone)]
 pub(crate) enum Measure {
     Fbg(Fbg),
@@ -26,7 +26,7 @@ pub(crate) enum Measure {
 pub(crate) struct Sample {
     pub value: [f64; MAX_SENSOR_VALUES],
     pub count: u32,
-    /// False if the tracker does not see its marker.
+    /// False if the tracker has lost its marker.
     pub is_seen: bool,
 }
 
@@ -41,7 +41,7 @@ impl Sample {
     }
 }
 
-/// Errors of a sample, in units of their standard deviations: noise and bias of a channel.
+/// Random deviate of a channel (noise or bias), in standard deviations.
 type Deviate<'a> = &'a dyn Fn(usize) -> f64;
 
 impl Measure {
@@ -52,7 +52,7 @@ impl Measure {
             Sensor { encoders: Some(encoders), .. } => Measure::Encoders(encoders.clone()),
             Sensor { load_cell: Some(cell), .. } => Measure::LoadCell(cell.clone()),
             Sensor { force_torque, .. } => {
-                // A checked scene has exactly one of the five.
+                // A validated scene has exactly one of the five.
                 let wrench = force_torque.clone().unwrap_or(ForceTorque {
                     noise_n: 0.0,
                     noise_nm: 0.0,
@@ -82,7 +82,7 @@ impl Measure {
         if matches!(self, Measure::ForceTorque(..)) { WRENCH_VALUES } else { 0 }
     }
 
-    /// Standard deviation of a value's random walk after a second.
+    /// Standard deviation of a value's random walk after one second.
     pub fn drift_per_root_s(&self, channel: usize) -> f64 {
         match self {
             Measure::ForceTorque(wrench, _) if channel < 3 => wrench.drift_n,
@@ -91,7 +91,7 @@ impl Measure {
         }
     }
 
-    /// Share of the way to its input that the low-pass filter goes in a tick.
+    /// Fraction of the distance to its input that the low-pass filter covers per tick.
     pub fn low_pass_share(&self) -> Option<f64> {
         match self {
             Measure::ForceTorque(_, share) => *share,
@@ -99,7 +99,7 @@ impl Measure {
         }
     }
 
-    /// What a sensor without errors measures.
+    /// Returns the error-free measurement.
     pub fn exact(&self, state: &State) -> Sample {
         match self {
             Measure::Fbg(fbg) => Sample::of(node_curvatures(state, fbg.nodes, fbg.gauge_mm * 1e-3)),
@@ -150,8 +150,7 @@ fn each(sample: &mut Sample, change: impl Fn(usize, f64) -> f64) {
     }
 }
 
-/// The nearest multiple of a step; without a step the value itself.
-/// A step that is finer than a `f64` can count rounds nothing.
+/// Rounds to the nearest multiple of a step; no-op without a step or if the step is too fine for `f64`.
 fn rounded(x: f64, step: f64) -> f64 {
     let steps = libm::round(x / step);
     if step > 0.0 && steps.is_finite() { steps * step } else { x }
@@ -174,7 +173,7 @@ fn tracked(tracker: &Tracker, state: &State) -> Sample {
         let to_camera = Vector3::from(camera_mm) * 1e-3 - Vector3::from(pose.position_m);
         let faces = rotation(pose) * Vector3::from(tracker.marker_faces);
         let lengths = to_camera.norm() * faces.norm();
-        // A marker in the camera itself is seen.
+        // A marker at the camera's position counts as visible.
         let cosine = if lengths > 0.0 { to_camera.dot(&faces) / lengths } else { 1.0 };
         sample.is_seen = cosine >= libm::cos(tracker.view_deg.to_radians());
     }

@@ -1,4 +1,4 @@
-//! A state as a controller knows it from its sensors.
+//! The state as a controller knows it from its sensors.
 
 use messages::{MAX_TENDONS, Pose, SensorKind, SensorReading, State, Wrench};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
@@ -7,17 +7,18 @@ use scene::{Scene, Tracked};
 use crate::fibre::{Fibre, t_world_tube};
 use crate::measure::rotation;
 
-/// Puts the newest readings of chosen sensors in the place of a state's exact values. What no reading of them tells stays exact.
+/// Replaces a state's exact values by the newest readings of the selected sensors. Values that none of them
+/// measures stay exact.
 ///
-/// | kind | stands for |
+/// | kind | replaces |
 /// |---|---|
-/// | `fbg` | `t_world_burr`, `t_world_tip`, `bend_rad`, from the exact `t_world_base` and the tool's dimensions |
-/// | `tracker` | the pose of what carries the marker; on the burr also `t_world_tip` |
+/// | `fbg` | `t_world_burr`, `t_world_tip`, `bend_rad`; from the exact `t_world_base` and the dimensions |
+/// | `tracker` | the pose of the body that carries the marker; on the burr also `t_world_tip` |
 /// | `encoders` | `arm_joint_position_rad` |
 /// | `load_cell` | `tendon_tension_n` |
 /// | `force_torque` | `flange_wrench` |
 ///
-/// A controller that is told to use a sensor waits for its first valid reading: see [`MeasuredState::is_complete`].
+/// A controller that uses a sensor waits for its first valid reading: see [`MeasuredState::is_complete`].
 #[derive(Debug, Clone)]
 pub struct MeasuredState {
     used: Vec<Used>,
@@ -33,7 +34,7 @@ struct Used {
 }
 
 impl MeasuredState {
-    /// For the sensors of these names; names that the scene does not have are left out (a checked scene has none).
+    /// Selects the sensors with these names; unknown names are ignored (a validated scene has none).
     pub fn new(scene: &Scene, names: &[String]) -> MeasuredState {
         let used = |name: &String| {
             let (index, sensor) = (0..).zip(&scene.sensor).find(|(_, sensor)| sensor.name == *name)?;
@@ -43,7 +44,7 @@ impl MeasuredState {
         MeasuredState { used: names.iter().filter_map(used).collect(), fibre: None }
     }
 
-    /// Takes a reading of any sensor. One without values is passed over: what was measured before stays.
+    /// Takes a reading of any sensor. A reading without values is ignored: the previous measurement is kept.
     pub fn see(&mut self, reading: &SensorReading) {
         let used = self.used.iter_mut().find(|used| used.index == reading.sensor_index);
         if let Some(used) = used.filter(|_| reading.is_valid()) {
@@ -51,19 +52,19 @@ impl MeasuredState {
         }
     }
 
-    /// Forgets what was measured before a tick, at which the run was set back.
+    /// Drops measurements from before a tick to which the run was reset.
     pub fn forget_before(&mut self, tick: u64) {
         for used in &mut self.used {
             used.newest = used.newest.filter(|reading| reading.sample_tick >= tick);
         }
     }
 
-    /// Whether every sensor has measured.
+    /// Returns true if every sensor has a measurement.
     pub fn is_complete(&self) -> bool {
         self.used.iter().all(|used| used.newest.is_some())
     }
 
-    /// The state as it is measured.
+    /// Returns the measured state.
     pub fn of(&mut self, exact: &State) -> State {
         let mut state = *exact;
         let fibre = *self.fibre.get_or_insert_with(|| Fibre::of(exact));
@@ -99,7 +100,7 @@ fn put_shape(state: &mut State, fibre: &Fibre, curvatures_per_m: &[f64]) {
     put_burr(state, burr);
 }
 
-/// The burr's pose, and the tip's as far in front of it as before.
+/// Sets the burr's pose, and moves the tip with it, keeping its distance in front.
 fn put_burr(state: &mut State, burr: Pose) {
     let front = Vector3::from(state.t_world_tip.position_m) - Vector3::from(state.t_world_burr.position_m);
     let ahead = rotation(&burr) * Vector3::new(0.0, 0.0, front.norm());

@@ -1,8 +1,9 @@
-//! When a sensor samples, and when its readings arrive.
+//! Sampling and arrival times of a sensor's readings.
 
 use scene::Sensor;
 
-/// A sample is due within this share of a tick: rounding of the rate must not move it to the next.
+/// Tolerance, in ticks, within which a sample is due, so that rounding of the rate does not move it to the
+/// next tick.
 const ROUNDING_TICKS: f64 = 1e-6;
 
 /// Rate, delay and jitter of a sensor, in ticks.
@@ -23,13 +24,13 @@ impl Timing {
         }
     }
 
-    /// Whether a sample is due: sample n at the first tick from n times the period on.
+    /// Returns true if a sample is due: sample n at the first tick at or after n periods.
     pub fn is_due(&self, tick: u64) -> bool {
         let number = libm::floor((tick as f64 + ROUNDING_TICKS) / self.period_ticks);
         libm::ceil(number * self.period_ticks - ROUNDING_TICKS) == tick as f64
     }
 
-    /// Tick at which a sample's reading arrives; `share` of the jitter, from 0 to 1.
+    /// Tick at which a sample's reading arrives; `share` is the fraction of the maximum jitter, 0 to 1.
     pub fn arrival(&self, sample_tick: u64, share: f64) -> u64 {
         let later = libm::round(self.delay_ticks + self.jitter_ticks * share);
         sample_tick.saturating_add(later as u64)

@@ -1,4 +1,5 @@
-//! Steps a second: the bare physics, and the same ticks by `Sim`, in turn over the same ticks of the default scene.
+//! Steps per second: the bare physics, and the same ticks with `Sim`, alternating over the same ticks of the
+//! default scene.
 //!
 //! `cargo run --release -p sim --example step_rate [TICKS [ROUNDS]]`
 
@@ -62,7 +63,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         }
         assert_eq!(bare.state().hash, sim.state().hash);
         println!(
-            "{ticks} ticks: physics alone {:.0} a second, Sim {:.0} a second, {:.1} %; {} voxels drilled",
+            "{ticks} ticks: physics alone {:.0} per second, Sim {:.0} per second, {:.1} %; {} voxels drilled",
             ticks as f64 / bare_s,
             ticks as f64 / sim_s,
             100.0 * bare_s / sim_s,

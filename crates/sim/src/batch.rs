@@ -1,4 +1,4 @@
-//! Simulations on threads of their own.
+//! Simulations on separate threads.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -12,24 +12,25 @@ use crate::error::SimError;
 use crate::shared::SharedScene;
 use crate::simulator::{Drive, Sim, Snapshot};
 
-/// Makes a simulation on the thread that will hold it.
+/// Creates a simulation on the thread that will hold it.
 pub type Maker = Box<dyn FnOnce() -> Result<Sim, SimError> + Send>;
 
 type Job = Box<dyn FnOnce(&mut [Held]) + Send>;
 
-/// A simulation and its number.
+/// A simulation with its index.
 struct Held {
     index: usize,
     sim: Sim,
 }
 
-/// Simulations that are stepped together. A thread makes its simulations, holds them and steps each of them whole, so no number of threads
-/// changes a bit. They never leave it, because the arm's trajectories are objects of C++ (Ruckig) that belong to one thread.
+/// Simulations that are stepped together. A thread creates its simulations, holds them and steps each of them
+/// whole, so the number of threads does not change a bit. They never leave it, because the arm's trajectories
+/// are C++ objects (Ruckig) that belong to one thread.
 pub struct Batch {
     workers: Vec<Worker>,
     count: usize,
     driven: Vec<String>,
-    /// The process that the threads belong to: a forked child has none of them.
+    /// Process that the threads belong to: a forked child has none of them.
     process: u32,
 }
 
@@ -39,10 +40,10 @@ struct Worker {
 }
 
 impl Batch {
-    /// One simulation of each scene, on this many threads; `0`: as many as the machine has cores.
+    /// Creates one simulation of each scene, on this many threads; 0 selects the number of cores.
     ///
     /// # Errors
-    /// As [`Sim::new`]; the threads cannot be started.
+    /// As [`Sim::new`]; also if the threads cannot be started.
     pub fn new(scenes: &[Arc<SharedScene>], drive: &Drive, threads: usize) -> Result<Batch, SimError> {
         let maker = |scene: &Arc<SharedScene>| -> Maker {
             let (scene, drive) = (Arc::clone(scene), drive.clone());
@@ -51,7 +52,7 @@ impl Batch {
         Batch::of(scenes.iter().map(maker).collect(), threads)
     }
 
-    /// Simulations as these make them.
+    /// Creates one simulation with each of these makers.
     ///
     /// # Errors
     /// As [`Batch::new`].
@@ -59,7 +60,7 @@ impl Batch {
         Batch::of_watched(makers, threads, &mut || ())
     }
 
-    /// As [`Batch::of`]; calls `look` every 50 ms while the simulations are made.
+    /// As [`Batch::of`]; calls `look` every 50 ms while the simulations are being created.
     ///
     /// # Errors
     /// As [`Batch::of`].
@@ -89,25 +90,25 @@ impl Batch {
         Ok(batch)
     }
 
-    /// Number of simulations.
+    /// Returns the number of simulations.
     pub fn count(&self) -> usize {
         self.count
     }
 
-    /// Number of threads: never more than simulations.
+    /// Returns the number of threads, which never exceeds the number of simulations.
     pub fn threads(&self) -> usize {
         self.workers.len()
     }
 
-    /// Names of the controllers that the caller drives in each simulation.
+    /// Returns the names of the controllers that the caller drives in each simulation.
     pub fn driven(&self) -> &[String] {
         &self.driven
     }
 
-    /// Works with one simulation.
+    /// Runs `work` with one simulation.
     ///
     /// # Errors
-    /// No simulation has this index; what `work` returns; the process was forked.
+    /// If no simulation has this index or the process was forked; errors of `work`.
     pub fn with<R: Send + 'static>(
         &self,
         index: usize,
@@ -137,18 +138,19 @@ impl Batch {
         received_watched(&answer, look).map_err(|_| SimError::Gone)?.unwrap_or(Err(none))
     }
 
-    /// Makes `ticks` ticks with every simulation and returns their states, in order. `commands` holds those of the first, then those of the second and so on,
-    /// each as for [`Sim::step`]; without any, no driven controller asks for anything.
+    /// Steps every simulation by `ticks` ticks and returns their states, in order. `commands` holds those of
+    /// the first simulation, then those of the second and so on, each as for [`Sim::step`]; with `None`, the
+    /// driven controllers send empty commands.
     ///
     /// # Errors
-    /// Too few or too many commands: nothing has changed. Otherwise the error of the first simulation, in their order, that has one; the
-    /// others have made their ticks.
+    /// [`SimError::Count`] for too few or too many commands; nothing has changed then. Otherwise the error of
+    /// the first simulation, in their order, that has one; the others have completed their ticks.
     pub fn step(&self, commands: Option<Vec<Command>>, ticks: u64) -> Result<Vec<State>, SimError> {
         self.step_watched(commands, ticks, &mut || false)
     }
 
-    /// As [`Batch::step`]. While it waits it asks `is_to_end` every 50 ms, and if that is true, no simulation makes a further tick: each
-    /// stands at the tick to which it has come.
+    /// As [`Batch::step`]. While it waits it calls `is_to_end` every 50 ms; once that returns true, no
+    /// simulation runs a further tick, and each stays at the tick it has reached.
     ///
     /// # Errors
     /// As [`Batch::step`].
@@ -177,18 +179,18 @@ impl Batch {
         })
     }
 
-    /// The states, in order.
+    /// Returns the states, in order.
     ///
     /// # Errors
-    /// The process was forked.
+    /// If the process was forked.
     pub fn states(&self) -> Result<Vec<State>, SimError> {
         self.each(|_, sim| Ok(*sim.state()))
     }
 
-    /// Takes every simulation to a snapshot: all to the same, or each to its own.
+    /// Restores a snapshot in every simulation: the same in all, or a separate one in each.
     ///
     /// # Errors
-    /// As [`Sim::restore`], or not one snapshot for each.
+    /// As [`Sim::restore`]; also if there is not one snapshot for each.
     pub fn restore(&self, snapshots: Vec<Snapshot>) -> Result<(), SimError> {
         let (given, expected) = (snapshots.len(), self.count);
         if given != 1 && given != expected {
@@ -197,10 +199,10 @@ impl Batch {
         self.each(move |index, sim| sim.restore(&snapshots[index.min(given - 1)])).map(|_| ())
     }
 
-    /// Takes the simulations whose flag is true back to their start.
+    /// Resets the simulations whose flag is true.
     ///
     /// # Errors
-    /// As [`Sim::reset`], or not one flag for each.
+    /// As [`Sim::reset`]; also if there is not one flag for each.
     pub fn reset(&self, which: Vec<bool>) -> Result<(), SimError> {
         if which.len() != self.count {
             return Err(SimError::Count { what: "flags", given: which.len(), expected: self.count });
@@ -208,7 +210,7 @@ impl Batch {
         self.each(move |index, sim| if which[index] { sim.reset() } else { Ok(()) }).map(|_| ())
     }
 
-    /// Works with every simulation at once; the results are in their order.
+    /// Runs `work` with every simulation at once; the results are in their order.
     fn each<R: Send + 'static>(
         &self,
         work: impl Fn(usize, &mut Sim) -> Result<R, SimError> + Send + Sync + 'static,
@@ -216,7 +218,7 @@ impl Batch {
         self.each_watched(work, &mut || ())
     }
 
-    /// The same; calls `look` every 50 ms while it waits.
+    /// As `each`; calls `look` every 50 ms while it waits.
     fn each_watched<R: Send + 'static>(
         &self,
         work: impl Fn(usize, &mut Sim) -> Result<R, SimError> + Send + Sync + 'static,
@@ -254,11 +256,11 @@ impl Batch {
     }
 }
 
-/// Looks so often for what another thread sends before it sleeps, some 50 microseconds in all: a caller that makes tick after tick would wait
-/// longer for a sleeping thread to wake than for the tick.
+/// Number of polls for another thread's message before sleeping, some 50 microseconds in all: a caller that
+/// runs tick after tick would wait longer for a sleeping thread to wake than for the tick.
 const LOOKS: u32 = 1000;
 
-/// What the other thread has sent by then, if anything.
+/// Polls for a message of the other thread; `None` if there is none yet.
 fn received_soon<T>(from: &Receiver<T>) -> Result<Option<T>, RecvError> {
     for _ in 0..LOOKS {
         match from.try_recv() {
@@ -270,15 +272,15 @@ fn received_soon<T>(from: &Receiver<T>) -> Result<Option<T>, RecvError> {
     Ok(None)
 }
 
-/// What the other thread sends.
+/// Waits for the other thread's message.
 fn received<T>(from: &Receiver<T>) -> Result<T, RecvError> {
     received_soon(from)?.map_or_else(|| from.recv(), Ok)
 }
 
-/// Time between two looks during a long wait.
+/// Time between calls of `look` during a long wait.
 const LOOK_EVERY: Duration = Duration::from_millis(50);
 
-/// What the other thread sends; calls `look` while it waits.
+/// Waits for the other thread's message; calls `look` meanwhile.
 fn received_watched<T>(from: &Receiver<T>, look: &mut dyn FnMut()) -> Result<T, RecvError> {
     if let Some(sent) = received_soon(from)? {
         return Ok(sent);
@@ -295,7 +297,7 @@ fn received_watched<T>(from: &Receiver<T>, look: &mut dyn FnMut()) -> Result<T, 
 impl Drop for Batch {
     fn drop(&mut self) {
         self.workers.iter_mut().for_each(|worker| worker.jobs = None);
-        // In a forked child there is no thread to wait for.
+        // A forked child has no thread to wait for.
         if self.process == std::process::id() {
             let threads = self.workers.iter_mut().filter_map(|worker| worker.thread.take());
             threads.for_each(|thread| _ = thread.join());

@@ -15,27 +15,27 @@ use xray::DrrError;
 /// Why a simulation cannot be built, stepped, rendered, recorded or taken from a log.
 #[derive(Debug, Error)]
 pub enum SimError {
-    /// A scene, a volume or a log is refused, in the words of the command that checks it.
+    /// A scene, a volume or a log is refused, with the message of the command that checks it.
     #[error("{}", .0.message)]
     Input(Failure),
-    /// A mesh of the arm that frames show.
+    /// A mesh of the arm shown in frames cannot be used.
     #[error(transparent)]
     ArmMesh(#[from] ArmMeshError),
     /// A built-in controller's calibration cannot be used.
     #[error(transparent)]
     Calibration(#[from] CalibrationError),
-    /// The physics fails.
+    /// The physics failed.
     #[error("tick {tick}: {cause}")]
     Physics {
         /// Tick.
         tick: Tick,
-        /// Its reason.
+        /// Reason.
         cause: SimulationError,
     },
-    /// The caller asked to give up.
-    #[error("tick {tick}: given up, as was asked for")]
+    /// The caller requested an abort.
+    #[error("tick {tick}: aborted on request")]
     GivenUp {
-        /// Tick that was reached.
+        /// Tick reached.
         tick: Tick,
     },
     /// A command is refused; nothing has changed.
@@ -48,7 +48,7 @@ pub enum SimError {
         /// Reason.
         cause: CommandRefusal,
     },
-    /// Not one command for each controller that the caller drives.
+    /// The number of commands differs from that of the controllers that the caller drives.
     #[error("{given} commands, expected one for each controller that you drive: {}", listed(.driven))]
     CommandCount {
         /// Commands given.
@@ -66,25 +66,30 @@ pub enum SimError {
     },
     /// A snapshot of another scene.
     #[error(
-        "the snapshot is of another scene or of other driven controllers; expected one of a simulation of the same"
+        "the snapshot belongs to another scene or to other driven controllers; expected one of a simulation \
+         with the same"
     )]
     OtherScene,
-    /// A simulation that is being recorded cannot jump.
-    #[error("a recording goes on into {}: close it before the simulation goes to another state", .path.display())]
+    /// A simulation that is being recorded cannot jump to another state.
+    #[error(
+        "still recording into {}: close the recording before moving the simulation to another state",
+        .path.display()
+    )]
     Recording {
         /// Its log.
         path: PathBuf,
     },
-    /// A recording begins with tick 0.
+    /// A recording must begin at tick 0.
     #[error(
-        "a recording begins at tick 0, and the simulation is at tick {tick}: reset it first, or record a new one"
+        "a recording begins at tick 0, but the simulation is at tick {tick}; reset it first, or record a new \
+         one"
     )]
     RecordingLate {
-        /// Its tick.
+        /// The simulation's tick.
         tick: Tick,
     },
     /// The scene has no X-ray.
-    #[error("the scene has no X-ray: a picture needs `[drr]` and `[volume]`")]
+    #[error("the scene has no X-ray: an image needs `[drr]` and `[volume]`")]
     NoXRay,
     /// The X-ray is refused.
     #[error("X-ray: {0}")]
@@ -101,7 +106,7 @@ pub enum SimError {
     /// The log ends before the tick, or begins after it.
     #[error("tick {tick} is not in {}, whose ticks are {first} to {last}", .path.display())]
     NotInLog {
-        /// Tick asked for.
+        /// Requested tick.
         tick: Tick,
         /// The log.
         path: PathBuf,
@@ -110,22 +115,25 @@ pub enum SimError {
         /// Its last tick.
         last: Tick,
     },
-    /// The physics of this build leads to another state than the log holds.
+    /// The physics of this build leads to a state that differs from the log's.
     #[error("{}: {divergence}", .path.display())]
     Differs {
         /// The log.
         path: PathBuf,
-        /// Where.
+        /// The first difference.
         divergence: Divergence,
     },
-    /// A built-in controller cannot go on from the middle of this log.
-    #[error("{}: controller `{controller}` cannot go on from here, because {reason}: drive it yourself", .path.display())]
+    /// A built-in controller cannot continue from the middle of this log.
+    #[error(
+        "{}: controller `{controller}` cannot continue from here, because {reason}; drive it yourself",
+        .path.display()
+    )]
     NoContinuation {
         /// The log.
         path: PathBuf,
         /// Name of the controller.
         controller: String,
-        /// Why.
+        /// Reason.
         reason: &'static str,
     },
     /// Threads cannot be started.
@@ -146,26 +154,28 @@ pub enum SimError {
     },
     /// A child of `fork` has none of the threads that hold the simulations.
     #[error(
-        "the simulation belongs to the process that made it: make one in each child, or start children by `spawn`"
+        "the simulation belongs to the process that created it; create one in each child, or start children \
+         with `spawn`"
     )]
     Forked,
-    /// A simulation's thread has ended.
-    #[error("the simulation's thread has ended after a defect in it")]
+    /// A simulation's thread has ended, most likely by a panic.
+    #[error("the simulation's thread ended unexpectedly")]
     Gone,
-    /// Not one of something for each simulation of a batch.
+    /// The number of items differs from the number of simulations of a batch.
     #[error("{given} {what}, expected {expected}: one for each simulation of the batch")]
     Count {
-        /// What was given.
+        /// The kind of items.
         what: &'static str,
-        /// How many.
+        /// Number given.
         given: usize,
-        /// Simulations.
+        /// Number of simulations.
         expected: usize,
     },
 }
 
 impl SimError {
-    /// Whether it is the machine's fault, such as too little memory or a full disk, or a defect: the same run may work elsewhere.
+    /// Returns whether the machine or a defect is the cause, such as too little memory or a full disk: the
+    /// same run may succeed elsewhere.
     pub fn is_of_the_machine(&self) -> bool {
         match self {
             SimError::Log(_)
@@ -194,7 +204,7 @@ fn listed(names: &[String]) -> String {
 mod tests {
     use super::*;
 
-    /// Bug: a sweep kept a row of a run that had no memory, and never made it again.
+    /// Regression: a sweep kept the row of a run that had run out of memory, and never repeated it.
     #[test]
     fn too_little_memory_is_no_property_of_a_run() {
         let memory = || DrrError::Memory { dims: [1; 3], bytes_each: 2, needed_bytes: 2, available_bytes: 1 };

@@ -1,4 +1,4 @@
-//! A simulation in the state that a log holds at a tick.
+//! A simulation in a log's state at a tick.
 
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -15,18 +15,20 @@ use crate::shared::SharedScene;
 use crate::simulator::{Drive, Sim};
 
 impl Sim {
-    /// The simulation of a log's scene, taken to the state of `tick`, or of the log's last tick: the log's commands are stepped through
-    /// the physics, and every state on the way is compared with the log's. Built-in controllers that `drive` leaves to the simulation are
-    /// shown the states on the way, so they go on as they would have.
+    /// Creates a simulation of a log's scene in the state of `tick`, or of the log's last tick: steps the
+    /// log's commands through the physics, and compares every state on the way with the log's. Built-in
+    /// controllers that `drive` leaves to the simulation see the states on the way, so they continue as they
+    /// would have.
     ///
     /// # Errors
-    /// Not a log of this build; the tick is not in it, or lies behind a gap; a built-in controller cannot be brought to where it was: the
-    /// log is of real time or begins with a keyframe, or it sees frames.
+    /// If it is not a log of this build, the tick is not in it or lies behind a gap, or a built-in controller
+    /// cannot be restored: the log is of a real-time run or begins with a keyframe, or the controller sees
+    /// frames.
     pub fn from_log(log: &Path, tick: Option<u64>, drive: &Drive) -> Result<Sim, SimError> {
         Sim::from_log_unless(log, tick, drive, &AtomicBool::new(false))
     }
 
-    /// As [`Sim::from_log`], but gives up once another thread has set `is_to_end`.
+    /// As [`Sim::from_log`], but aborts once another thread has set `is_to_end`.
     ///
     /// # Errors
     /// As [`Sim::from_log`]; [`SimError::GivenUp`].
@@ -72,7 +74,7 @@ impl Sim {
         }
     }
 
-    /// Makes a tick with the commands that were latched then.
+    /// Runs a tick with the commands that were latched in it.
     fn follow(&mut self, latched: &Latched) -> Result<(), SimError> {
         let state = self.run.plant().state();
         let built_in = self.drivers.iter_mut().filter_map(|driver| driver.built_in.as_mut());
@@ -87,13 +89,13 @@ impl Sim {
     }
 }
 
-/// Refuses to go on with a built-in controller whose inner state the log does not lead to.
+/// Refuses to continue with a built-in controller whose inner state cannot be recovered from the log.
 fn refuse_lost_controllers(sim: &Sim, reader: &LogReader, path: &Path) -> Result<(), SimError> {
     let Some(driver) = sim.drivers.iter().find(|driver| driver.built_in.is_some()) else { return Ok(()) };
     let frames = sim.drivers.iter().find(|driver| driver.sees_frames);
     let (driver, reason) = match () {
         () if reader.header().mode == RunMode::RealTime => {
-            (driver, "it ran in real time and saw other states than the log's")
+            (driver, "it ran in real time and saw states other than the log's")
         }
         () if reader.beginning().is_some() => (driver, "the log does not begin at tick 0"),
         () => match frames {

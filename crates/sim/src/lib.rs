@@ -1,14 +1,16 @@
 //! Scenes stepped in this process: no session, no shared memory, no clock.
 //!
-//! [`Sim`] makes the ticks that `trabecula run --mode lockstep` makes: the same latch, the same run lane, the same step, so the same hash
-//! at every tick for the same commands. On top it has what only one process can have: snapshots, branches, a start from the middle of a
-//! log. [`Batch`] steps many of them on several threads.
+//! [`Sim`] computes the same ticks as `trabecula run --mode lockstep`: the same latch, the same run lane, the
+//! same step, so the same hash at every tick for the same commands. It adds what is possible only within one
+//! process: snapshots, branches, a start from the middle of a log. [`Batch`] steps many of them on several
+//! threads.
 //!
-//! **Boundary:** it opens the files that a scene names and those of logs; it starts no part and prints nothing. The Python module
-//! `trabecula.sim` (`clients/python/native`) is a thin layer above it.
+//! **Boundary:** opens the files that a scene names and those of logs; starts no part and prints nothing. The
+//! Python module `trabecula.sim` (`clients/python/native`) is a thin layer above it.
 //!
-//! **Invariants:** a tick depends on the scene and the commands alone, not on threads, other simulations, snapshots taken, frames rendered,
-//! or whether it is recorded. Simulations of one [`SharedScene`] share its volume. A refused command changes nothing.
+//! **Invariants:** a tick depends on the scene and the commands alone, not on threads, other simulations,
+//! snapshots taken, frames rendered, or whether it is recorded. Simulations of one [`SharedScene`] share its
+//! volume. A refused command changes nothing.
 //!
 //! ```
 //! use sim::{Drive, SharedScene, Sim};

@@ -1,4 +1,4 @@
-//! A simulation's run lane: into a log, or nowhere.
+//! Output of a simulation's run lane: into a log, or discarded.
 
 use std::fs::File;
 use std::io::{BufWriter, Write};
@@ -21,16 +21,16 @@ use zerocopy::IntoBytes;
 use crate::error::SimError;
 use crate::shared::{SharedScene, log_in};
 
-/// Makes ticks, and publishes them as the physics of a run does.
+/// Runs ticks, and publishes them as the physics of a run does.
 pub(crate) struct Lane {
     lane: RunLane,
     out: Out,
 }
 
-/// Where ticks are published: in a log, or nowhere.
+/// Destination of published ticks: a log, or none.
 struct Out(Option<Box<Recording>>);
 
-/// A log that is being written; it gets its name when it is whole.
+/// A log that is being written; it gets its final name when it is complete.
 pub(crate) struct Recording {
     log: RunLog<BufWriter<File>>,
     file: OutputFile,
@@ -79,7 +79,7 @@ impl Lane {
         self.lane.begin(plant, &mut self.out).map_err(|error| failed(error, Tick::START))
     }
 
-    /// Makes a tick, with its keyframe if one is due.
+    /// Runs a tick, with its keyframe if one is due.
     pub(crate) fn tick(
         &mut self,
         plant: &mut Simulation<'static>,
@@ -91,8 +91,10 @@ impl Lane {
         self.lane.keyframe_if_due(plant, &mut self.out).map_err(failed)
     }
 
+    /// Refuses to jump to another state while recording, because recorded ticks must be consecutive.
+    ///
     /// # Errors
-    /// Ticks are being recorded, which must follow each other.
+    /// [`SimError::Recording`].
     pub(crate) fn refuse_a_jump(&self) -> Result<(), SimError> {
         match &self.out.0 {
             None => Ok(()),
@@ -100,7 +102,7 @@ impl Lane {
         }
     }
 
-    /// Whether there was a recording, which now is whole.
+    /// Closes the recording, which is then complete; returns whether there was one.
     pub(crate) fn finish(mut self, ended: bool) -> Result<bool, SimError> {
         let Some(recording) = self.out.0.take() else { return Ok(false) };
         recording.finish(if ended { EndReason::Completed } else { EndReason::Stopped })?;
@@ -109,9 +111,9 @@ impl Lane {
 }
 
 impl Drop for Lane {
-    /// A simulation that goes out of use with a recording open leaves a whole log.
+    /// Completes the log of a simulation that is dropped while recording.
     fn drop(&mut self) {
-        // Errors are ignored here: a caller that wants them closes the recording.
+        // Errors are ignored here: a caller that needs them closes the recording.
         let _ = self.out.0.take().map(|recording| recording.finish(EndReason::Stopped));
     }
 }
@@ -123,7 +125,7 @@ fn failed(error: LaneError<LogError, SimulationError>, tick: Tick) -> SimError {
     }
 }
 
-/// The header that the recorder of a lockstep run writes.
+/// Returns the header that the recorder of a lockstep run writes.
 fn header(shared: &SharedScene) -> Result<LogHeader, SimError> {
     let scene = shared.scene();
     let c_arm = scene.drr.as_ref().and_then(|drr| scene_c_arm(drr).ok());

@@ -14,7 +14,7 @@ use voxel_grid::Ct;
 
 use crate::error::SimError;
 
-/// The scene loaded last, while anybody has it: the next one with the same synthetic volume shares that.
+/// The scene loaded last, while it is in use: the next one with the same synthetic volume shares it.
 static NEWEST: Mutex<Weak<SharedScene>> = Mutex::new(Weak::new());
 
 /// A scene that `trabecula scene check` accepts, with its volume; simulations share it.
@@ -26,11 +26,12 @@ pub struct SharedScene {
 }
 
 impl SharedScene {
-    /// Reads a scene, or takes the built-in femur's, and sets keys: each of `settings` is a line `KEY=VALUE` of `trabecula run --set`;
-    /// `seed` replaces `run.seed`. The settings that its tolerance leads to are chosen as for a run. Mode is lockstep, whatever it says.
+    /// Loads a scene, or the built-in femur's, and sets keys: each of `settings` is a line `KEY=VALUE` of
+    /// `trabecula run --set`; `seed` replaces `run.seed`. Settings that follow from its tolerance are chosen
+    /// as for a run. The mode is always lockstep.
     ///
     /// # Errors
-    /// [`SimError::Input`], in the words of `trabecula scene check`.
+    /// [`SimError::Input`], with the message of `trabecula scene check`.
     pub fn load(
         file: Option<&Path>,
         settings: &[String],
@@ -51,7 +52,7 @@ impl SharedScene {
         Ok(loaded)
     }
 
-    /// The same, with the volume of `other` if both scenes name the same one.
+    /// As [`SharedScene::load`], but reuses the volume of `other` if both scenes name the same one.
     ///
     /// # Errors
     /// As [`SharedScene::load`].
@@ -81,54 +82,54 @@ impl SharedScene {
         Ok(Arc::new(SharedScene { scene, ct, notes }))
     }
 
-    /// The scene and volume of a log.
+    /// Takes the scene and volume of a log.
     pub(crate) fn of_log(log: &mut OpenedLog) -> Arc<SharedScene> {
         let mut scene = log.scene.clone();
         scene.run.mode = Mode::Lockstep;
         Arc::new(SharedScene { scene, ct: log.ct.take().map(Arc::new), notes: Vec::new() })
     }
 
-    /// The scene, in lockstep.
+    /// Returns the scene, in lockstep.
     pub fn scene(&self) -> &Scene {
         &self.scene
     }
 
-    /// The scene as text.
+    /// Returns the scene as TOML.
     ///
     /// # Errors
-    /// It cannot be written as TOML, which no scene that was read from TOML has shown.
+    /// If it cannot be written as TOML, which has not happened for any scene that was read from TOML.
     pub fn toml(&self) -> Result<String, SimError> {
         toml::to_string(&self.scene).map_err(|cause| SimError::SceneText(cause.to_string()))
     }
 
-    /// What is noteworthy about scene and volume: assumptions, and what is most likely a mistake.
+    /// Returns notes about scene and volume: assumptions, and likely mistakes.
     pub fn notes(&self) -> &[String] {
         &self.notes
     }
 
-    /// The volume's header; `None` if the scene has none.
+    /// Returns the volume's header; `None` if the scene has no volume.
     pub fn volume(&self) -> Option<VolumeMessage> {
         self.ct.as_ref().map(|ct| VolumeMessage::of(ct))
     }
 
-    /// The volume's Hounsfield units, x fastest; empty if the scene has none.
+    /// Returns the volume's Hounsfield units, x fastest; empty if the scene has no volume.
     pub fn hu(&self) -> &[i16] {
         self.ct.as_ref().map_or(&[], |ct| &ct.volume.hu)
     }
 
-    /// The CT; `None` if the scene has none.
+    /// Returns the CT; `None` if the scene has no volume.
     pub fn ct(&self) -> Option<&Arc<Ct>> {
         self.ct.as_ref()
     }
 
-    /// Whether a snapshot of a simulation of the other is one of this.
+    /// Returns whether both are the same scene and volume, so that a snapshot of one fits the other.
     pub(crate) fn is_same(self: &Arc<Self>, other: &Arc<SharedScene>) -> bool {
         let sha256 = |shared: &SharedScene| shared.ct().map(|ct| ct.sha256);
         Arc::ptr_eq(self, other) || (self.scene == other.scene && sha256(self) == sha256(other))
     }
 }
 
-/// Where a recording of this name lies: `run.mcap` in a folder.
+/// Returns the path of a recording in a folder: `run.mcap`.
 pub(crate) fn log_in(folder: &Path) -> PathBuf {
     folder.join("run.mcap")
 }

@@ -18,19 +18,19 @@ use crate::recording::{Lane, Recording};
 use crate::shared::SharedScene;
 use crate::x_ray::{View, XRay};
 
-/// Which controllers the caller drives, of those that the simulation could run itself. The caller always drives external ones and
-/// programs; built-in ones otherwise run in the simulation, as they do in a run.
+/// Which controllers the caller drives, of those that the simulation could run itself. The caller always
+/// drives external ones and programs; built-in ones otherwise run in the simulation, as in a run.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Drive {
-    /// No built-in one.
+    /// No built-in controller.
     Nothing,
-    /// Those of these names.
+    /// Controllers of these names.
     These(Vec<String>),
-    /// Every one.
+    /// Every controller.
     Everything,
 }
 
-/// Readings that [`Sim::readings`] gives at most: as many as a client's queue holds.
+/// Maximum number of readings that [`Sim::readings`] returns: as many as a client's queue holds.
 const READINGS_KEPT: usize = messages::services::SENSOR.queue_length;
 
 /// A scene stepped in this process.
@@ -40,7 +40,7 @@ pub struct Sim {
     pub(crate) drivers: Vec<Driver>,
     /// Voxels drilled since the start or the last reset, in the order of their removal.
     pub(crate) drilled: Vec<u32>,
-    /// The newest scheduled frame, for the controllers that see it.
+    /// The newest scheduled frame, for the controllers that see frames.
     frame: Option<Arc<Rendered>>,
     frames_rendered: u64,
     /// Parts of commands that could not be followed in the last call of [`Sim::step`].
@@ -60,11 +60,11 @@ pub(crate) struct Driver {
     pub(crate) built_in: Option<BuiltIn>,
     /// Whether it is built in and sees frames.
     pub(crate) sees_frames: bool,
-    /// Whether a run begins without it.
+    /// Whether a run can begin without it.
     optional: bool,
 }
 
-/// A simulation's state at a tick. Its size follows what has been drilled; copies share it.
+/// A simulation's state at a tick. Its size grows with what has been drilled; copies share it.
 #[derive(Debug, Clone)]
 pub struct Snapshot(Arc<Saved>);
 
@@ -80,17 +80,18 @@ struct Saved {
 }
 
 impl Snapshot {
-    /// The state of its tick.
+    /// Returns the state at its tick.
     pub fn state(&self) -> &State {
         self.0.simulation.state()
     }
 }
 
 impl Sim {
-    /// A simulation at tick 0.
+    /// Creates a simulation at tick 0.
     ///
     /// # Errors
-    /// The scene has no controller that `drive` names; a calibration cannot be used; the physics refuses the scene.
+    /// If the scene has no controller that `drive` names, a calibration cannot be used, or the physics
+    /// refuses the scene.
     pub fn new(shared: &Arc<SharedScene>, drive: &Drive) -> Result<Sim, SimError> {
         let mut sim = Sim::at_start(shared, drivers(shared, drive)?)?;
         sim.start = Some(sim.snapshot());
@@ -115,15 +116,15 @@ impl Sim {
         })
     }
 
-    /// Another simulation in the same state; it shares scene and volume and is not recorded.
+    /// Creates another simulation in the same state; it shares scene and volume and is not recorded.
     ///
     /// # Errors
-    /// The physics refuses the scene, which it has accepted before.
+    /// If the physics refuses the scene, which it has accepted before.
     pub fn branch(&self) -> Result<Sim, SimError> {
         self.brancher()()
     }
 
-    /// Makes [`Sim::branch`] of the present state, on any thread.
+    /// Returns a maker that performs [`Sim::branch`] of the present state on any thread.
     pub fn brancher(&self) -> Maker {
         let (here, start) = (self.snapshot(), self.start.clone());
         Box::new(move || {
@@ -134,18 +135,18 @@ impl Sim {
         })
     }
 
-    /// The scene with its volume.
+    /// Returns the scene with its volume.
     pub fn shared(&self) -> &Arc<SharedScene> {
         &self.shared
     }
 
-    /// x_k, with h_k.
+    /// Returns x_k, including h_k.
     pub fn state(&self) -> &State {
         self.run.plant().state()
     }
 
-    /// The readings of sensors that arrived in the last call of [`Sim::step`], the newest 1024; before the first and after a jump,
-    /// those of the present state.
+    /// Returns the sensor readings that arrived in the last call of [`Sim::step`], the newest 1024; before
+    /// the first call and after a jump, those of the present state.
     pub fn readings(&self) -> Vec<SensorReading> {
         match self.readings.is_empty() {
             true => self.run.plant().readings().to_vec(),
@@ -153,32 +154,34 @@ impl Sim {
         }
     }
 
-    /// Names of the controllers that the caller drives, in the scene's order.
+    /// Returns the names of the controllers that the caller drives, in the scene's order.
     pub fn driven(&self) -> Vec<String> {
         let driven = self.drivers.iter().filter(|driver| driver.built_in.is_none());
         driven.map(|driver| driver.name.clone()).collect()
     }
 
-    /// Linear indices of the voxels drilled since the start, in the order of their removal.
+    /// Returns the linear indices of the voxels drilled since the start, in the order of their removal.
     pub fn drilled(&self) -> &[u32] {
         &self.drilled
     }
 
-    /// Parts of commands that could not be followed in the last call of [`Sim::step`], such as unreachable goals, and why.
+    /// Returns the parts of commands that could not be followed in the last call of [`Sim::step`], such as
+    /// unreachable goals, each with its reason.
     pub fn refusals(&self) -> &[String] {
         &self.refusals
     }
 
-    /// Makes `ticks` ticks, in each of which every driven controller sends its command again. `commands` holds one for each of
-    /// [`Sim::driven`], in that order; their `sequence` and `state_tick` are filled in.
+    /// Runs `ticks` ticks, in each of which every driven controller sends its command again. `commands` holds
+    /// one for each of [`Sim::driven`], in that order; their `sequence` and `state_tick` are filled in.
     ///
     /// # Errors
-    /// A command is refused: nothing has changed. The physics, the X-ray or the recording fails.
+    /// If a command is refused, in which case nothing has changed; if the physics, the X-ray or the recording
+    /// fails.
     pub fn step(&mut self, commands: &[Command], ticks: u64) -> Result<(), SimError> {
         self.step_until(commands, ticks, &AtomicBool::new(false))
     }
 
-    /// As [`Sim::step`], but makes no further tick once another thread has set `is_to_end`.
+    /// As [`Sim::step`], but runs no further tick once another thread has set `is_to_end`.
     ///
     /// # Errors
     /// As [`Sim::step`].
@@ -258,7 +261,8 @@ impl Sim {
         }));
     }
 
-    /// Shows the newest frame to the controllers that are due to see it, and renders the one that is due.
+    /// Shows the newest frame to the controllers that are due to see it, and renders the next one if it is
+    /// due.
     fn exchange_frames(&mut self) -> Result<(), SimError> {
         if !self.drivers.iter().any(|driver| driver.sees_frames) {
             return Ok(());
@@ -275,11 +279,11 @@ impl Sim {
         Ok(())
     }
 
-    /// The X-ray of the present state. Changes no later tick. With the scene's seed and the tick as
-    /// the noise's, the scene's C-arm gives the pixels of a run's scheduled frame.
+    /// Renders the X-ray of the present state, without any effect on later ticks. The noise is seeded with
+    /// the scene's seed and the tick, so the scene's C-arm gives the pixels of a run's scheduled frame.
     ///
     /// # Errors
-    /// The scene has no X-ray, or the C-arm is refused.
+    /// If the scene has no X-ray, or the C-arm is refused.
     pub fn render(&mut self, from: View) -> Result<Rendered, SimError> {
         self.frames_rendered += 1;
         let sequence = self.frames_rendered;
@@ -288,7 +292,8 @@ impl Sim {
         XRay::of(x_ray, shared, plant.predrilled())?.render(shared, plant.state(), drilled, from, sequence)
     }
 
-    /// The X-ray of the present state from each of these, with the pixels of [`Sim::render`], in less time than one after the other.
+    /// Renders the X-ray of the present state from each of these views, with the same pixels as
+    /// [`Sim::render`] but in less time than one after the other.
     ///
     /// # Errors
     /// As [`Sim::render`]; nothing has been rendered then.
@@ -296,7 +301,7 @@ impl Sim {
         self.render_many_unless(from, &AtomicBool::new(false))
     }
 
-    /// As [`Sim::render_many`], but gives up once another thread has set `is_to_end`.
+    /// As [`Sim::render_many`], but aborts once another thread has set `is_to_end`.
     ///
     /// # Errors
     /// As [`Sim::render_many`]; [`SimError::GivenUp`].
@@ -313,8 +318,9 @@ impl Sim {
         x_ray.render_many(shared, plant.state(), drilled, numbered, is_to_end)
     }
 
-    /// The X-ray of the present state as [`Sim::render`] gives it, and its labels. Voxels at or above `bone_from_hu` are bone; without it,
-    /// at or above the scene's `drr.labels.bone_from_hu`, or else its `volume.bone_threshold_hu`.
+    /// Renders the X-ray of the present state as [`Sim::render`] does, with its labels. Voxels at or above
+    /// `bone_from_hu` are bone; by default the scene's `drr.labels.bone_from_hu`, or else its
+    /// `volume.bone_threshold_hu`.
     ///
     /// # Errors
     /// As [`Sim::render`].
@@ -327,7 +333,7 @@ impl Sim {
         x_ray.labels(shared, plant.state(), drilled, from, sequence, bone_from_hu)
     }
 
-    /// The present state. Its size and cost follow what has been drilled.
+    /// Takes a snapshot of the present state. Its size and cost grow with what has been drilled.
     pub fn snapshot(&self) -> Snapshot {
         Snapshot(Arc::new(Saved {
             shared: Arc::clone(&self.shared),
@@ -340,10 +346,12 @@ impl Sim {
         }))
     }
 
-    /// Goes to the state of a snapshot, of this or another simulation of the same scene, and continues from there bit for bit.
+    /// Moves to the state of a snapshot, of this or another simulation of the same scene, and continues from
+    /// there bit for bit.
     ///
     /// # Errors
-    /// The snapshot is of another scene, or of a simulation that drives other controllers itself; this one is being recorded.
+    /// If the snapshot belongs to another scene or to a simulation with other driven controllers, or this one
+    /// is being recorded.
     pub fn restore(&mut self, snapshot: &Snapshot) -> Result<(), SimError> {
         let saved = &*snapshot.0;
         let drives = |drivers: &[Driver]| -> Vec<bool> {
@@ -368,10 +376,10 @@ impl Sim {
         Ok(())
     }
 
-    /// Goes back to tick 0. Of a simulation from a log: to where it was taken from the log.
+    /// Resets to tick 0 or, for a simulation from a log, to the tick at which it was created.
     ///
     /// # Errors
-    /// It is being recorded.
+    /// If it is being recorded.
     pub fn reset(&mut self) -> Result<(), SimError> {
         match self.start.clone() {
             Some(start) => self.restore(&start),
@@ -379,16 +387,17 @@ impl Sim {
         }
     }
 
-    /// The present state is where [`Sim::reset`] goes back to.
+    /// Makes the present state the target of [`Sim::reset`].
     pub(crate) fn starts_here(&mut self) {
         self.start = Some(self.snapshot());
     }
 
-    /// Records from tick 0 into `run.mcap` of a folder, which is created. `trabecula replay --verify` accepts the log. The file has its
-    /// name when the recording is closed.
+    /// Records from tick 0 into `run.mcap` of a folder, which is created. `trabecula replay --verify` accepts
+    /// the log. The file gets its name when the recording is closed.
     ///
     /// # Errors
-    /// Ticks have been made; a recording is open; the folder holds a `run.mcap` or cannot be written.
+    /// If the simulation is not at tick 0, a recording is open, or the folder contains a `run.mcap` or cannot
+    /// be written.
     pub fn record(&mut self, folder: &Path) -> Result<(), SimError> {
         self.lane.refuse_a_jump()?;
         let tick = Tick(self.state().tick);
@@ -400,24 +409,24 @@ impl Sim {
         self.lane.begin(self.run.plant())
     }
 
-    /// Writes the rest of the log and names it; `false` if nothing was recorded.
+    /// Completes and names the log; returns false if nothing was recorded.
     ///
     /// # Errors
-    /// The log cannot be written.
+    /// If the log cannot be written.
     pub fn close_recording(&mut self) -> Result<bool, SimError> {
         let ended = self.state().tick >= self.shared.scene().tick_count();
         std::mem::replace(&mut self.lane, Lane::silent()).finish(ended)
     }
 }
 
-/// Whether a command asks for something. An optional controller joins with the first that does.
+/// Returns whether a command drives anything. An optional controller joins with the first that does.
 fn asks(command: &Command) -> bool {
     [command.tendon_mode, command.arm_mode, command.burr_mode, command.tube_mode]
         .iter()
         .any(|mode| *mode != 0)
 }
 
-/// The scene's controllers.
+/// Creates the scene's controllers.
 fn drivers(shared: &SharedScene, drive: &Drive) -> Result<Vec<Driver>, SimError> {
     let scene = shared.scene();
     if let Drive::These(names) = drive {

@@ -14,16 +14,18 @@ use xray::{CArm, DetectorFormat, DrrError, DrrRenderer, Labels, PositionerAngles
 use crate::error::SimError;
 use crate::shared::SharedScene;
 
-/// Frames rendered together before it is asked whether to give up: a second of a large volume. A thread without a frame waits for the last one of them.
+/// Number of frames rendered together between checks for an abort: a second for a large volume. A thread
+/// without a frame waits for the last one of them.
 const POSES_AT_ONCE: usize = 64;
 
-/// The renderer of a simulation, and how much of the drilling it has been told.
+/// The renderer of a simulation, and how much of the drilling it has applied.
 pub(crate) struct XRay {
     renderer: DrrRenderer,
     c_arm: CArm,
     predrilled: Vec<u32>,
     arm: Option<Arc<ArmModel>>,
-    /// Voxels of the simulation's list that are removed here; `None` if it must be told everything anew.
+    /// Number of voxels of the simulation's list that are removed here; `None` if everything must be applied
+    /// again.
     told: Option<usize>,
 }
 
@@ -40,7 +42,7 @@ impl XRay {
         })
     }
 
-    /// The renderer of a simulation, made when it is first needed.
+    /// Returns the renderer of a simulation, created when it is first needed.
     pub(crate) fn of<'a>(
         kept: &'a mut Option<XRay>,
         shared: &SharedScene,
@@ -52,7 +54,7 @@ impl XRay {
         }
     }
 
-    /// The simulation has gone to another state.
+    /// Registers that the simulation has moved to another state.
     pub(crate) fn forget(&mut self) {
         self.told = None;
     }
@@ -69,7 +71,7 @@ impl XRay {
         self.render_job(shared, &job, drilled.len())
     }
 
-    /// A frame from each of these, numbered from `sequence` on; gives up once `is_to_end` is set.
+    /// Renders a frame from each of these views, numbered from `sequence` on; aborts once `is_to_end` is set.
     pub(crate) fn render_many(
         &mut self,
         shared: &SharedScene,
@@ -106,7 +108,8 @@ impl XRay {
         Ok(rendered)
     }
 
-    /// The frame, and what it shows; voxels at or above `bone_from_hu`, or else the scene's threshold, are bone.
+    /// Renders the frame with its labels; voxels at or above `bone_from_hu`, or else the scene's threshold,
+    /// are bone.
     pub(crate) fn labels(
         &mut self,
         shared: &SharedScene,
@@ -167,30 +170,30 @@ impl XRay {
     }
 }
 
-/// The volume as the renderer takes it.
+/// Returns the volume in the renderer's form.
 fn volume(shared: &SharedScene) -> Result<VolumeView<'_>, SimError> {
     let volume = &shared.ct().ok_or(SimError::NoXRay)?.volume;
     Ok(VolumeView::try_from(volume)?)
 }
 
-/// From where a picture is taken.
+/// Viewpoint of an image.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum View {
-    /// From the scene's C-arm.
+    /// The scene's C-arm.
     Scene,
-    /// From the scene's C-arm turned about the scene's isocentre to these positioner angles, as DICOM has them.
+    /// The scene's C-arm turned about the scene's isocentre to these positioner angles, as defined by DICOM.
     Angles {
         /// Primary angle.
         primary_deg: f64,
         /// Secondary angle.
         secondary_deg: f64,
     },
-    /// From this C-arm.
+    /// This C-arm.
     Geometry(CArmGeometry),
 }
 
 impl View {
-    /// The C-arm; `None` for the scene's.
+    /// Returns the C-arm; `None` for the scene's.
     fn c_arm(self, shared: &SharedScene) -> Result<Option<CArm>, SimError> {
         match self {
             View::Scene => Ok(None),
@@ -205,7 +208,7 @@ impl View {
                 for (field, given) in
                     [("primary_angle_deg", primary_deg), ("secondary_angle_deg", secondary_deg)]
                 {
-                    // Written so that NaN fails; the C-arm's own error speaks of radians.
+                    // Written so that NaN fails; the C-arm's own error is in radians.
                     if !(-180.0..=180.0).contains(&given) {
                         let expected = "-180 to 180 degrees";
                         return Err(DrrError::OutOfRange { field, given, expected }.into());

@@ -14,7 +14,7 @@ use run_log::{LogReader, MessageStream, ReadOptions, Topic};
 use sim::{Drive, SharedScene, Sim};
 use simulation::{CtView, Simulation};
 
-/// Drills a curve on a shape that is 20 ms old; the other kinds of sensor beside it.
+/// Drills a curve on a shape that is 20 ms old; the other kinds of sensors are present but unused.
 const SCENE: &str = r#"
 name = "measured"
 [run]
@@ -119,7 +119,7 @@ fn a_measured_run_is_the_same_in_a_simulation_in_the_hub_and_in_its_replay() {
         assert!(seen.iter().any(|reading| reading.sensor_index == index), "sensor {index}");
     }
 
-    // Every segment from its keyframe, with what is underway in it.
+    // Every segment from its keyframe, with the readings underway in it.
     let make = || Ok::<_, String>(simulation(&shared));
     for from in [None, Some(250)] {
         let start =
@@ -132,7 +132,7 @@ fn a_measured_run_is_the_same_in_a_simulation_in_the_hub_and_in_its_replay() {
         assert!(report.identical_keyframes >= 3);
     }
 
-    // A replay whose readings are of another seed is told apart by the first of them; no state differs.
+    // A replay whose readings differ is detected by the first of them; no state differs.
     let other = load(place.path(), &SCENE.replace("low_pass_hz", "noise_n = 0.03, low_pass_hz"));
     let (make, options) =
         (|| Ok::<_, String>(simulation(&other)), SegmentOptions { start: None, to_tick: None, threads: 1 });
@@ -160,7 +160,7 @@ fn readings_underway_are_part_of_a_snapshot() {
     assert_eq!((other.state().hash, other.readings()), (hash, readings));
 }
 
-/// A reset goes back to the start with nothing underway; ticks and the readings' numbers go on.
+/// A reset returns to the start with no readings underway; ticks and the readings' numbers continue.
 #[test]
 fn a_reset_clears_what_is_underway() {
     let place = tempfile::tempdir().unwrap();
@@ -180,7 +180,7 @@ fn a_reset_clears_what_is_underway() {
     assert!(last > 500);
 }
 
-/// Sensors change nothing of the world.
+/// Sensors must not change the world.
 #[test]
 fn a_scene_with_sensors_that_nobody_uses_has_the_hash_of_one_without() {
     let place = tempfile::tempdir().unwrap();

@@ -70,7 +70,7 @@ impl Place {
     }
 }
 
-/// What a caller asks for at a tick: pushes into the bone while the tension rises.
+/// The caller's command at a tick: pushes into the bone while the tension rises.
 fn pushing(tick: u64) -> Command {
     let mut command = Command {
         tendon_mode: TendonMode::ServoJf.code(),
@@ -134,7 +134,7 @@ fn a_snapshot_brings_back_every_later_tick_in_this_and_other_simulations() {
     let end = push(&mut sim, 700);
     let drilled = sim.drilled().to_vec();
     assert!(taken[2].state().removed_total > 0 && drilled.len() > taken[2].state().removed_total as usize);
-    // Forward and backward, with a picture in between.
+    // Forward and backward, with an image in between.
     for index in [2, 0, 1, 2, 1] {
         sim.restore(&taken[index]).unwrap();
         assert_eq!(sim.state().hash, taken[index].state().hash);
@@ -194,7 +194,7 @@ fn no_number_of_threads_changes_a_bit() {
             hashes,
             "{threads} threads"
         );
-        // All from the state of one.
+        // Restore all to the state of one.
         let one = batch.with(3, |sim| Ok(sim.snapshot())).unwrap();
         batch.restore(vec![one]).unwrap();
         assert!(batch.states().unwrap().iter().all(|state| state.hash == hashes[3]));
@@ -277,7 +277,7 @@ fn a_refused_command_changes_nothing() {
     let mut wrong = pushing(50);
     wrong.tendon_force_n[0] = 61.0;
     let said = sim.step(&[wrong], 5).unwrap_err().to_string();
-    assert_eq!(said, "tick 50: controller `reference`: `tendon_force_n[0]` is 61, allowed is 0 to 60");
+    assert_eq!(said, "tick 50: controller `reference`: `tendon_force_n[0]` is 61; allowed: 0 to 60");
     assert!(matches!(sim.step(&[], 1), Err(SimError::CommandCount { given: 0, .. })));
     assert_eq!(push(&mut sim, 120), push(&mut other, 120));
     let said = Sim::new(&shared, &Drive::These(vec!["nobody".to_owned()])).err().unwrap().to_string();
@@ -299,7 +299,7 @@ fn an_optional_controller_joins_with_its_first_command() {
     }
 }
 
-/// A picture of an earlier state showed holes that were drilled later.
+/// Regression: an image of an earlier state showed holes that were drilled later.
 #[test]
 fn a_picture_after_a_jump_is_that_of_a_simulation_that_never_jumped() {
     let place = Place::with(DRILL);
@@ -329,7 +329,7 @@ fn pictures_from_many_c_arms_are_those_from_each_and_change_nothing() {
     let from =
         [angles(30.0, -10.0), View::Scene, angles(-75.0, 5.0), angles(30.0, -10.0), angles(160.0, 40.0)];
     for _ in 0..2 {
-        // Drilled on between the two.
+        // Drilling continues between the two.
         sim.step(&[], 400).unwrap();
         let (state, scenes) = (*sim.state(), sim.render(View::Scene).unwrap());
         let many = sim.render_many(&from).unwrap();
@@ -349,7 +349,7 @@ fn pictures_from_many_c_arms_are_those_from_each_and_change_nothing() {
     assert!(sim.render_many(&[]).unwrap().is_empty());
 }
 
-/// Ctrl-C waited in Python until the last of many frames.
+/// Regression: in Python, Ctrl-C was delayed until the last of many frames.
 #[test]
 fn many_pictures_are_given_up_when_asked_to_and_their_number_changes_none() {
     let place = Place::with(DRILL);
@@ -359,7 +359,7 @@ fn many_pictures_are_given_up_when_asked_to_and_their_number_changes_none() {
     let from: Vec<View> = (0..150).map(view).collect();
     let given_up = sim.render_many_unless(&from, &AtomicBool::new(true)).unwrap_err();
     assert!(matches!(given_up, SimError::GivenUp { .. }), "{given_up}");
-    // Drilled on since: what is rendered next has the voxels of then.
+    // Drilling has continued: the next images must show the voxels of that state.
     sim.step(&[], 400).unwrap();
     let many = sim.render_many(&from).unwrap();
     assert!(many.windows(2).all(|pair| pair[1].frame.sequence == pair[0].frame.sequence + 1));

@@ -5,36 +5,37 @@ use nalgebra::{Unit, Vector3};
 /// A plane that a proxy sphere must not cross, in the configuration before the step.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ContactPlane {
-    /// Index of the proxy sphere, as in `ManipulatorModel::proxy_spheres`.
+    /// Index of the proxy sphere in `ManipulatorModel::proxy_spheres`.
     pub sphere_index: usize,
     /// Point on the obstacle's surface, world, m. The step itself needs only `normal` and `gap_m`.
     pub point_m: Vector3<f64>,
-    /// World, from the obstacle to the sphere.
+    /// World-frame normal, from the obstacle to the sphere.
     pub normal: Unit<Vector3<f64>>,
     /// Distance between the sphere and the plane, negative when they overlap, m.
     pub gap_m: f64,
-    /// Most normal force that the obstacle bears before it yields, N; infinite if it does not yield.
+    /// Largest normal force that the obstacle supports before it yields, N; infinite if it never yields.
     pub strength_n: f64,
-    /// How it recedes within the step under a tool that cuts it.
+    /// How the obstacle recedes within the step under a cutting tool.
     pub give: Give,
 }
 
-/// How an obstacle recedes within a step under a tool that cuts it: at all its planes by `m_per_n` for each newton above `from_n` of the sum
-/// of the forces on them, up to `most_m`. Without it the tool meets in each step the obstacle of the step before, presses as hard as the
-/// contact is stiff, cuts too much, and finds nothing to press on in the next. All planes that recede in a step are of one link and have
+/// Law by which an obstacle recedes within a step under a cutting tool: all its planes recede by `m_per_n`
+/// per newton of their total force above `from_n`, up to `most_m`. Without it, each step would meet the
+/// obstacle of the previous step: the tool would press as hard as the contact is stiff, cut too much, and
+/// find nothing to press on in the next step. All planes that recede in a step belong to one link and share
 /// one law.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Give {
-    /// Force up to which nothing is cut, N.
+    /// Force below which nothing is cut, N.
     pub from_n: f64,
-    /// 0: it does not recede.
+    /// Recession per force, m/N; 0 if the obstacle does not recede.
     pub m_per_n: f64,
-    /// m.
+    /// Largest recession, m.
     pub most_m: f64,
 }
 
 impl ContactPlane {
-    /// A plane that neither yields nor recedes.
+    /// Creates a plane that neither yields nor recedes.
     pub fn hard(
         sphere_index: usize,
         point_m: Vector3<f64>,
@@ -51,8 +52,8 @@ impl ContactPlane {
         }
     }
 
-    /// True if the gap is finite, the normal has unit length, which `Unit::new_unchecked` does not guarantee, and the strength is not
-    /// negative.
+    /// Returns true if the gap is finite, the normal has unit length (`Unit::new_unchecked` does not
+    /// guarantee it), and the strength is not negative.
     pub(crate) fn is_usable(&self) -> bool {
         self.gap_m.is_finite() && (self.normal.norm_squared() - 1.0).abs() < 1e-6 && self.strength_n >= 0.0
     }

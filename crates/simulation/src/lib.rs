@@ -1,16 +1,17 @@
 //! Simulates a continuum manipulator on a robot arm that drills bone, one fixed time step at a time.
 //!
-//! [`Simulation`] computes x_{k+1} = step(x_k, u_k): the state after tick k from the state before it and the commands of that tick. The
-//! physics process passes in the commands that the hub has latched and publishes the new state; a replay passes in the commands of a log.
+//! [`Simulation`] computes x_{k+1} = step(x_k, u_k): the state after tick k from the state before it and the
+//! commands of that tick. The physics process passes in the commands that the hub has latched and publishes
+//! the new state; a replay passes in the commands of a log.
 //!
 //! **Boundary:** no clock, no randomness, no files, no other processes. The CT is borrowed and never copied.
 //!
 //! **Invariants**
 //!
-//! - The same scene, CT and commands give the same bits: with or without vector instructions, after a keyframe or a reset, and whether
-//!   caches are kept or dropped.
+//! - The same scene, CT and commands give the same bits: with or without vector instructions, after a
+//!   keyframe or a reset, and whether caches are kept or dropped.
 //! - A step allocates no memory, except in Ruckig while the arm moves and in Rapier if there are free bodies.
-//! - A refused command changes nothing.
+//! - A rejected command changes nothing.
 //!
 //! ```
 //! use std::path::Path;
@@ -36,7 +37,7 @@
 //! "#;
 //! let scene = Scene::parse(text, Path::new("bend.toml")).unwrap();
 //! let mut simulation = Simulation::new(&scene, None).unwrap();
-//! // u_k: what the hub would have latched.
+//! // u_k: the commands that the hub would latch.
 //! let mut latched = Latched { controller_count: 1, ..Latched::zeroed() };
 //! latched.commands[0].command.tendon_mode = TendonMode::ServoJf.code();
 //! latched.commands[0].command.tendon_force_n[0] = 5.0;

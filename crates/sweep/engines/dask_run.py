@@ -1,6 +1,6 @@
 """Runs the points of a sweep on Dask workers: dask_run.py TRABECULA STUDY FOLDER [SCHEDULER]
 
-SCHEDULER is the address of a scheduler whose workers see the same folder; without it, two workers on this machine.
+SCHEDULER is the address of a scheduler whose workers share the folder; default: two workers on this machine.
 Needs `dask` and `distributed` from PyPI.
 """
 
@@ -10,14 +10,14 @@ import sys
 
 from dask.distributed import Client, as_completed
 
-#: Seconds after which the list of points is given up.
+#: Timeout for listing the points, seconds.
 LIST_LIMIT_S = 600
-#: Seconds after which a run is given up; its point fails.
+#: Timeout of a run, after which its point fails, seconds.
 RUN_LIMIT_S = 86_400
 
 
 def run(command):
-    """Makes one run; its row is in the folder afterwards."""
+    """Runs one point and leaves its row in the folder."""
     words = shlex.split(command)
     return subprocess.run(words, stdin=subprocess.DEVNULL, capture_output=True, timeout=RUN_LIMIT_S).returncode
 
@@ -27,7 +27,7 @@ def main(trabecula, study, folder, scheduler=None):
     listed = subprocess.run(words, check=True, capture_output=True, text=True, timeout=LIST_LIMIT_S)
     commands = listed.stdout.splitlines()
     client = Client(scheduler) if scheduler else Client(n_workers=2, threads_per_worker=1, dashboard_address=None)
-    # A point whose worker is killed is run again: a row is kept only when it is whole.
+    # A point whose worker is killed is retried, because rows are written atomically.
     futures = client.map(run, commands, pure=False, retries=3)
     codes = [future.result() for future in as_completed(futures)]
     client.close()

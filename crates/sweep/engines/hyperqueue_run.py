@@ -1,6 +1,7 @@
 """Runs the points of a sweep as tasks of HyperQueue: hyperqueue_run.py TRABECULA STUDY FOLDER [SERVER]
 
-SERVER is the server directory of a running HyperQueue whose workers see the same folder; without it, two workers in this process.
+SERVER is the server directory of a running HyperQueue whose workers share the folder; without it, two workers are
+started in this process.
 Needs `hyperqueue` from PyPI.
 """
 
@@ -11,14 +12,14 @@ import sys
 from hyperqueue import Client, Job, LocalCluster
 from hyperqueue.cluster import WorkerConfig
 
-#: Seconds after which the list of points is given up.
+#: Timeout for listing the points, seconds.
 LIST_LIMIT_S = 600
 
 
 def finish(client, commands):
     job = Job()
     for command in commands:
-        # The tasks of a lost worker run again: a row is kept only when it is whole.
+        # The tasks of a lost worker are retried, because rows are written atomically.
         job.program(shlex.split(command), stdout=None, stderr=None, crash_limit=4)
     client.wait_for_jobs([client.submit(job)])
 

@@ -1,6 +1,7 @@
 """Runs the points of a sweep as Ray tasks: ray_run.py TRABECULA STUDY FOLDER [ADDRESS]
 
-ADDRESS is that of a cluster whose nodes see the same folder; without it, two workers on this machine. Needs `ray` from PyPI.
+ADDRESS is that of a cluster whose nodes share the folder; default: two workers on this machine.
+Needs `ray` from PyPI.
 """
 
 import shlex
@@ -9,15 +10,15 @@ import sys
 
 import ray
 
-#: Seconds after which the list of points is given up.
+#: Timeout for listing the points, seconds.
 LIST_LIMIT_S = 600
-#: Seconds after which a run is given up; its point fails.
+#: Timeout of a run, after which its point fails, seconds.
 RUN_LIMIT_S = 86_400
 
 
 @ray.remote(max_retries=3)
 def run(command):
-    """Makes one run; its row is in the folder afterwards."""
+    """Runs one point and leaves its row in the folder."""
     words = shlex.split(command)
     return subprocess.run(words, stdin=subprocess.DEVNULL, capture_output=True, timeout=RUN_LIMIT_S).returncode
 
@@ -30,7 +31,7 @@ def main(trabecula, study, folder, address=None):
         ray.init(address=address)
     else:
         ray.init(num_cpus=2, include_dashboard=False, configure_logging=False, log_to_driver=False)
-    # A point whose worker is killed is run again: a row is kept only when it is whole.
+    # A point whose worker is killed is retried, because rows are written atomically.
     codes = ray.get([run.remote(command) for command in commands])
     ray.shutdown()
     print(f"{codes.count(0)} of {len(codes)} points run")

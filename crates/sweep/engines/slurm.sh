@@ -1,6 +1,7 @@
 #!/bin/sh
 # Runs a sweep as a Slurm array of 16 jobs: sbatch --array=0-15 slurm.sh TRABECULA STUDY FOLDER
-# Each job runs a sixteenth of the points; one that is run again goes on where it was. FOLDER is on a file system that all nodes share.
+# Each job runs a sixteenth of the points; a requeued job continues where it stopped. FOLDER must be on a file system
+# shared by all nodes.
 #SBATCH --cpus-per-task=2
 #SBATCH --requeue
 set -eu

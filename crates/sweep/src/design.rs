@@ -1,32 +1,34 @@
-//! How the points of a sweep lie in the unit cube.
+//! Designs: distributions of a sweep's points in the unit cube.
 
 use serde::{Deserialize, Serialize};
 use xxhash_rust::xxh3::xxh3_64;
 
-/// Most samples of a Sobol or Saltelli design: the sequence of `sobol_burley` is that long.
+/// Maximum samples of a Sobol or Saltelli design, the length of the sequence of `sobol_burley`.
 pub const MAX_SOBOL_SAMPLES: u64 = 1 << 16;
 
-/// How the points lie.
+/// Distribution of the points.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Design {
     /// Every combination; the last parameter varies fastest.
     Grid,
-    /// Independent points, evenly distributed.
+    /// Independent, uniformly distributed points.
     Random,
-    /// Each parameter's range in as many parts as there are samples, one sample in each part (McKay, Beckman and Conover 1979).
+    /// Each parameter's range is divided into as many strata as samples, with one sample each (McKay, Beckman
+    /// and Conover 1979).
     LatinHypercube,
     /// A Sobol sequence, scrambled by the seed (Burley 2020, "Practical hash-based Owen scrambling").
     Sobol,
-    /// Two Sobol samples A and B, and A with one column after the other from B: samples × (parameters + 2) points, from which Sobol indices
-    /// follow (Saltelli et al. 2010, doi 10.1016/j.cpc.2009.09.018). The points of a sample follow each other: A, A with column 1 from B, …, B.
+    /// Two Sobol samples A and B, and A with each column in turn taken from B: samples × (parameters + 2)
+    /// points, for Sobol indices (Saltelli et al. 2010, doi 10.1016/j.cpc.2009.09.018). The points of a
+    /// sample are consecutive: A, A with column 1 from B, …, B.
     Saltelli,
     /// The rows of a CSV file.
     Csv,
 }
 
 impl Design {
-    /// Its name in a study.
+    /// Returns its name in a study.
     pub fn name(self) -> &'static str {
         match self {
             Design::Grid => "grid",
@@ -38,7 +40,8 @@ impl Design {
         }
     }
 
-    /// The place of point `index` in dimension `dimension` of `dimensions`, in [0, 1); for designs that have such places.
+    /// Returns the coordinate of point `index` in dimension `dimension` of `dimensions`, in [0, 1), for
+    /// designs in the unit cube.
     pub(crate) fn unit(self, index: u64, (dimension, dimensions): (usize, usize), of: Sampling) -> f64 {
         match self {
             Design::Random => of.number(index, dimension),
@@ -58,7 +61,7 @@ impl Design {
     }
 }
 
-/// Which samples a design draws.
+/// Seed and sample count of a design.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Sampling {
     pub seed: u64,
@@ -71,20 +74,20 @@ impl Sampling {
         xxh3_64(&words.map(u64::to_le_bytes).concat())
     }
 
-    /// A number in [0, 1) of 53 bits.
+    /// Returns a number in [0, 1) with 53 bits.
     fn number(self, index: u64, dimension: usize) -> f64 {
         (self.hash(index, dimension) >> 11) as f64 / (1_u64 << 53) as f64
     }
 
     fn sobol(self, index: u64, dimension: usize) -> f64 {
-        // `Study` has checked both against what the sequence has.
+        // `Study` has checked both against the limits of the sequence.
         let seed = xxh3_64(&self.seed.to_le_bytes()) as u32;
         f64::from(sobol_burley::sample(index as u32, dimension as u32, seed))
     }
 }
 
-/// A permutation of 0 to `count` - 1, a function of `key`: a Feistel network on the next power of four, walked until the result is among
-/// them (Black and Rogaway 2002, "Ciphers with arbitrary finite domains", cycle walking).
+/// Permutes 0 to `count` - 1 by `key`: a Feistel network on the next power of four with cycle walking (Black
+/// and Rogaway 2002, "Ciphers with arbitrary finite domains").
 fn permuted(index: u64, count: u64, key: u64) -> u64 {
     let half_bits = (64 - count.saturating_sub(1).leading_zeros()).div_ceil(2).max(1);
     let mask = (1_u64 << half_bits) - 1;

@@ -1,11 +1,11 @@
-//! Why a study is refused.
+//! Errors of reading a study.
 
 use std::path::PathBuf;
 
 use foreign_text::{foreign, foreign_line};
 use thiserror::Error;
 
-/// Why a study is refused.
+/// Errors of reading a study.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 pub enum StudyError {
     /// Not TOML, an unknown or missing key, or a value of a wrong type.
@@ -18,7 +18,7 @@ pub enum StudyError {
         /// What is wrong.
         cause: String,
     },
-    /// A value that is not allowed.
+    /// A value out of range.
     #[error("{}: `{key}` is {}, expected {expected}", .file.display(), foreign(.given))]
     Value {
         /// The study's file.
@@ -30,7 +30,7 @@ pub enum StudyError {
         /// What is allowed.
         expected: String,
     },
-    /// Keys that contradict each other, or one that the design needs.
+    /// Conflicting keys, or a missing key that the design needs.
     #[error("{}: `{key}` {}", .file.display(), foreign(.problem))]
     Contradiction {
         /// The study's file.
@@ -40,7 +40,7 @@ pub enum StudyError {
         /// What is wrong and what to do.
         problem: String,
     },
-    /// A table of points that is none.
+    /// A malformed table of points.
     #[error("{}, line {line}: {}", .file.display(), foreign_line(.problem))]
     Table {
         /// The table's file.

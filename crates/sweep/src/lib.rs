@@ -1,10 +1,11 @@
-//! Parameter sweeps: which scenes to run, and what their results say about the parameters.
+//! Parameter sweeps: which scenes to run, and how their results depend on the parameters.
 //!
-//! A [`Study`] is a file of TOML: a scene, the parameters to vary, and a design. [`Study::point`] gives the settings of its run number i;
-//! [`indices`] and [`spearman`] say afterwards which parameters a result depends on.
+//! A [`Study`] is a TOML file with a scene, the parameters to vary, and a design. [`Study::point`] returns
+//! the settings of run i; [`indices`] and [`spearman`] compute which parameters a result depends on.
 //!
-//! **Boundary:** text and numbers in, values out: it opens no file and runs nothing; `trabecula sweep` does (`src/sweep/`).
-//! **Invariant:** point i is a function of the study's text and of i alone, so points can be made anywhere and in any order.
+//! **Boundary:** text and numbers in, values out; files and runs are up to `trabecula sweep`
+//! (`src/sweep/`). **Invariant:** point i depends only on the study's text and on i, so points can be
+//! run anywhere and in any order.
 //!
 //! ```
 //! let text = r#"
@@ -24,10 +25,10 @@
 //! assert!(settings[0].starts_with("drilling.edge_pressure_mpa="), "{settings:?}");
 //! ```
 //!
-//! | module | what it holds |
+//! | module | contents |
 //! |---|---|
-//! | [`Study`], [`Point`], [`StudyError`] | the file, checked; its points |
-//! | [`Design`] | how the points lie: grid, random, Latin hypercube, Sobol, Saltelli, a table |
+//! | [`Study`], [`Point`], [`StudyError`] | the validated file; its points |
+//! | [`Design`] | distribution of the points: grid, random, Latin hypercube, Sobol, Saltelli, table |
 //! | `sensitivity` | Sobol indices of a Saltelli design, rank correlations of any other |
 
 mod design;

@@ -1,4 +1,4 @@
-//! A parameter: a key of the scene, and its values.
+//! A parameter: a scene key and its values.
 
 use std::path::Path;
 
@@ -7,10 +7,10 @@ use toml::Value;
 
 use crate::error::StudyError;
 
-/// Most values that a parameter lists.
+/// Maximum number of listed values of a parameter.
 pub const MAX_VALUES: usize = 10_000;
 
-/// Whether a value is a number that is not finite.
+/// Returns whether a value is a non-finite number.
 pub(crate) fn is_not_finite(value: &Value) -> bool {
     matches!(value, Value::Float(number) if !number.is_finite())
 }
@@ -22,15 +22,15 @@ pub enum Scale {
     /// Equal steps.
     #[default]
     Linear,
-    /// Equal ratios; both ends are above zero.
+    /// Equal ratios; both ends must be above zero.
     Log,
 }
 
-/// A key of the scene that a sweep varies: between `min` and `max`, or over `values`.
+/// A scene key that a sweep varies, between `min` and `max` or over `values`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Parameter {
-    /// Key of the scene with its path, as `trabecula run --set` takes it.
+    /// Scene key with its path, as for `trabecula run --set`.
     pub key: String,
     /// Lowest value, in the key's unit.
     pub min: Option<f64>,
@@ -39,7 +39,7 @@ pub struct Parameter {
     /// How the range is divided.
     #[serde(default)]
     pub scale: Scale,
-    /// Whether only whole numbers count; then `min` and `max` are among them.
+    /// Whether only whole numbers are used, `min` and `max` included.
     #[serde(default)]
     pub integer: bool,
     /// Number of values of a range in a grid, both ends included.
@@ -50,7 +50,7 @@ pub struct Parameter {
 
 impl Parameter {
     /// # Errors
-    /// No values, a range that is none, or a key that no setting can have.
+    /// No values, an invalid range, or a malformed key.
     pub(crate) fn check(&self, number: usize, file: &Path, is_grid: bool) -> Result<(), StudyError> {
         let key = |name: &str| format!("parameter.{number}.{name}");
         let bad = |name: &str, given: String, expected: &str| {
@@ -78,14 +78,15 @@ impl Parameter {
             if self.min.is_some() || self.max.is_some() || self.steps.is_some() || self.integer {
                 return contradiction(
                     "values",
-                    "stands beside `min`, `max`, `steps` or `integer`, expected a range or values",
+                    "cannot be combined with `min`, `max`, `steps` or `integer`; set either a range or \
+                     values",
                 );
             }
             if values.is_empty() || values.len() > MAX_VALUES {
                 return bad("values", format!("{} values", values.len()), "1 to 10000 values");
             }
             if values.iter().any(is_not_finite) {
-                return bad("values", "a number that is not finite".to_owned(), "finite numbers");
+                return bad("values", "a non-finite number".to_owned(), "finite numbers");
             }
             return Ok(());
         }
@@ -108,14 +109,14 @@ impl Parameter {
         if self.scale == Scale::Log && min <= 0.0 {
             return bad("min", format!("{min:?}"), "a number above 0, because `scale` is \"log\"");
         }
-        // Whole numbers beyond are not all numbers of 64 bits.
+        // Not all larger whole numbers are representable in 64 bits.
         let is_whole = |x: f64| x.fract() == 0.0 && x.abs() <= 9e15;
         if self.integer && !(is_whole(min) && is_whole(max)) {
-            return bad("min", format!("{min:?}"), "whole numbers within 9e15, because `integer` is true");
+            return bad("min", format!("{min:?}"), "whole numbers up to 9e15, because `integer` is true");
         }
         match (is_grid, self.steps) {
-            (true, None) => contradiction("steps", "is missing, which a grid needs for a range"),
-            (false, Some(_)) => contradiction("steps", "is for `design = \"grid\"`"),
+            (true, None) => contradiction("steps", "is missing; a grid needs it for a range"),
+            (false, Some(_)) => contradiction("steps", "is only for `design = \"grid\"`"),
             (true, Some(steps)) if !(2..=MAX_VALUES as u64).contains(&steps) => {
                 bad("steps", steps.to_string(), "2 to 10000")
             }
@@ -123,12 +124,12 @@ impl Parameter {
         }
     }
 
-    /// Number of values in a grid.
+    /// Returns the number of values in a grid.
     pub(crate) fn grid_count(&self) -> u64 {
         self.values.as_ref().map_or(self.steps.unwrap_or(1), |values| values.len() as u64)
     }
 
-    /// The value at a place of the range, 0 to 1; of listed values, each has an equal part.
+    /// Returns the value at a fraction of the range, 0 to 1; listed values have equal shares.
     pub(crate) fn at(&self, unit: f64) -> Value {
         if let Some(values) = &self.values {
             let index = (unit * values.len() as f64) as usize;
@@ -136,14 +137,14 @@ impl Parameter {
         }
         let (min, max) = (self.min.unwrap_or(0.0), self.max.unwrap_or(1.0));
         if self.integer {
-            // Each whole number has an equal part.
+            // All whole numbers have equal shares.
             let number = (self.stretched(min - 0.5, max + 0.5, unit)).round().clamp(min, max);
             return Value::Integer(number as i64);
         }
         Value::Float(self.stretched(min, max, unit).clamp(min, max))
     }
 
-    /// Value `index` of its grid.
+    /// Returns value `index` of its grid.
     pub(crate) fn of_grid(&self, index: u64) -> Value {
         match (&self.values, self.steps) {
             (Some(values), _) => values[(index as usize).min(values.len() - 1)].clone(),

@@ -1,28 +1,30 @@
-//! Which parameters a result depends on.
+//! Sensitivity of a result to the parameters.
 
 use xxhash_rust::xxh3::xxh3_64;
 
 /// How much of a result's variance a parameter explains.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct Index {
-    /// First-order index: the parameter alone. Saltelli et al. 2010 (doi 10.1016/j.cpc.2009.09.018), table 2, estimator (b).
+    /// First-order index: effect of the parameter alone. Saltelli et al. 2010 (doi
+    /// 10.1016/j.cpc.2009.09.018), table 2, estimator (b).
     pub first_order: f64,
     /// Half of its 95 % interval.
     pub first_order_interval: f64,
-    /// Total index: the parameter and all that it does together with others. Jansen 1999, estimator (f) of the same table.
+    /// Total index: effect of the parameter including all interactions. Jansen 1999, estimator (f) of the
+    /// same table.
     pub total: f64,
     /// Half of its 95 % interval.
     pub total_interval: f64,
 }
 
-/// Resamples behind an interval.
+/// Number of resamples for an interval.
 const RESAMPLES: u64 = 200;
 
-/// The Sobol indices of each of `dimensions` parameters from the results of a Saltelli design, in the order of its points; `None` is a run
-/// without that result. Also returns the number of samples that were left out because one of their runs has none. Intervals are 1.96
-/// standard deviations over 200 resamples with a fixed seed.
+/// Returns the Sobol indices of each of `dimensions` parameters from the results of a Saltelli design in
+/// point order, where `None` is a run without the result, and the number of samples excluded because a run
+/// has no result. Intervals are 1.96 standard deviations over 200 resamples with a fixed seed.
 ///
-/// `None` if fewer than two samples are left or the result never changes.
+/// Returns `None` if fewer than two samples remain or the result is constant.
 pub fn indices(results: &[Option<f64>], dimensions: usize) -> Option<(Vec<Index>, usize)> {
     let samples: Vec<&[Option<f64>]> = results.chunks_exact(dimensions + 2).collect();
     let whole: Vec<Vec<f64>> =
@@ -30,7 +32,7 @@ pub fn indices(results: &[Option<f64>], dimensions: usize) -> Option<(Vec<Index>
     let left_out = samples.len() - whole.len();
     let count = (whole.len() * (dimensions + 2)) as f64;
     let mean = whole.iter().flatten().sum::<f64>() / count;
-    // The estimators are exact only on average, and their scatter is least about zero.
+    // Centre the results, because the scatter of the estimators is smallest around zero.
     let whole: Vec<Vec<f64>> =
         whole.into_iter().map(|sample| sample.into_iter().map(|y| y - mean).collect()).collect();
     let all: Vec<usize> = (0..whole.len()).collect();
@@ -53,19 +55,19 @@ pub fn indices(results: &[Option<f64>], dimensions: usize) -> Option<(Vec<Index>
     Some(((0..dimensions).map(of_parameter).collect(), left_out))
 }
 
-/// As many samples as there are, drawn with replacement.
+/// Draws `count` samples with replacement.
 fn draw(resample: u64, count: usize) -> Vec<usize> {
     let number = |place: usize| xxh3_64(&[resample, place as u64].map(u64::to_le_bytes).concat());
     (0..count).map(|place| (number(place) % count as u64) as usize).collect()
 }
 
-/// Variance of A and B together.
+/// Returns the variance of A and B together.
 fn variance(samples: &[Vec<f64>], pick: &[usize], dimensions: usize) -> f64 {
     let both = pick.iter().flat_map(|&i| [samples[i][0], samples[i][dimensions + 1]]);
     deviation(both).powi(2)
 }
 
-/// First-order and total index of a parameter.
+/// Returns the first-order and total index of a parameter.
 fn estimate(samples: &[Vec<f64>], pick: &[usize], dimensions: usize, parameter: usize) -> (f64, f64) {
     let variance = variance(samples, pick, dimensions);
     let (mut first, mut total) = (0.0, 0.0);
@@ -75,19 +77,19 @@ fn estimate(samples: &[Vec<f64>], pick: &[usize], dimensions: usize, parameter: 
         total += 0.5 * (a - ab) * (a - ab);
     }
     let count = pick.len() as f64;
-    // A resample may hold one sample only.
+    // A resample can consist of a single repeated sample.
     if variance > 0.0 { (first / count / variance, total / count / variance) } else { (0.0, 0.0) }
 }
 
-/// Standard deviation about the mean, of the whole population.
+/// Returns the population standard deviation.
 fn deviation(numbers: impl Iterator<Item = f64> + Clone) -> f64 {
     let count = numbers.clone().count() as f64;
     let mean = numbers.clone().sum::<f64>() / count;
     (numbers.map(|x| (x - mean) * (x - mean)).sum::<f64>() / count).sqrt()
 }
 
-/// Spearman's rank correlation: Pearson's of the ranks, equal numbers sharing their mean rank. `None` with fewer than three pairs or where
-/// one side never changes.
+/// Returns Spearman's rank correlation: Pearson's of the ranks, with equal numbers sharing their mean rank.
+/// `None` with fewer than three pairs or if one side is constant.
 pub fn spearman(pairs: &[(f64, f64)]) -> Option<f64> {
     if pairs.len() < 3 {
         return None;
@@ -99,7 +101,7 @@ pub fn spearman(pairs: &[(f64, f64)]) -> Option<f64> {
     (scale > 0.0).then(|| sum(&x, &y) / scale)
 }
 
-/// Ranks from 1.
+/// Returns ranks from 1.
 fn ranks(numbers: impl Iterator<Item = f64>) -> Vec<f64> {
     let numbers: Vec<f64> = numbers.collect();
     let mut order: Vec<usize> = (0..numbers.len()).collect();

@@ -1,4 +1,4 @@
-//! A study: the file of a sweep, checked.
+//! A study: the validated file of a sweep.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -11,21 +11,21 @@ use crate::error::StudyError;
 use crate::parameter::Parameter;
 use crate::table::Table;
 
-/// Most parameters of a study.
+/// Maximum number of parameters of a study.
 pub const MAX_PARAMETERS: usize = 64;
-/// Most points of a study.
+/// Maximum number of points of a study.
 pub const MAX_POINTS: u64 = 1_000_000;
 
-/// Of which runs the log is kept.
+/// Which logs to keep.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Record {
-    /// None; the row's command makes one again.
+    /// None; the row's command recreates it.
     #[default]
     None,
-    /// Every one, without X-ray frames of runs that are no session.
+    /// All, without X-ray frames for runs in this process.
     All,
-    /// Every one, with its X-ray frames: each run is a session.
+    /// All, with X-ray frames; each run is a session.
     Frames,
 }
 
@@ -46,16 +46,16 @@ struct Text {
     parameter: Vec<Parameter>,
 }
 
-/// Which scenes a sweep runs.
+/// A study: the scenes of a sweep.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Study {
-    /// Scene file, from the study's folder; none for the built-in femur.
+    /// Scene file, relative to the study's folder; `None` for the built-in femur.
     pub scene: Option<PathBuf>,
-    /// How the points lie.
+    /// Distribution of the points.
     pub design: Design,
-    /// Settings of every run, each `KEY=VALUE`; a point's own come after them.
+    /// Settings of every run, each `KEY=VALUE`, applied before those of the point.
     pub set: Vec<String>,
-    /// Of which runs the log is kept.
+    /// Which logs to keep.
     pub record: Record,
     sampling: Sampling,
     parameters: Vec<Parameter>,
@@ -65,24 +65,24 @@ pub struct Study {
 /// One run of a study.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Point {
-    /// Its number, from 0.
+    /// Index, from 0.
     pub index: u64,
     /// Keys and values, in the study's order.
     pub values: Vec<(String, Value)>,
 }
 
 impl Point {
-    /// Lines `KEY=VALUE`, as `trabecula run --set` takes them.
+    /// Returns `KEY=VALUE` settings for `trabecula run --set`.
     pub fn settings(&self) -> Vec<String> {
         self.values.iter().map(|(key, value)| format!("{key}={value}")).collect()
     }
 }
 
 impl Study {
-    /// Reads a study. `table` is the text of the file that `points` names ([`Study::points_file`]).
+    /// Parses a study. `table` is the text of the file named by `points` ([`Study::points_file`]).
     ///
     /// # Errors
-    /// Not TOML, a value that is not allowed, keys that contradict each other.
+    /// Not TOML, a value out of range, or conflicting keys.
     pub fn parse(text: &str, file: &Path, table: Option<&str>) -> Result<Study, StudyError> {
         let read = read(text, file)?;
         let contradiction = |key: &str, problem: &str| StudyError::Contradiction {
@@ -92,17 +92,20 @@ impl Study {
         };
         let is_csv = read.design == Design::Csv;
         if is_csv != read.points.is_some() {
-            return Err(contradiction("points", "names the table of `design = \"csv\"`, and of no other"));
+            return Err(contradiction(
+                "points",
+                "is required by `design = \"csv\"` and not allowed otherwise",
+            ));
         }
         if is_csv != read.parameter.is_empty() {
-            let problem = if is_csv { "stands beside `design = \"csv\"`" } else { "is missing" };
+            let problem = if is_csv { "is not allowed with `design = \"csv\"`" } else { "is missing" };
             return Err(contradiction("parameter", problem));
         }
         let samples = read.samples;
         if matches!(read.design, Design::Csv | Design::Grid) == samples.is_some() {
             return Err(contradiction(
                 "samples",
-                "is the number of samples of every design but grid and csv",
+                "is required by all designs except grid and csv, where it is not allowed",
             ));
         }
         if read.parameter.len() > MAX_PARAMETERS {
@@ -128,7 +131,7 @@ impl Study {
         Ok(study)
     }
 
-    /// The file that `points` names, from the study's folder; none for most designs.
+    /// Returns the file named by `points`, relative to the study's folder; `None` for most designs.
     ///
     /// # Errors
     /// Not a study.
@@ -142,7 +145,7 @@ impl Study {
             Some(twice) => Err(StudyError::Contradiction {
                 file: file.to_owned(),
                 key: twice.to_owned(),
-                problem: "is varied twice".to_owned(),
+                problem: "is a duplicate key".to_owned(),
             }),
             None => Ok(()),
         }
@@ -162,7 +165,11 @@ impl Study {
             return bad("samples", samples.to_string(), format!("1 to {most}"));
         }
         if self.grid_count().is_none() {
-            return bad("parameter", "a grid of more points".to_owned(), format!("at most {MAX_POINTS}"));
+            return bad(
+                "parameter",
+                "a grid with too many points".to_owned(),
+                format!("at most {MAX_POINTS} points"),
+            );
         }
         Ok(())
     }
@@ -172,7 +179,7 @@ impl Study {
         counts.try_fold(1_u64, |count, n| count.checked_mul(n).filter(|count| *count <= MAX_POINTS))
     }
 
-    /// Keys that it varies.
+    /// Returns the keys that it varies.
     pub fn keys(&self) -> Vec<&str> {
         match self.design {
             Design::Csv => self.table.keys.iter().map(String::as_str).collect(),
@@ -180,7 +187,7 @@ impl Study {
         }
     }
 
-    /// Number of points.
+    /// Returns the number of points.
     pub fn count(&self) -> u64 {
         match self.design {
             Design::Grid => self.grid_count().unwrap_or(0),
@@ -190,7 +197,7 @@ impl Study {
         }
     }
 
-    /// Point `index`, below [`Study::count`].
+    /// Returns point `index`, which must be below [`Study::count`].
     pub fn point(&self, index: u64) -> Point {
         if self.design == Design::Csv {
             let row = self.table.rows.get(index as usize);

@@ -1,4 +1,4 @@
-//! Points from a CSV file: the first line names the keys, each further line holds the values of a point, as in TOML.
+//! Points from a CSV file: the first line has the keys, each further line the values of a point as TOML.
 
 use std::path::Path;
 
@@ -17,7 +17,7 @@ pub(crate) struct Table {
 
 impl Table {
     /// # Errors
-    /// Lines of different length, values that are not TOML, no rows or too many.
+    /// Lines of different length, values that are not TOML, no rows, or too many.
     pub fn parse(text: &str, file: &Path) -> Result<Table, StudyError> {
         let bad = |line: usize, problem: String| StudyError::Table { file: file.to_owned(), line, problem };
         let mut lines = (1..).zip(text.lines()).filter(|(_, line)| !line.trim().is_empty());
@@ -25,37 +25,37 @@ impl Table {
             lines.next().ok_or_else(|| bad(1, "is empty, expected a line of keys".to_owned()))?;
         let keys: Vec<String> = header.split(',').map(|key| key.trim().to_owned()).collect();
         if keys.len() > MAX_PARAMETERS {
-            return Err(bad(first, format!("{} keys, allowed are {MAX_PARAMETERS}", keys.len())));
+            return Err(bad(first, format!("{} keys, expected at most {MAX_PARAMETERS}", keys.len())));
         }
         let mut rows = Vec::new();
         for (number, line) in lines {
             if rows.len() as u64 == MAX_POINTS {
                 return Err(bad(number, format!("more than {MAX_POINTS} points")));
             }
-            // TOML's own reader splits at commas outside of texts and lists.
+            // The TOML parser splits at commas outside strings and lists.
             let list = format!("row = [{line}]").parse::<toml::Table>();
             let row = match list.ok().and_then(|mut table| table.remove("row")) {
                 Some(Value::Array(row)) => row,
                 _ => {
                     return Err(bad(
                         number,
-                        "is no list of values as in TOML; a text needs quotes, as in \"planar\"".to_owned(),
+                        "not a list of TOML values; strings need quotes, as in \"planar\"".to_owned(),
                     ));
                 }
             };
             if row.len() != keys.len() {
                 return Err(bad(
                     number,
-                    format!("{} values, the first line names {} keys", row.len(), keys.len()),
+                    format!("{} values, but the first line has {} keys", row.len(), keys.len()),
                 ));
             }
             if row.iter().any(is_not_finite) {
-                return Err(bad(number, "holds a number that is not finite".to_owned()));
+                return Err(bad(number, "contains a non-finite number".to_owned()));
             }
             rows.push(row);
         }
         if rows.is_empty() {
-            return Err(bad(first, "names keys, but no point follows".to_owned()));
+            return Err(bad(first, "keys without any points".to_owned()));
         }
         Ok(Table { keys, rows })
     }

@@ -1,4 +1,4 @@
-//! Studies: what is refused, where points lie, and indices against closed forms and SALib.
+//! Studies: rejected input, distribution of points, and indices against closed forms and SALib.
 
 #![allow(clippy::unwrap_used, reason = "a failed test says so")]
 
@@ -24,7 +24,7 @@ fn numbers(study: &Study, index: u64) -> Vec<f64> {
 }
 
 proptest! {
-    /// One sample in each of n equal parts of every parameter's range.
+    /// One sample per stratum of every parameter's range.
     #[test]
     fn a_latin_hypercube_has_one_sample_in_each_part(samples in 1_u64..200, seed in 0_u64..(1 << 62), dimensions in 1_usize..5) {
         let study = of_ranges("latin_hypercube", samples, seed, dimensions);
@@ -36,7 +36,8 @@ proptest! {
         }
     }
 
-    /// Any 2^k consecutive points of a Sobol sequence from a multiple of 2^k on have one in each of 2^k parts.
+    /// Any 2^k consecutive points of a Sobol sequence, starting at a multiple of 2^k, have one in each of 2^k
+    /// strata.
     #[test]
     fn a_sobol_sequence_is_even_at_every_power_of_two(k in 1_u32..9, seed in 0_u64..(1 << 62)) {
         let n = 1_u64 << k;
@@ -55,7 +56,8 @@ proptest! {
     }
 }
 
-/// Points are a function of text and number alone: these numbers stay, whatever machine or version makes them.
+/// Points depend only on the study's text and the index, so these numbers must not change with machine or
+/// version.
 #[test]
 fn the_points_of_a_study_never_change() {
     let found: Vec<String> = ["random", "latin_hypercube", "sobol", "saltelli"]
@@ -75,7 +77,8 @@ const POINTS: [&str; 4] = [
 #[test]
 fn a_grid_holds_every_combination_once() {
     let text = "design = \"grid\"\n[[parameter]]\nkey = \"a\"\nmin = 1.0\nmax = 100.0\nscale = \"log\"\nsteps = 3\n\
-                [[parameter]]\nkey = \"b\"\nvalues = [\"x\", true]\n[[parameter]]\nkey = \"c\"\nmin = 1\nmax = 4\ninteger = true\nsteps = 4\n";
+                [[parameter]]\nkey = \"b\"\nvalues = [\"x\", true]\n[[parameter]]\nkey = \"c\"\nmin = \
+                1\nmax = 4\ninteger = true\nsteps = 4\n";
     let study = study(text).unwrap();
     assert_eq!(study.count(), 24);
     let all: Vec<String> = (0..24).map(|i| study.point(i).settings().join(" ")).collect();
@@ -96,12 +99,12 @@ fn a_table_gives_its_rows() {
     let of_windows = Study::parse(text, Path::new("s.toml"), Some("run.seed\r\n1\r\n")).unwrap();
     assert_eq!(of_windows.point(0).settings(), ["run.seed=1"]);
     for (table, said) in [
-        ("a\n1.0\nnan\n", "line 3: holds a number that is not finite"),
-        ("a,b\n1\n", "line 2: 1 values, the first line names 2 keys"),
-        ("a\nplanar\n", "line 2: is no list of values"),
-        ("a\n", "no point follows"),
+        ("a\n1.0\nnan\n", "line 3: contains a non-finite number"),
+        ("a,b\n1\n", "line 2: 1 values, but the first line has 2 keys"),
+        ("a\nplanar\n", "line 2: not a list of TOML values"),
+        ("a\n", "keys without any points"),
         ("", "is empty"),
-        ("a,a\n1,2\n", "`a` is varied twice"),
+        ("a,a\n1,2\n", "`a` is a duplicate key"),
     ] {
         let error = Study::parse(text, Path::new("s.toml"), Some(table)).unwrap_err().to_string();
         assert!(error.contains(said), "{table:?}: {error}");
@@ -121,7 +124,7 @@ fn a_bad_study_is_refused_with_file_key_value_and_range() {
         ("design = \"random\"\nsamples = 2", "`parameter` is missing"),
         ("design = \"csv\"", "`points`"),
         (&format!("design = \"grid\"\n{range}"), "`parameter.0.steps` is missing"),
-        (&format!("design = \"random\"\nsamples = 2\n{range}{range}"), "`a` is varied twice"),
+        (&format!("design = \"random\"\nsamples = 2\n{range}{range}"), "`a` is a duplicate key"),
         (
             &format!("design = \"random\"\nsamples = 2\n{}", range.replace("1.0", "nan")),
             "`parameter.0.max` is NaN",
@@ -130,7 +133,7 @@ fn a_bad_study_is_refused_with_file_key_value_and_range() {
             &format!("design = \"random\"\nsamples = 2\n{}", range.replace("0.0", "nan")),
             "`parameter.0.min` is NaN",
         ),
-        // The difference was infinite, and each sample the largest.
+        // The difference was infinite, and each sample the maximum.
         (
             &format!(
                 "design = \"random\"\nsamples = 2\n{}",
@@ -180,7 +183,7 @@ fn ishigami(unit: &[f64]) -> f64 {
     x[0].sin() + 7.0 * x[1].sin().powi(2) + 0.1 * x[2].powi(4) * x[0].sin()
 }
 
-/// The closed form of its indices: V = a²/8 + b π⁴/5 + b² π⁸/18 + 1/2.
+/// Closed form of its indices: V = a²/8 + b π⁴/5 + b² π⁸/18 + 1/2.
 #[test]
 fn sobol_indices_of_the_ishigami_function_are_those_of_its_closed_form() {
     let study = of_ranges("saltelli", 8192, 1, 3);
@@ -216,7 +219,7 @@ fn samples_with_a_failed_run_are_left_out() {
     assert!(indices(&[None; 15], 3).is_none());
 }
 
-/// The estimators and the order of a Saltelli design are SALib's (PyPI), which analyses our points as its own.
+/// Estimators and point order of a Saltelli design match SALib (PyPI), which can analyse our points.
 #[test]
 fn salib_finds_the_same_indices_in_our_points() {
     let study = of_ranges("saltelli", 256, 7, 3);

@@ -14,7 +14,7 @@ pub struct Asset {
     pub bytes: Cow<'static, [u8]>,
 }
 
-/// The file at a URL path; `/` is the page itself. `None` if there is no such file.
+/// Returns the file at a URL path, or `None` if there is none; `/` is the page itself.
 pub fn asset(path: &str, folder: Option<&Path>) -> Option<Asset> {
     let path = path.split(['?', '#']).next().unwrap_or(path);
     let name = if path == "/" { "index.html" } else { path.strip_prefix('/')? };
@@ -26,7 +26,7 @@ pub fn asset(path: &str, folder: Option<&Path>) -> Option<Asset> {
     Some(Asset { media_type: media_type(name), bytes })
 }
 
-/// A path below the folder; `None` if it would leave the folder.
+/// Returns the path inside the folder, or `None` if it would escape the folder.
 fn inside(folder: &Path, name: &str) -> Option<PathBuf> {
     let plain = name.split('/').all(|part| !part.is_empty() && !part.starts_with('.'));
     plain.then(|| folder.join(name))

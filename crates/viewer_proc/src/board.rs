@@ -1,4 +1,5 @@
-//! The board between the sources and the clients' connections. No source ever blocks here: it hands its message over and continues.
+//! The board between the data sources and the client connections. Sources never block here: they hand over a
+//! message and continue.
 
 use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -17,10 +18,10 @@ use crate::protocol::Subscription;
 
 /// Notices kept for clients that subscribe later.
 const NOTICES_KEPT: u32 = 64;
-/// Late ticks kept for them, with their causes.
+/// Number of late ticks kept for them, with their causes.
 const MISSES_KEPT: u32 = 1024;
 
-/// Why connections close where something else is shown next; the page knows it by these words.
+/// Close reason when the viewer will show something else next. The page compares this string.
 pub const GOES_ON: &str = "the viewer goes on";
 
 /// One client's side of the board.
@@ -37,17 +38,18 @@ impl Client {
         lock(&self.state).take(bytes)
     }
 
-    /// The number of dropped messages to tell the client now ([`viewer::Client::drops_to_tell`]).
+    /// Returns the number of dropped messages to report to the client now
+    /// ([`viewer::Client::drops_to_tell`]).
     pub fn drops_to_tell(&self) -> Option<u64> {
         lock(&self.state).drops_to_tell(now_ns())
     }
 
-    /// The same at the end.
+    /// Same, when the connection closes.
     pub fn last_drops_to_tell(&self) -> Option<u64> {
         lock(&self.state).last_drops_to_tell()
     }
 
-    /// Counts a message of the client; whether it may send so many.
+    /// Counts a message against the client's rate limit; returns false if the limit is exceeded.
     pub fn may_send(&self) -> bool {
         lock(&self.state).may_send(now_ns())
     }
@@ -65,16 +67,17 @@ pub struct Board {
     time_ns: AtomicU64,
     /// Number of the next notice.
     notices: AtomicU32,
-    /// Attributes late ticks. Kept across ticks, because stolen time is checked against the machine's counter over all of them.
+    /// Attributes late ticks. Kept across ticks, because stolen time is checked against the machine's counter
+    /// over the whole run.
     misses: Mutex<Misses>,
-    /// Number of the next miss that is told.
+    /// Number of the next reported miss.
     misses_told: AtomicU32,
-    /// Whether something else is shown at the same address afterwards.
+    /// Whether the viewer will show something else at the same address afterwards.
     goes_on: AtomicBool,
 }
 
 impl Board {
-    /// An empty board.
+    /// Creates an empty board.
     pub fn new(channels: Channels) -> Board {
         Board {
             channels,
@@ -104,12 +107,12 @@ impl Board {
         self.time_ns.store(time_ns, Ordering::Relaxed);
     }
 
-    /// Whether anybody subscribes to a topic. May return true when nobody does.
+    /// Whether any client subscribes to a topic. May return true when none does.
     pub fn wants(&self, topic: &str) -> bool {
         self.channels.id(topic).is_some_and(|id| self.wanted().has(id))
     }
 
-    /// The channels that somebody subscribes to.
+    /// The channels with at least one subscriber.
     pub fn wanted(&self) -> Wanted {
         Wanted(self.wanted.load(Ordering::Relaxed))
     }
@@ -126,7 +129,7 @@ impl Board {
         self.publish(topic, self.time_ns(), 0, value.to_string().into_bytes());
     }
 
-    /// Notifies the user. Clients that subscribe later get the last `NOTICES_KEPT`.
+    /// Notifies the user. Clients that subscribe later get the last `NOTICES_KEPT` notices.
     pub fn notice(&self, level: &str, text: &str) {
         let number = self.notices.fetch_add(1, Ordering::Relaxed);
         let value = serde_json::json!({"level": level, "text": text});
@@ -134,12 +137,13 @@ impl Board {
         self.hand_out(NOTICE, self.time_ns(), number, value.to_string().into_bytes(), keep);
     }
 
-    /// Publishes a message and keeps it as the newest of its channel and slot. Before a late tick's timing, also publishes the cause.
+    /// Publishes a message and keeps it as the newest of its channel and slot. Before the timing of a late
+    /// tick, also publishes the cause.
     pub fn publish(&self, topic: &str, time_ns: u64, slot: u32, bytes: Vec<u8>) {
         if topic == Topic::TickTiming.name()
             && let Some(miss) = self.miss_of(&bytes)
         {
-            // A page that is opened later still shows them.
+            // Kept, so that a page opened later still shows it.
             let number = self.misses_told.fetch_add(1, Ordering::Relaxed);
             let keep = |kept: &mut Kept, message: &Published| kept.keep_last(message, MISSES_KEPT);
             self.hand_out(MISS, time_ns, number, miss.to_string().into_bytes(), keep);
@@ -147,15 +151,14 @@ impl Board {
         self.hand_out(topic, time_ns, slot, bytes, Kept::keep);
     }
 
-    /// Main cause of a late tick, as the page shows it; `None` for a tick on time.
+    /// Returns the main cause of a late tick, in the page's format, or `None` for a tick on time.
     fn miss_of(&self, timing: &[u8]) -> Option<serde_json::Value> {
         let timing = TickTiming::read_from_bytes(timing.strip_prefix(CDR_LITTLE_ENDIAN.as_slice())?).ok()?;
         let lost = lock(&self.misses).add(&timing)?;
         let cause = lost.main_cause();
         let letter = cause.letter().to_string();
-        Some(
-            serde_json::json!({"tick": timing.tick, "cause": cause.name(), "letter": letter, "lost_ns": lost.total_ns()}),
-        )
+        Some(serde_json::json!({"tick": timing.tick, "cause": cause.name(), "letter": letter,
+                "lost_ns": lost.total_ns()}))
     }
 
     fn hand_out(
@@ -179,12 +182,12 @@ impl Board {
         }
     }
 
-    /// Says that something else will be shown at the same address: clients should come again.
+    /// Announces that something else will be shown at the same address, so that clients reconnect.
     pub fn go_on(&self) {
         self.goes_on.store(true, Ordering::Relaxed);
     }
 
-    /// Why connections close at the end.
+    /// Reason given to clients when their connections close.
     pub fn farewell(&self) -> &'static str {
         if self.goes_on.load(Ordering::Relaxed) { GOES_ON } else { "the viewer has ended" }
     }
@@ -211,7 +214,7 @@ impl Board {
     /// Subscribes a client and gives it the channel's newest message; for a surface, all blocks.
     ///
     /// # Errors
-    /// No such channel, a number already in use, too many subscriptions; the text says which.
+    /// No such channel, duplicate subscription number, or too many subscriptions.
     pub fn subscribe(&self, client: &Client, wanted: Subscription) -> Result<(), String> {
         let Subscription { id, channel_id } = wanted;
         let Some(channel) = self.channels.get(channel_id) else {

@@ -12,17 +12,18 @@ use crate::protocol::Advertisement;
 pub const INFO: &str = "/view/info";
 /// The bone's surface, one message per block ([`crate::surface::mesh`]).
 pub const SURFACE: &str = "/view/surface";
-/// The arm's links that have a mesh, one message per link, in the frame that it moves with ([`crate::surface::mesh`]).
+/// The arm's links that have a mesh, one message per link, in the frame that it moves with
+/// ([`crate::surface::mesh`]).
 pub const ARM: &str = "/view/arm";
 /// The connected parts and their rates (JSON).
 pub const PARTS: &str = "/view/parts";
 /// Position on the time line (JSON; logs only).
 pub const PLAYBACK: &str = "/view/playback";
-/// The speed limit of a running session, or none (JSON; live only).
+/// The speed limit of a running session, or null (JSON; live only).
 pub const PACE: &str = "/view/pace";
-/// The state at the position on the time line, which a slow client gets less often but never late (logs only).
+/// State at the position on the time line. A slow client gets it less often but never late (logs only).
 pub const VIEW_STATE: &str = "/view/state";
-/// The state of the tick at which the frame that is shown was taken, so that the tool can be drawn over it (logs only).
+/// State of the tick at which the shown frame was taken, so that the tool can be drawn over it (logs only).
 pub const FRAME_STATE: &str = "/view/frame_state";
 /// Notices for the user (JSON).
 pub const NOTICE: &str = "/view/notice";
@@ -33,7 +34,8 @@ pub const MISS: &str = "/view/miss";
 /// The tool and its contacts for the 3D panel of Lichtblick and Foxglove (`foxglove.SceneUpdate`, JSON).
 pub const SCENE: &str = "/view/scene";
 
-/// A complete frame that a viewer client requested: `Frame` and its image. Scheduled frames do not replace it (live only).
+/// A complete frame that a viewer client requested: `Frame` and its image. Scheduled frames do not replace it
+/// (live only).
 pub const ASKED_FRAME: &str = "/view/asked_frame";
 
 /// Prefix of a second log's topics.
@@ -62,11 +64,12 @@ struct Schema<'a> {
 }
 
 impl Channels {
-    /// All channels, including one command channel per controller, and that of readings if the scene has sensors.
+    /// Returns all channels: one command channel per controller, and the readings channel if the scene has
+    /// sensors.
     pub fn new(controllers: &[String], sensors: &[Sensor]) -> Channels {
         let mut channels = Channels::default();
         for topic in RUN_TOPICS {
-            // Keyframes are the physics' internal format; there is nothing to show.
+            // Keyframes are internal to the physics; there is nothing to show.
             if topic != Topic::Keyframe {
                 channels.logged(topic.name(), topic.description(), policy_of(topic));
             }
@@ -102,8 +105,8 @@ impl Channels {
         channels
     }
 
-    /// Adds the channels that only logs have: [`VIEW_STATE`], [`FRAME_STATE`], and those of a second log, shown beside the first under
-    /// the prefix [`SECOND`].
+    /// Adds the channels that only logs have: [`VIEW_STATE`], [`FRAME_STATE`], and those of a second log,
+    /// shown next to the first under the prefix [`SECOND`].
     pub fn add_log(&mut self, has_second: bool) {
         self.logged(VIEW_STATE, Topic::State.description(), Policy::Newest);
         self.logged(FRAME_STATE, Topic::State.description(), Policy::Newest);
@@ -116,12 +119,12 @@ impl Channels {
         }
     }
 
-    /// The channel with this number.
+    /// Returns the channel with this number.
     pub fn get(&self, id: u32) -> Option<&Channel> {
         self.0.get((id as usize).checked_sub(1)?)
     }
 
-    /// A topic's channel number.
+    /// Returns a topic's channel number.
     pub fn id(&self, topic: &str) -> Option<u32> {
         self.0.iter().find(|channel| channel.advertisement.topic == topic).map(|c| c.advertisement.id)
     }
@@ -154,7 +157,8 @@ impl Channels {
     }
 }
 
-/// Of frames a client gets the newest, of everything else each message.
+/// Returns the policy of a logged topic: clients get only the newest frame, but every message of all other
+/// topics.
 fn policy_of(topic: Topic) -> Policy {
     match topic {
         Topic::DrrFrame | Topic::DrrImage => Policy::Newest,

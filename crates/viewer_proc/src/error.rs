@@ -15,7 +15,8 @@ use crate::log::file::PlayError;
 pub enum ViewerError {
     /// Cannot listen on the port.
     #[error(
-        "{address}: cannot listen on this address: {cause}; choose another port with --port, or 0 for any free one"
+        "{address}: cannot listen on this address: {cause}; choose another port with --port, \
+         or 0 for any free one"
     )]
     Port {
         /// The requested address.

@@ -28,22 +28,22 @@ pub struct ToolShape {
     pub cutter: Cutter,
     /// What joins the tool to the arm.
     pub holder: Holder,
-    /// Parts of the arm between its joints: frame i + 1 in frame i while joint i + 1 is at zero; it turns about z of frame i, and the last
-    /// frame is the flange. `None`: there is no arm with joints.
+    /// Parts of the arm between its joints: frame i + 1 in frame i while joint i + 1 is at zero. The joint
+    /// turns about z of frame i; the last frame is the flange. `None` for an arm without joints.
     pub arm_parts: Option<Vec<Pose>>,
 }
 
 /// The arm's links that have a mesh; the others are drawn as tubes.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct ArmLooks {
-    /// A mesh a link, its block the frame that it moves with: 0, the arm's base, to the flange.
+    /// One mesh per link; its block is the frame it moves with, from 0 (the arm's base) to the flange.
     pub meshes: Vec<BlockMesh>,
-    /// What the user should know: why some are missing.
+    /// Notes for the user on links without a mesh.
     pub notes: Vec<String>,
 }
 
 impl ArmLooks {
-    /// Hands the meshes to all clients, now and later.
+    /// Publishes the meshes, also to clients that connect later.
     pub(crate) fn publish(&self, board: &Board) {
         for mesh in &self.meshes {
             board.publish(ARM, board.time_ns(), mesh.block, mesh.bytes());
@@ -74,7 +74,7 @@ pub enum Origin {
     Plan(String),
 }
 
-/// The message.
+/// Returns the message.
 pub fn info(scene: &Scene, origin: &Origin, tool: &ToolShape, volume: Option<&VolumeBox>) -> Value {
     let (kind, key, place) = match origin {
         Origin::Live(folder) => ("live", "session", folder),
@@ -85,12 +85,14 @@ pub fn info(scene: &Scene, origin: &Origin, tool: &ToolShape, volume: Option<&Vo
         "kind": kind,
         "scene": scene_part(scene),
         "tool": tool_part(scene, tool),
-        "arm": tool.arm_parts.as_deref().map(|parts| json!({"parts": parts.iter().map(part).collect::<Vec<_>>()})),
+        "arm": tool.arm_parts.as_deref()
+            .map(|parts| json!({"parts": parts.iter().map(part).collect::<Vec<_>>()})),
         "volume": volume.map(|v| json!({"min_m": v.min_m, "max_m": v.max_m, "spacing_m": v.spacing_m})),
         "slices": scene.volume.as_ref().map(|_| slice_planes(scene)),
         "controllers": scene.controller_names(),
-        // What the viewer's own controller may drive.
-        "drives": scene.controller.iter().find(|controller| controller.name == CONTROLLER).map(|own| &own.drives),
+        // The quantities that the viewer's own controller can drive.
+        "drives": scene.controller.iter().find(|controller| controller.name == CONTROLLER)
+            .map(|own| &own.drives),
         "c_arm": scene.drr.as_ref().map(|drr| json!({
             "isocentre_m": drr.isocentre_mm.map(metres),
             "primary_angle_deg": drr.primary_angle_deg,
@@ -123,11 +125,14 @@ fn scene_part(scene: &Scene) -> Value {
         "dt_ns": scene.dt_ns(),
         "mode": scene.run.mode,
         "tick_count": scene.tick_count(),
-        "target_m": drilling.and_then(|drilling| drilling.target_mm).map(|target| scene.in_bone_mm(target).map(metres)),
-        "planned_path_m": planned_path_in_bone_mm(scene).map(|path| path.into_iter().map(|point| point.map(metres)).collect::<Vec<_>>()),
+        "target_m": drilling.and_then(|drilling| drilling.target_mm)
+            .map(|target| scene.in_bone_mm(target).map(metres)),
+        "planned_path_m": planned_path_in_bone_mm(scene)
+            .map(|path| path.into_iter().map(|point| point.map(metres)).collect::<Vec<_>>()),
         "burr_start_m": scene.tool.burr_start_mm.map(metres),
         "predrill": scene.predrill.iter().map(|hole| json!({
-            "from_m": hole.from_mm.map(metres), "to_m": hole.to_mm.map(metres), "radius_m": 0.5 * metres(hole.diameter_mm),
+            "from_m": hole.from_mm.map(metres), "to_m": hole.to_mm.map(metres),
+            "radius_m": 0.5 * metres(hole.diameter_mm),
         })).collect::<Vec<_>>(),
     })
 }
@@ -136,7 +141,9 @@ fn scene_part(scene: &Scene) -> Value {
 fn slice_planes(scene: &Scene) -> Value {
     let mut planes: Vec<Value> = ANATOMICAL
         .iter()
-        .map(|plane| json!({"name": plane.name, "right": plane.right, "down": plane.down, "letters": plane.letters}))
+        .map(|plane| {
+            json!({"name": plane.name, "right": plane.right, "down": plane.down, "letters": plane.letters})
+        })
         .collect();
     let along = unit(scene.tool.direction);
     let toward = scene.tool.bend_toward;
@@ -146,7 +153,7 @@ fn slice_planes(scene: &Scene) -> Value {
     json!({"planes": planes, "most_pixels": MOST_PIXELS, "outside": OUTSIDE, "drilled": DRILLED})
 }
 
-/// The vector normalised to length 1.
+/// Returns the vector normalised to length 1.
 pub(crate) fn unit(vector: [f64; 3]) -> [f64; 3] {
     let length = vector.iter().map(|x| x * x).sum::<f64>().sqrt();
     if length > 0.0 { vector.map(|x| x / length) } else { vector }

@@ -1,11 +1,11 @@
-//! Whether everybody has left.
+//! Ends the viewer once all its clients have disconnected.
 
 use std::time::{Duration, Instant};
 
-/// How long nobody may watch before the viewer ends: a page that is loaded again takes a second.
+/// Time without clients after which the viewer ends; reloading the page takes about a second.
 const LEFT_LIMIT: Duration = Duration::from_secs(5);
 
-/// When somebody watched last.
+/// Time at which a client was last connected.
 pub(crate) struct Left(Instant);
 
 impl Default for Left {
@@ -15,7 +15,7 @@ impl Default for Left {
 }
 
 impl Left {
-    /// Whether nobody has watched for `LEFT_LIMIT`.
+    /// Returns whether there has been no client for `LEFT_LIMIT`.
     pub(crate) fn is_over(&mut self, clients: usize) -> bool {
         if clients > 0 {
             self.0 = Instant::now();

@@ -1,10 +1,11 @@
 //! The viewer: a page in the browser and the Foxglove WebSocket protocol, for a running session or for logs.
 //!
-//! Started only on request. It reads a session as any client does and never holds it up: it takes what has arrived and drops what its own
-//! clients do not read in time.
+//! Runs only on request. It reads a session as any client does and never holds it up: it takes what has
+//! arrived and drops what its own clients do not read in time.
 //!
-//! **Boundary:** the only async runtime; no vendor's code, no request to anything but its own server. **Invariants:** each client's queue
-//! is bounded; a client without the token reads and changes nothing.
+//! **Boundary:** the only async runtime; no third-party code in the page, no requests to any other server.
+//! **Invariants:** each client's queue is bounded; without the token a client cannot control or change
+//! anything.
 //!
 //! ```
 //! use viewer_proc::surface::{Field, Voxel};
@@ -19,15 +20,15 @@
 //! # Ok::<(), voxel_grid::GridError>(())
 //! ```
 //!
-//! | module | what it holds |
+//! | module | contents |
 //! |---|---|
 //! | [`live`] | a running session: messages, run control, driving |
 //! | [`log`] | logs on a time line |
 //! | [`plan`] | a scene before its run: shown, changed, saved, started |
 //! | [`surface`] | the bone's surface, block by block; links of the arm |
 //! | [`mod@slice`] | planes through the CT, on request |
-//! | [`server`], [`protocol`], [`services`] | HTTP, WebSocket, the requests of clients |
-//! | [`board`], [`channels`] | what clients subscribe to; [`delivery::viewer`] decides what each of them gets |
+//! | [`server`], [`protocol`], [`services`] | HTTP, WebSocket, client requests |
+//! | [`board`], [`channels`] | what clients subscribe to; [`delivery::viewer`] decides what each gets |
 //! | [`scene_update`] | the tool for other viewers |
 //! | [`info`](mod@info), [`assets`] | the scene as the page needs it, the page's files |
 

@@ -1,8 +1,8 @@
-//! A scene before its run: its first state, its bone with the pilot holes, slices, what was measured of its plan, and its places, which can
-//! be moved, saved as another scene, and run.
+//! A scene before its run: its initial state, bone with pilot holes, slices, measurements, and points that
+//! can be moved. The edited scene can be saved under another name and run.
 //!
-//! What a moved place means, how a scene is written and how one is run, a [`Planner`] knows. It works on a thread of its own, so that slices
-//! come meanwhile.
+//! A [`Planner`] implements moving, saving and running. It runs on its own thread, so that slices are served
+//! meanwhile.
 
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
@@ -32,12 +32,12 @@ use crate::surface::bone::{Bone, volume_box};
 
 /// Time between two polls.
 const POLL_PERIOD: Duration = Duration::from_millis(8);
-/// Requests to the planner that may wait.
+/// Maximum number of waiting planner requests.
 const PLAN_QUEUE: usize = 8;
-/// How often the planner's thread looks for a run that was started.
+/// Interval at which the planner's thread checks for a started run.
 const RUN_LOOK: Duration = Duration::from_millis(50);
 
-/// A scene as it is shown.
+/// A scene ready for display.
 #[derive(Debug, Clone)]
 pub struct Planned {
     /// The scene.
@@ -48,59 +48,61 @@ pub struct Planned {
     pub state: State,
     /// Voxels of the pilot holes.
     pub predrilled: Vec<u32>,
-    /// What was measured of it, for the page.
+    /// Its measurements, for the page.
     pub plan: Value,
-    /// What `scene check` finds.
+    /// Findings of `scene check`.
     pub findings: Vec<String>,
 }
 
-/// What came of saving a scene.
+/// Result of saving a scene.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Saved {
-    /// It is in this file.
+    /// Saved to this file.
     As(PathBuf),
-    /// Nothing was written: there is a file of that name.
+    /// Not saved: a file of that name exists.
     Exists(PathBuf),
 }
 
-/// Changes, saves and runs a scene. Errors are texts for the user, the same that the command line prints.
+/// Changes, saves and runs a scene. Errors are texts for the user, identical to those of the command line.
 pub trait Planner: Send {
-    /// Moves places; what cannot be is refused and changes nothing.
+    /// Moves points. An invalid move is refused and changes nothing.
     ///
     /// # Errors
-    /// The scene would be refused.
+    /// The moved scene would be invalid.
     fn move_places(&mut self, places: &Places) -> Result<Planned, String>;
 
-    /// Takes everything back that was moved.
+    /// Undoes all moves.
     ///
     /// # Errors
-    /// The file is no scene any more.
+    /// The file is no longer a valid scene.
     fn restore(&mut self) -> Result<Planned, String>;
 
-    /// Writes the scene beside the one that was opened.
+    /// Writes the scene to the folder of the original file.
     ///
     /// # Errors
-    /// Not a file's name, or not to be written.
+    /// Invalid file name, or the file cannot be written.
     fn save(&mut self, name: &str, replace: bool) -> Result<Saved, String>;
 
-    /// Starts a run of the scene as it was saved last.
+    /// Starts a run of the scene as last saved.
     ///
     /// # Errors
-    /// It was changed since, a run is under way, or the program cannot be started.
+    /// The scene has unsaved changes, a run is in progress, or the program cannot be started.
     fn run(&mut self) -> Result<(), String>;
 
-    /// Folder of the session of a run that was started, once it can be joined, or why there is none; `None`: nothing new.
+    /// Returns the session folder of a started run once it can be joined, or an error text if it failed to
+    /// start; `None` if there is no news.
     fn session(&mut self) -> Option<Result<PathBuf, String>>;
 }
 
-/// What the planner's thread tells the one that shows.
+/// Messages from the planner's thread to the display.
 enum News {
     Changed(Box<Planned>),
     Session(PathBuf),
     NoRun(String),
 }
 
-/// Shows the scene of a file until the process is asked to end, or a run of it has begun: then returns that run's session.
+/// Shows a scene file until the process is asked to end or a run of it has started; in the latter case,
+/// returns that run's session.
 ///
 /// # Errors
 /// The server cannot be started.
@@ -137,7 +139,7 @@ pub fn view(
     })
 }
 
-/// What is on the board.
+/// The state shown on the board.
 struct Shown<'a> {
     board: Arc<Board>,
     origin: Origin,
@@ -206,11 +208,11 @@ fn dispatch(call: Call, slicer: &mut Slicer, asked: &mpsc::SyncSender<Call>) {
                 call.refuse("busy with earlier changes of the plan");
             }
         }
-        _ => call.refuse("nothing runs yet: this is a scene before its run; start it with Run"),
+        _ => call.refuse("no run in progress: this is a scene before its run; start it with Run"),
     }
 }
 
-/// Answers what is asked of the planner, until the viewer shows something else.
+/// Answers planner requests until the viewer shows something else.
 fn plan(
     planner: &mut impl Planner,
     asking: &mpsc::Receiver<Call>,
@@ -244,7 +246,7 @@ fn plan(
             drop(tell.send(News::Changed(Box::new(planned))));
             Reply::Done
         });
-        // The client may have left.
+        // The client may have disconnected.
         drop(call.answer.send(outcome));
     }
 }

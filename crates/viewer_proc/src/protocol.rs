@@ -1,6 +1,7 @@
 //! The Foxglove WebSocket protocol: text messages, binary messages and their numbers.
 //!
-//! Source: the protocol's specification, `foxglove.websocket.v1` and its successor `foxglove.sdk.v1`, which agree on everything used here.
+//! Source: the protocol's specification, `foxglove.websocket.v1` and its successor `foxglove.sdk.v1`, which
+//! agree on everything used here.
 
 use serde::{Deserialize, Serialize};
 
@@ -87,7 +88,8 @@ pub struct ServiceCall<'a> {
 /// The first message to a client.
 pub fn server_info(name: &str, session: &str) -> String {
     serde_json::json!({
-        "op": "serverInfo", "name": name, "capabilities": ["time", "services"], "supportedEncodings": ["json"],
+        "op": "serverInfo", "name": name, "capabilities": ["time", "services"],
+        "supportedEncodings": ["json"],
         "metadata": {"program": "trabecula", "version": env!("CARGO_PKG_VERSION")}, "sessionId": session,
     })
     .to_string()
@@ -117,7 +119,7 @@ pub fn status(level: Level, message: &str) -> String {
     serde_json::json!({"op": "status", "level": level as u8, "message": message}).to_string()
 }
 
-/// The response to a call that could not be handled at all.
+/// The response to a call that could not be processed at all.
 pub fn service_failure(call: &ServiceCall<'_>, message: &str) -> String {
     serde_json::json!({"op": "serviceCallFailure", "serviceId": call.service, "callId": call.call,
         "message": message})

@@ -14,7 +14,7 @@ const PERIOD: Duration = Duration::from_millis(33);
 /// Length of a contact's line per newton of force.
 const METRES_PER_NEWTON: f64 = 2e-3;
 
-/// Draws the tool, at most at 30 Hz and only if somebody subscribes.
+/// Draws the tool at up to 30 Hz, and only if a client subscribes.
 #[derive(Debug)]
 pub struct Drawer {
     outer_radius_m: f64,
@@ -24,7 +24,7 @@ pub struct Drawer {
 }
 
 impl Drawer {
-    /// A drawer for this tool.
+    /// Creates a drawer for this tool.
     pub fn new(tool: &ToolShape) -> Drawer {
         Drawer {
             outer_radius_m: tool.outer_radius_m,
@@ -34,12 +34,12 @@ impl Drawer {
         }
     }
 
-    /// Whether somebody subscribes and the last drawing is old enough.
+    /// Whether a client subscribes and the last drawing is old enough.
     pub fn is_due(&self, board: &Board) -> bool {
         board.wants(SCENE) && self.last.is_none_or(|last| last.elapsed() >= PERIOD)
     }
 
-    /// Puts a drawing of the state on the board if one is due.
+    /// Publishes a drawing of the state if one is due.
     pub fn draw(&mut self, state: &State, time_ns: u64, board: &Board) {
         if self.is_due(board) {
             self.last = Some(Instant::now());
@@ -47,7 +47,7 @@ impl Drawer {
         }
     }
 
-    /// The drawing of a state, in JSON.
+    /// Returns the drawing of a state as JSON.
     pub fn update(&self, state: &State, time_ns: u64) -> String {
         let links = &state.t_world_link[..(state.joint_count as usize).min(state.t_world_link.len())];
         let starts = core::iter::once(&state.t_world_base).chain(links);
@@ -84,14 +84,14 @@ impl Drawer {
     }
 }
 
-/// A point of a pose's z axis.
+/// Returns a point on a pose's z axis.
 fn on_axis(pose: &Pose, ahead_m: f64) -> [f64; 3] {
     let [x, y, z, w] = pose.orientation_xyzw;
     let axis = [2.0 * (x * z + y * w), 2.0 * (y * z - x * w), 1.0 - 2.0 * (x * x + y * y)];
     core::array::from_fn(|i| pose.position_m[i] + ahead_m * axis[i])
 }
 
-/// A cylinder along a pose's z axis, from its origin to a point.
+/// Returns a cylinder along a pose's z axis, from its origin to a point.
 fn cylinder(radius_m: f64, start: &Pose, end_m: [f64; 3]) -> Value {
     let from_m = start.position_m;
     let length_m = (0..3).map(|axis| (end_m[axis] - from_m[axis]).powi(2)).sum::<f64>().sqrt();
@@ -101,15 +101,15 @@ fn cylinder(radius_m: f64, start: &Pose, end_m: [f64; 3]) -> Value {
         "bottom_scale": 1.0, "top_scale": 1.0, "color": colour(0.6, 0.65, 0.7)})
 }
 
-/// A line through points as a drawing of its own, in JSON.
+/// Returns a line through points as a separate drawing, as JSON.
 pub fn curve(id: &str, time_ns: u64, points_m: &[[f64; 3]], [r, g, b]: [f64; 3]) -> String {
     let points: Vec<Value> = points_m.iter().map(|place| point(*place)).collect();
-    let line = json!({"type": 0, "pose": identity(), "thickness": 2.0, "scale_invariant": true, "points": points,
-        "color": colour(r, g, b), "colors": [], "indices": []});
+    let line = json!({"type": 0, "pose": identity(), "thickness": 2.0, "scale_invariant": true,
+        "points": points, "color": colour(r, g, b), "colors": [], "indices": []});
     entity(id, time_ns, &json!([]), &json!([]), &json!([line]))
 }
 
-/// A `foxglove.SceneUpdate` of one entity in the world's frame.
+/// Returns a `foxglove.SceneUpdate` with one entity in the world frame.
 fn entity(id: &str, time_ns: u64, spheres: &Value, cylinders: &Value, lines: &Value) -> String {
     let stamp = json!({"sec": time_ns / 1_000_000_000, "nsec": time_ns % 1_000_000_000});
     let update = json!({"deletions": [], "entities": [{

@@ -26,7 +26,7 @@ pub enum Action {
     Pause,
     /// Resume.
     Resume,
-    /// Make some ticks while paused.
+    /// Run a number of ticks while paused.
     Step,
     /// Reset to the initial state.
     Reset,
@@ -39,15 +39,15 @@ pub enum Action {
 /// A `/control` request.
 #[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
 pub struct Control {
-    /// What to do.
+    /// Action.
     pub action: Action,
-    /// Ticks of a step; 1 if left out.
+    /// Number of ticks for `step`; 1 if omitted.
     pub ticks: Option<u64>,
-    /// Ratio of simulated to wall time, for `speed`; none or 0 lifts the limit.
+    /// Ratio of simulated to wall time, for `speed`; if omitted or 0, the limit is lifted.
     pub speed: Option<f64>,
 }
 
-/// A `/drive` request: the user's current inputs. Fields left out keep their values.
+/// A `/drive` request: the user's current inputs. Omitted fields keep their values.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 pub struct Drive {
     /// Tension of each tendon, or of tendon 0 alone, N.
@@ -80,7 +80,8 @@ impl OneOrMany {
     }
 }
 
-/// C-arm pose, either by DICOM's angles (0018,1510 and 0018,1511) about the scene's isocentre or as a pose.
+/// C-arm pose, given either as DICOM angles (0018,1510 and 0018,1511) about the scene's isocentre or as a
+/// pose.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Deserialize)]
 #[serde(default)]
 pub struct CArm {
@@ -104,15 +105,15 @@ pub struct Pose {
 /// A `/playback` request.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 pub struct Playback {
-    /// What to do.
+    /// Action.
     pub action: PlaybackAction,
     /// Target time for `seek`, ns.
     pub time_ns: Option<u64>,
     /// Ratio of simulated to wall time, for `speed`; negative plays backward.
     pub speed: Option<f64>,
-    /// Kind of mark for `next` and `previous`: event, miss, divergence or gap; `None` matches any.
+    /// Kind of mark for `next` and `previous`: event, miss, divergence or gap; `None` matches all.
     pub kind: Option<String>,
-    /// Ticks of a step, negative for backward; 1 if left out.
+    /// Number of ticks for `step`, negative for backward; 1 if omitted.
     pub ticks: Option<i64>,
 }
 
@@ -136,7 +137,7 @@ pub enum PlaybackAction {
     Previous,
 }
 
-/// Places of a plan in the patient frame, mm. What is left out stays.
+/// Points of a plan in the patient frame, mm. Omitted points stay where they are.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Places {
@@ -148,30 +149,30 @@ pub struct Places {
     pub isocentre_mm: Option<[f64; 3]>,
 }
 
-/// A `/plan` request, to a scene before its run.
+/// A `/plan` request, for a scene before its run.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(tag = "action", rename_all = "lowercase")]
 pub enum PlanRequest {
-    /// Moves places; all are told what follows.
+    /// Moves points and publishes the new scene to all clients.
     Move {
-        /// The new places.
+        /// The new points.
         places: Places,
     },
-    /// Takes everything back that was moved.
+    /// Undoes all moves.
     Restore,
-    /// Writes the scene beside the one that was opened.
+    /// Writes the scene to the folder of the original file.
     Save {
         /// File name, without a folder.
         name: String,
-        /// Whether a file of that name may be replaced.
+        /// Whether an existing file of that name may be overwritten.
         #[serde(default)]
         replace: bool,
     },
-    /// Runs the scene as it was saved last.
+    /// Runs the scene as last saved.
     Run,
 }
 
-/// A request whose form and token have been checked.
+/// A request whose format and token have been checked.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Request {
     /// Control the run.
@@ -190,14 +191,14 @@ pub enum Request {
     Plan(PlanRequest),
 }
 
-/// Answer to a request that was executed.
+/// Reply to a request that was executed.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Reply {
-    /// Done; there is nothing more to say.
+    /// Done, with no data to return.
     Done,
-    /// A JSON object with `"ok": true` and what was asked for.
+    /// A JSON object with `"ok": true` and the requested data.
     Json(String),
-    /// What was asked for, in an encoding of its own.
+    /// The requested data in a binary encoding.
     Bytes {
         /// Name of the encoding.
         encoding: &'static str,
@@ -206,37 +207,37 @@ pub enum Reply {
     },
 }
 
-/// What came of a request: an answer, or what is wrong.
+/// Result of a request: the reply, or an error text for the user.
 pub type Outcome = Result<Reply, String>;
 
-/// A request and the channel for its answer.
+/// A request and the channel for its reply.
 #[derive(Debug)]
 pub struct Call {
     /// The request.
     pub request: Request,
-    /// Takes the answer.
+    /// Receives the reply.
     pub answer: oneshot::Sender<Outcome>,
 }
 
 impl Call {
-    /// Answers. The client may have left.
+    /// Replies. The client may have disconnected.
     pub fn reply(self, reply: Reply) {
         let _ = self.answer.send(Ok(reply));
     }
 
-    /// Says why not. The client may have left.
+    /// Rejects the request with a reason. The client may have disconnected.
     pub fn refuse(self, why: &str) {
         let _ = self.answer.send(Err(why.to_owned()));
     }
 }
 
-/// Queue of calls to the source.
+/// Queue of calls for the data source.
 pub type Calls = mpsc::Receiver<Call>;
 
-/// Parses a request. One that commands must have the server's token; to read, it is enough to be connected.
+/// Parses a request. Commands require the server's token; read requests only require a connection.
 ///
 /// # Errors
-/// What is wrong with it, for the user.
+/// An error text for the user.
 pub fn read_request(service: u32, payload: &[u8], token: &str) -> Result<Request, String> {
     let value: Value = serde_json::from_slice(payload).map_err(|error| format!("not JSON: {error}"))?;
     let given = value.get("token").and_then(Value::as_str).unwrap_or("");
@@ -266,9 +267,9 @@ pub fn read_request(service: u32, payload: &[u8], token: &str) -> Result<Request
     Ok(request)
 }
 
-/// Answer to a client with a missing or wrong token.
+/// Reply to a client with a missing or wrong token.
 pub(crate) const NO_TOKEN: &str =
-    "no or a wrong token: open the page with the address that the viewer printed";
+    "missing or wrong token: open the page with the address that the viewer printed";
 
 /// Compares two tokens in constant time, so that timing does not reveal where they differ.
 pub(crate) fn same(given: &str, token: &str) -> bool {
@@ -276,7 +277,7 @@ pub(crate) fn same(given: &str, token: &str) -> bool {
     given.len() == token.len() && difference == 0
 }
 
-/// Encoding and bytes of an answer: JSON, unless it has an encoding of its own.
+/// Returns the encoding and bytes of a reply; the encoding is JSON unless the reply has its own.
 pub fn response(outcome: Outcome) -> (&'static str, Vec<u8>) {
     let text = match outcome {
         Ok(Reply::Done) => json!({"ok": true}).to_string(),

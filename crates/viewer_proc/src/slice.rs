@@ -1,4 +1,4 @@
-//! Slices of the CT that clients ask for: one resampled plane each, never the volume.
+//! Slices of the CT on request: one resampled plane each, never the whole volume.
 
 use std::collections::VecDeque;
 
@@ -9,15 +9,16 @@ use voxel_grid::slice::{Plane, PlaneError};
 use crate::services::{Call, Reply, Request};
 use crate::surface::Field;
 
-/// Most columns and most rows of a slice.
+/// Maximum number of columns and of rows of a slice.
 pub const MOST_PIXELS: usize = 512;
-/// Slices of one client that are under way at a time.
+/// Maximum number of slices in progress per client.
 pub const MOST_UNDER_WAY: usize = 8;
-/// Pixels that all clients together are given each second: 8 of the largest slices, at 19 ms of a core each.
+/// Pixels per second for all clients together: 8 slices of the largest size, each of which takes 19 ms of one
+/// core.
 pub const PIXELS_PER_S: u64 = 2_097_152;
-/// Answer where there is nothing to slice.
+/// Reply if there is nothing to slice.
 pub(crate) const NO_VOLUME: &str = "the scene has no `[volume]`, so there is no CT to show";
-/// Value of a pixel outside of the volume.
+/// Value of a pixel outside the volume.
 pub const OUTSIDE: i16 = i16::MIN;
 /// Value of a pixel in a drilled voxel.
 pub const DRILLED: i16 = i16::MIN + 1;
@@ -27,10 +28,10 @@ pub const ENCODING: &str = "trabecula.slice";
 const MAGIC: u32 = 0x434C_5354; // "TSLC"
 const VERSION: u32 = 1;
 
-/// Why a request is refused.
+/// Why a slice request is refused.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum SliceError {
-    /// No such plane.
+    /// Invalid plane.
     #[error(transparent)]
     Plane(#[from] PlaneError),
     /// Too few or too many pixels.
@@ -43,7 +44,7 @@ pub enum SliceError {
     },
 }
 
-/// A `/slice` request as it comes.
+/// A `/slice` request as received.
 #[derive(Debug, Clone, Copy, Deserialize)]
 struct Asked {
     centre_m: [f64; 3],
@@ -84,8 +85,8 @@ impl Slice {
         (self.pixels[0] * self.pixels[1]) as u64
     }
 
-    /// The slice through a volume, little-endian: magic, version, columns, rows (u32), number of drilled voxels (u64), and row by row the
-    /// Hounsfield units (i16), [`OUTSIDE`] or [`DRILLED`].
+    /// Returns the slice through a volume, little-endian: magic, version, columns, rows (u32), number of
+    /// drilled voxels (u64), then row by row the Hounsfield units (i16), [`OUTSIDE`] or [`DRILLED`].
     pub fn bytes(&self, field: &Field, hu: &[i16]) -> Vec<u8> {
         let [columns, rows] = self.pixels;
         let mut bytes = Vec::with_capacity(24 + 2 * columns * rows);
@@ -106,12 +107,13 @@ fn pixel(field: &Field, hu: &[i16], point_m: [f64; 3]) -> i16 {
     if grid.index_of(voxel).is_some_and(|index| field.is_removed(index)) {
         return DRILLED;
     }
-    // What a CT cannot hold, such as these two values, is shown as its nearest neighbour.
+    // The two reserved values are out of a CT's range; if they occur, they are shown as the nearest valid
+    // one.
     let units = |hu: f64| (hu.round() as i16).max(DRILLED + 1);
     hu_at(grid.dims(), hu, voxel).map_or(OUTSIDE, units)
 }
 
-/// A share of pixels that grows evenly with time, up to that of a second.
+/// A pixel budget that refills at a constant rate, up to one second's worth.
 #[derive(Debug, Clone)]
 pub struct PixelBudget {
     left: u64,
@@ -119,17 +121,17 @@ pub struct PixelBudget {
 }
 
 impl PixelBudget {
-    /// A full one.
+    /// Creates a full budget.
     pub fn new(now_ns: u64) -> PixelBudget {
         PixelBudget { left: PIXELS_PER_S, filled_ns: now_ns }
     }
 
-    /// Takes so many pixels, if they are there.
+    /// Takes pixels from the budget; returns false and takes none if there are too few.
     pub fn take(&mut self, pixels: u64, now_ns: u64) -> bool {
         const NS_PER_S: u128 = 1_000_000_000;
         let elapsed_ns = u128::from(now_ns.saturating_sub(self.filled_ns));
         let grown = (elapsed_ns * u128::from(PIXELS_PER_S) / NS_PER_S).min(u128::from(PIXELS_PER_S)) as u64;
-        // Time of less than a pixel stays for the next call.
+        // Time worth less than a pixel carries over to the next call.
         if grown > 0 {
             self.left = (self.left + grown).min(PIXELS_PER_S);
             self.filled_ns = now_ns;
@@ -142,7 +144,7 @@ impl PixelBudget {
     }
 }
 
-/// Requests that wait for pixels, in the order in which they came.
+/// Requests waiting for pixel budget, in order of arrival.
 #[derive(Debug)]
 pub struct Slicer {
     budget: PixelBudget,
@@ -150,12 +152,12 @@ pub struct Slicer {
 }
 
 impl Slicer {
-    /// Nothing waits.
+    /// Creates an empty queue.
     pub fn new(now_ns: u64) -> Slicer {
         Slicer { budget: PixelBudget::new(now_ns), waiting: VecDeque::new() }
     }
 
-    /// Takes a request. The number that wait is limited by what each client may have under way.
+    /// Queues a request. The queue's length is bounded by the per-client limit on slices in progress.
     pub fn add(&mut self, call: Call) {
         match call.request {
             Request::Slice(slice) => self.waiting.push_back((slice, call)),
@@ -163,12 +165,12 @@ impl Slicer {
         }
     }
 
-    /// Whether requests wait.
+    /// Whether requests are waiting.
     pub fn is_busy(&self) -> bool {
         !self.waiting.is_empty()
     }
 
-    /// Answers what the budget allows now.
+    /// Answers the requests that the budget allows now.
     pub fn answer(&mut self, field: &Field, hu: &[i16], now_ns: u64) {
         while let Some((slice, _)) = self.waiting.front()
             && self.budget.take(slice.pixel_count(), now_ns)
@@ -180,7 +182,7 @@ impl Slicer {
         }
     }
 
-    /// Refuses everything that waits.
+    /// Refuses all waiting requests.
     pub fn refuse(&mut self, why: &str) {
         self.waiting.drain(..).for_each(|(_, call)| call.refuse(why));
     }
@@ -198,7 +200,8 @@ mod tests {
 
     fn request(centre: &str, right: &str, side: &str, columns: &str) -> String {
         format!(
-            r#"{{"centre_m":{centre},"right":{right},"down":[0,1,0],"side_m":{side},"columns":{columns},"rows":4}}"#
+            r#"{{"centre_m":{centre},"right":{right},"down":[0,1,0],"side_m":{side},
+                "columns":{columns},"rows":4}}"#
         )
     }
 
@@ -210,7 +213,7 @@ mod tests {
             (request("[0,0,0]", "[1,0,0]", "[0.1,0.1]", "0"), "0 x 4 pixels"),
             (request("[0,0,0]", "[1,0,0]", "[0.1,0.1]", "18446744073709551615"), "pixels"),
             (request("[0,0,0]", "[1,0,0]", "[0.1,0.1]", "-4"), "invalid value"),
-            (request("[0,0,1e9]", "[1,0,0]", "[0.1,0.1]", "4"), "a slice about"),
+            (request("[0,0,1e9]", "[1,0,0]", "[0.1,0.1]", "4"), "slice centre"),
             (request("[0,0,1e999]", "[1,0,0]", "[0.1,0.1]", "4"), "number out of range"),
             (request("[0,0,NaN]", "[1,0,0]", "[0.1,0.1]", "4"), "expected value"),
             (request("[0,0,null]", "[1,0,0]", "[0.1,0.1]", "4"), "null"),
@@ -223,7 +226,8 @@ mod tests {
         }
     }
 
-    /// A grid turned by 36.87 degrees about z, whose Hounsfield units say how far a voxel lies along the patient's x.
+    /// A grid turned by 36.87 degrees about z, whose Hounsfield units encode a voxel's position along the
+    /// patient's x.
     #[test]
     fn an_oblique_volume_is_sliced_in_the_patient_frame_and_drilled_voxels_show() {
         let axes = [[0.8, 0.6, 0.0], [-0.6, 0.8, 0.0], [0.0, 0.0, 1.0]];
@@ -237,7 +241,8 @@ mod tests {
         let mut field = Field::new(grid, 0);
         let drilled = grid.voxel_at([0.0, 0.02, 0.004]);
         field.set(grid.index_of(drilled).unwrap() as u32, Voxel::Removed);
-        let text = r#"{"centre_m":[0,0.02,0.004],"right":[1,0,0],"down":[0,1,0],"side_m":[0.1,0.005],"columns":101,"rows":5}"#;
+        let text = r#"{"centre_m":[0,0.02,0.004],"right":[1,0,0],"down":[0,1,0],"side_m":[0.1,0.005],
+            "columns":101,"rows":5}"#;
         let bytes = asked(text).unwrap().bytes(&field, &hu);
         assert_eq!(bytes.len(), 24 + 2 * 101 * 5);
         assert_eq!(bytes[..4], *b"TSLC");
@@ -247,7 +252,8 @@ mod tests {
         };
         assert_eq!(value(50, 2), DRILLED);
         assert_eq!(bytes[16], 1, "the number of drilled voxels");
-        // 8 columns of 100/101 mm from the middle; rounding of the voxels' units, 0.01 mm.
+        // 8 columns of 100/101 mm from the middle; the tolerance is the rounding of the voxels' units, 0.01
+        // mm.
         let expected = 8.0 * 100.0 / 101.0 * 100.0;
         assert!((f64::from(value(58, 2)) - expected).abs() <= 1.0, "{}", value(58, 2));
         assert_eq!((value(0, 0), value(100, 4)), (OUTSIDE, OUTSIDE));
@@ -258,12 +264,12 @@ mod tests {
         let mut budget = PixelBudget::new(0);
         let each = (MOST_PIXELS * MOST_PIXELS) as u64;
         let mut given = 0_u64;
-        // A thousand of the largest slices a second, for 10 s.
+        // A thousand of the largest slices per second, for 10 s.
         for request in 0..10_000_u64 {
             given += u64::from(budget.take(each, request * 1_000_000));
         }
         let expected = 11 * PIXELS_PER_S / each;
         assert!((expected - 1..=expected).contains(&given), "{given}, expected {expected}");
-        assert!(!budget.take(PIXELS_PER_S + 1, u64::MAX), "never more than a second's share");
+        assert!(!budget.take(PIXELS_PER_S + 1, u64::MAX), "more than one second of budget at once");
     }
 }

@@ -1,5 +1,5 @@
-//! How the viewer takes the end of a session that it did not hear: a short run may be over before the viewer listens, and another program
-//! may clear away what a killed host left. Then only the log knows.
+//! Ends of sessions that the viewer did not see: a short run may be over before the viewer receives anything,
+//! and another program may clean up after a killed host. Only the log then has the reason.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test")]
 
 use std::collections::BTreeMap;
@@ -57,7 +57,7 @@ fn shapes(scene: &Scene) -> (ToolShape, ArmLooks) {
     (tool, ArmLooks::default())
 }
 
-/// The log of a run that ended for a reason.
+/// Writes the log of a run that ended for this reason.
 fn log(folder: &Path, reason: &EndReason) {
     let header = LogHeader {
         scene_toml: SCENE.to_owned(),
@@ -78,7 +78,7 @@ fn log(folder: &Path, reason: &EndReason) {
     timing.finish(reason.clone(), &BTreeMap::new()).unwrap();
 }
 
-/// What the viewer goes on to show where a session is put away that never said how its run ended.
+/// Returns what the viewer shows after a session was removed without reporting how its run ended.
 fn after_silence(recorded: Option<&Path>) -> Option<PathBuf> {
     let host = SessionHost::create(&plan()).unwrap();
     let session = host.session.folder().to_owned();
@@ -102,7 +102,7 @@ fn after_silence(recorded: Option<&Path>) -> Option<PathBuf> {
         let _ = shown.send(live::view(&session, &door, shapes, tell, &EndRequest::default()));
     });
     if is_ready.recv_timeout(LIMIT).is_err() {
-        panic!("it shows nothing: {:?}", is_shown.recv_timeout(LIMIT));
+        panic!("nothing is shown: {:?}", is_shown.recv_timeout(LIMIT));
     }
     drop(host);
     is_shown.recv_timeout(LIMIT).unwrap().unwrap()

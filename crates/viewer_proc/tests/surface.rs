@@ -1,4 +1,4 @@
-//! The surface against a sphere's closed form, and meshing what changed against meshing from nothing.
+//! Checks the surface against a sphere's closed form, and incremental meshing against meshing from scratch.
 #![allow(clippy::unwrap_used, reason = "a test")]
 
 use std::collections::BTreeMap;
@@ -8,7 +8,7 @@ use voxel_grid::VoxelGrid;
 
 const THRESHOLD_HU: i16 = 150;
 
-/// A grid of unlike spacings that is turned in space.
+/// A rotated grid with unequal spacings.
 fn turned(dims: [usize; 3], spacing_m: [f64; 3]) -> VoxelGrid {
     // A rotation by 120° about (1, 1, 1) and one by 36.87° about z: columns are the axes of i, j, k.
     let axes = [[0.0, 0.8, 0.6], [0.0, -0.6, 0.8], [1.0, 0.0, 0.0]];
@@ -40,7 +40,7 @@ fn mesh_all(blocks: &mut Blocks, field: &Field, hu: &[i16]) -> BTreeMap<u32, Blo
     blocks.mesh_changed(field, hu, usize::MAX).into_iter().map(|mesh| (mesh.block, mesh)).collect()
 }
 
-/// Triangles by the vertices' places, which blocks share exactly.
+/// Triangles by vertex position, which blocks share exactly.
 fn triangles<'a>(meshes: impl IntoIterator<Item = &'a BlockMesh>) -> Vec<[[i64; 3]; 3]> {
     let of = |mesh: &'a BlockMesh| {
         mesh.indices.chunks_exact(3).map(move |t| [mesh.steps(t[0]), mesh.steps(t[1]), mesh.steps(t[2])])
@@ -48,7 +48,7 @@ fn triangles<'a>(meshes: impl IntoIterator<Item = &'a BlockMesh>) -> Vec<[[i64; 
     meshes.into_iter().flat_map(of).collect()
 }
 
-/// Directed edges that have no opposite: none on a closed, consistently turned surface.
+/// Directed edges without an opposite; a closed, consistently oriented surface has none.
 fn open_edges(triangles: &[[[i64; 3]; 3]]) -> usize {
     let mut balance: BTreeMap<([i64; 3], [i64; 3]), i64> = BTreeMap::new();
     for triangle in triangles {
@@ -99,7 +99,7 @@ fn a_ball_is_closed_and_has_its_area_and_volume() {
         area / expected_area,
         volume / expected_volume
     );
-    // Vertices lie inside by at most the sagitta of a cell, h²/8r ≈ 0.006 mm of 12 mm; measured 0.3 %.
+    // Vertices lie inside by at most the sagitta of a cell, h²/8r ≈ 0.006 mm of 12 mm; measured: 0.3 %.
     assert!((volume / expected_volume - 1.0).abs() < 0.01, "{volume} {expected_volume}");
     assert!((area / expected_area - 1.0).abs() < 0.02, "{area} {expected_area}");
     // Every vertex lies on the ball and its normal points away from the centre.
@@ -144,7 +144,7 @@ fn meshing_what_changed_is_meshing_from_nothing() {
     let mut shown = mesh_all(&mut blocks, &field, &hu);
     let mut seed = 7;
     for round in 0..12 {
-        // A drilled ball at a random place; every third round puts one back.
+        // Drills a ball at a random place; every third round restores one.
         let middle: [f64; 3] =
             core::array::from_fn(|axis| (next(&mut seed) % grid.dims()[axis] as u64) as f64);
         let mut changed = 0;

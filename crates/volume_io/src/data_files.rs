@@ -1,7 +1,8 @@
-//! Voxels in several data files, as NRRD and MetaImage headers name them: a list of names, or a pattern such as `slice%03d.raw 1 40 1`.
+//! Voxels in several data files, as NRRD and MetaImage headers list them: by name, or by a pattern such as
+//! `slice%03d.raw 1 40 1`.
 //!
-//! Sources: "Definition of NRRD File Format", section "Detached headers"; MetaIO documentation, "ElementDataFile". In both, each file holds
-//! an equal part of the voxels, in order along the slowest axis.
+//! Sources: "Definition of NRRD File Format", section "Detached headers"; MetaIO documentation,
+//! "ElementDataFile". In both, each file holds an equal share of the voxels, in order along the slowest axis.
 
 use crate::error::VolumeError;
 use crate::input::{self, DataFiles};
@@ -15,7 +16,8 @@ pub(crate) struct DataFile {
     pub start: u64,
 }
 
-/// The data files that a header names in `field` by `value`: one, those of a pattern, or those of the lines behind `LIST`.
+/// The data files that a header's `field` names with `value`: a single file, those of a pattern, or those
+/// listed in the lines after `LIST`.
 pub(crate) fn named(
     header: &Path,
     (field, value): (&str, &str),
@@ -30,25 +32,25 @@ pub(crate) fn named(
     names.iter().map(find).collect()
 }
 
-/// Whether a value says that names of files follow, one a line.
+/// Whether a value announces a list of file names, one per line.
 pub(crate) fn is_list(value: &str) -> bool {
     value.split_whitespace().next() == Some("LIST")
 }
 
-/// The names in the lines behind the word `LIST`.
+/// The names in the lines after the word `LIST`.
 fn within_list(path: &Path, field: &str, lines: &[String]) -> Result<Vec<String>, VolumeError> {
     let names: Vec<String> = lines.iter().filter(|line| !line.is_empty()).cloned().collect();
     if names.is_empty() || names.len() > MAX_VOXELS_ALONG_AXIS {
         let given = format!("LIST and {} names", names.len());
-        return Err(wrong(path, field, &given, &format!("1 to {MAX_VOXELS_ALONG_AXIS} names, one a line")));
+        return Err(wrong(path, field, &given, &format!("1 to {MAX_VOXELS_ALONG_AXIS} names, one per line")));
     }
     Ok(names)
 }
 
-/// The names that a pattern stands for; `None` for a plain name.
+/// The names that a pattern generates; `None` for a plain name.
 fn pattern(path: &Path, field: &str, value: &str) -> Result<Option<Vec<String>>, VolumeError> {
     let words: Vec<&str> = value.split_whitespace().collect();
-    // The name may hold spaces; the numbers behind it are three, or four with the number of axes in a file.
+    // The name may contain spaces; three numbers follow it, or four with the number of axes per file.
     let numbers = words.iter().rev().take_while(|word| word.parse::<i64>().is_ok()).count();
     if !value.contains('%') || numbers < 3 {
         return if value.contains('%') { Err(bad_pattern(path, field, value)) } else { Ok(None) };
@@ -69,7 +71,8 @@ fn pattern(path: &Path, field: &str, value: &str) -> Result<Option<Vec<String>>,
 
 fn bad_pattern(path: &Path, field: &str, value: &str) -> VolumeError {
     let expected = format!(
-        "a name with one %d or %03d, then first, last and step, such as `slice%03d.raw 1 40 1`, of at most {MAX_VOXELS_ALONG_AXIS} files"
+        "a name with one %d or %03d, then first, last and step, such as `slice%03d.raw 1 40 1`, of at most \
+         {MAX_VOXELS_ALONG_AXIS} files"
     );
     wrong(path, field, value, &expected)
 }
@@ -118,7 +121,7 @@ pub(crate) fn read_each(
 ) -> Result<(), VolumeError> {
     if files.is_empty() || !count.is_multiple_of(files.len()) {
         let given = format!("{} files for {count} voxels", files.len());
-        return Err(wrong(header, field, &given, "as many voxels in each file"));
+        return Err(wrong(header, field, &given, "the same number of voxels in each file"));
     }
     files.iter().try_for_each(|file| read(file, count / files.len()))
 }

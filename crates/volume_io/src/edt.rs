@@ -1,11 +1,13 @@
 //! The exact Euclidean distance transform, separable, with a spacing along each axis.
 //!
-//! Felzenszwalb and Huttenlocher 2012, "Distance Transforms of Sampled Functions", Theory of Computing 8:415, algorithm 1: along each
-//! axis in turn, the lower envelope of parabolas; O(n) for n voxels.
+//! Felzenszwalb and Huttenlocher 2012, "Distance Transforms of Sampled Functions", Theory of Computing 8:415,
+//! algorithm 1: along each axis in turn, the lower envelope of parabolas; O(n) for n voxels.
 
-/// Squared distance, m², from each voxel centre to the nearest voxel centre of `sites`; infinite if there is no site.
+/// Returns the squared distance, m², from each voxel centre to the nearest voxel centre of `sites`; infinite
+/// without sites.
 ///
-/// `sites` and the result have dimensions `dims`, i fastest. Stored as f32, computed in f64: exact to a relative 6e-8.
+/// `sites` and the result have dimensions `dims`, i fastest. Stored as f32, computed in f64: exact to a
+/// relative 6e-8.
 pub fn squared_distance_m2(dims: [usize; 3], spacing_m: [f64; 3], sites: &[bool]) -> Vec<f32> {
     let mut field: Vec<f32> = sites.iter().map(|site| if *site { 0.0 } else { f32::INFINITY }).collect();
     let longest = dims.into_iter().max().unwrap_or(0);
@@ -24,7 +26,7 @@ pub fn squared_distance_m2(dims: [usize; 3], spacing_m: [f64; 3], sites: &[bool]
     field
 }
 
-/// Work space for one row.
+/// Workspace for one row.
 struct Row {
     /// Values of the row before the transform.
     values: Vec<f64>,
@@ -55,7 +57,7 @@ impl Row {
             let position = i as f64 * spacing_m;
             let mut begin = f64::NEG_INFINITY;
             while let Some(&(other, other_height)) = self.vertices.last() {
-                // Where the new parabola drops below the last one.
+                // Position at which the new parabola falls below the last one.
                 let crossing = ((height + position * position) - (other_height + other * other))
                     / (2.0 * (position - other));
                 if self.begins.last().is_some_and(|last| crossing <= *last) {

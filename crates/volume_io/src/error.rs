@@ -1,5 +1,5 @@
-//! The one error type of this crate. Each variant is one cause, and says which file and field, what was given, what was expected, and what
-//! to do.
+//! The error type of this crate. Each variant is one cause, and names the file, the field, the value found,
+//! what was expected, and what to do.
 
 use foreign_text::{foreign, foreign_path};
 use std::fmt;
@@ -22,10 +22,10 @@ impl Field {
         Field { path: path.into(), name: name.into(), given: given.into() }
     }
 
-    /// Name and value in words, with what kind of field it is.
+    /// Name and value, with the kind of field.
     fn of_kind(&self, kind: &str) -> String {
         format!(
-            "{}: {kind}`{}`: given {}",
+            "{}: {kind}`{}`: found {}",
             foreign_path(&self.path),
             foreign(&self.name),
             foreign(&self.given)
@@ -57,7 +57,8 @@ pub enum VolumeError {
     Output(#[from] output_file::OutputError),
     /// Not a format that this crate reads.
     #[error(
-        "{}: not a volume: {}; expected NIfTI (.nii, .nii.gz, .hdr/.img), NRRD (.nrrd, .nhdr), MetaImage (.mha, .mhd) or a DICOM series \
+        "{}: not a volume: {}; expected NIfTI (.nii, .nii.gz, .hdr/.img), NRRD (.nrrd, .nhdr), MetaImage \
+         (.mha, .mhd) or a DICOM series \
          (a folder or one of its files)", foreign_path(.path), foreign(.given)
     )]
     NotAVolume {
@@ -84,12 +85,13 @@ pub enum VolumeError {
     },
     /// The header promises more data than the file contains.
     #[error(
-        "{}: `{}` is truncated: {given_bytes} bytes are there, {expected_bytes} are needed; copy or export the file again", foreign_path(.path), foreign(.field)
+        "{}: `{}` is truncated: {given_bytes} bytes found, {expected_bytes} needed; copy or export the file \
+         again", foreign_path(.path), foreign(.field)
     )]
     Truncated {
         /// File.
         path: PathBuf,
-        /// What is too short.
+        /// Truncated part of the file.
         field: String,
         /// Bytes found.
         given_bytes: u64,
@@ -97,7 +99,8 @@ pub enum VolumeError {
         expected_bytes: u64,
     },
     /// A compressed stream cannot be decoded.
-    #[error("{}: the {codec} data does not decode: {}; copy or export the file again", foreign_path(.path), foreign(.reason))]
+    #[error("{}: cannot decode the {codec} data: {}; copy or export the file \
+             again", foreign_path(.path), foreign(.reason))]
     Corrupt {
         /// File.
         path: PathBuf,
@@ -106,33 +109,36 @@ pub enum VolumeError {
         /// The decoder's message.
         reason: String,
     },
-    /// A header names a data file outside its own folder. Refused, because it could turn any of the user's files into a picture.
+    /// A header names a data file outside its own folder. Refused, because it could expose any of the user's
+    /// files as an image.
     #[error(
-        "{0}, which leads out of the header's folder; expected a file in it; move it there, or allow it (`--allow-elsewhere`)"
+        "{0}, which is outside the header's folder; move the file there, or allow it (`--allow-elsewhere`)"
     )]
     Elsewhere(Field),
     /// More voxels than this crate accepts (or dimensions whose product overflows).
     #[error(
-        "{0}; expected at most {MAX_VOXELS} voxels in all and {MAX_VOXELS_ALONG_AXIS} along each axis; crop or resample the volume"
+        "{0}; expected at most {MAX_VOXELS} voxels in total and {MAX_VOXELS_ALONG_AXIS} along each axis; \
+         crop or resample the volume"
     )]
     TooLarge(Field),
-    /// The machine, or the process's limit, has too little memory for the voxels.
+    /// Out of memory: the machine, or the process's limit, has too little for the voxels.
     #[error(
-        "{}: {voxels} voxels need {needed_bytes} bytes of memory, more than there is; crop or resample the volume", foreign_path(.path)
+        "{}: out of memory: {voxels} voxels need {needed_bytes} bytes; crop or resample the \
+         volume", foreign_path(.path)
     )]
     Memory {
         /// File.
         path: PathBuf,
-        /// Their number.
+        /// Number of voxels.
         voxels: usize,
-        /// Two bytes each.
+        /// Bytes needed, two per voxel.
         needed_bytes: u64,
     },
     /// Not a three-dimensional image.
     #[error("{0}; expected one three-dimensional volume; extract one volume first")]
     NotThreeDimensional(Field),
     /// Colour, complex, vector or tensor voxels.
-    #[error("{0}; expected one real number a voxel; convert to a scalar image first")]
+    #[error("{0}; expected one real number per voxel; convert to a scalar image first")]
     NotScalar(Field),
     /// A voxel spacing that is zero, negative, infinite or not a number.
     #[error("{0}; expected three distances between {MIN_SPACING_M:e} m and {MAX_SPACING_M} m")]
@@ -140,55 +146,60 @@ pub enum VolumeError {
     /// The axes do not span space, or are not finite.
     #[error("{0}; expected three linearly independent, finite axis directions")]
     SingularDirection(Field),
-    /// The axes are not at right angles: a sheared affine, or a CT taken with a tilted gantry. With the tolerance, a cosine.
+    /// The axes are not perpendicular: a sheared affine, or a CT taken with a tilted gantry. Holds the
+    /// tolerance, a cosine.
     #[error(
-        "{0}; expected axes at right angles within {1}; resample a tilted gantry's slices (`--rectify`, in a scene `volume.resample = \
-         \"rectify\"`), a sheared volume before"
+        "{0}; expected perpendicular axes (cosine at most {1}); resample a tilted gantry's slices \
+         (`--rectify`, in a scene `volume.resample = \
+         \"rectify\"`); resample a sheared volume with another program"
     )]
     Sheared(Field, f64),
-    /// Unevenly spaced slices. With the tolerance in metres.
+    /// Unevenly spaced slices. Holds the tolerance in metres.
     #[error(
-        "{0}; expected slices at equal distances within {1} m; resample them (`--rectify`, in a scene `volume.resample = \"rectify\"`)"
+        "{0}; expected equally spaced slices (within {1} m); resample them (`--rectify`, in a scene \
+         `volume.resample = \"rectify\"`)"
     )]
     VariableSpacing(Field, f64),
     /// A gap in an otherwise regular series.
     #[error(
-        "{0}; expected every slice of the series; export it again, or fill the gap (`--rectify`, in a scene `volume.resample = \
+        "{0}: slices are missing; export the series again, or fill the gap (`--rectify`, in a scene \
+         `volume.resample = \
          \"rectify\"`)"
     )]
     MissingSlices(Field),
     /// Two slices at the same position.
-    #[error("{0}; expected one slice a position; remove the copies")]
+    #[error("{0}; expected one slice per position; remove the duplicates")]
     DuplicateSlices(Field),
     /// Slices that do not belong together.
-    #[error("{0}; expected one value in all slices; put one series in a folder")]
+    #[error("{0}; expected the same value in all slices; put each series in its own folder")]
     MixedSeries(Field),
-    /// A folder with the slices of several series and no choice between them, or a choice that is not there.
-    #[error("{}: given {given}; expected one of its series: {series}; name one (`--series UID`, in a scene `volume.series`)", foreign_path(.path))]
+    /// A folder with several series and none selected, or a selected series that is not there.
+    #[error("{}: {given}; select one of its series with `--series UID` (in a scene `volume.series`): \
+             {series}", foreign_path(.path))]
     SeveralSeries {
         /// The folder.
         path: PathBuf,
-        /// What was asked for.
+        /// The selection, or its absence.
         given: String,
         /// Each with its UID, number of slices, modality and description, escaped.
         series: String,
     },
-    /// A label that is not in the segmentation, or that does not say enough.
-    #[error("{}: given {}; there: {}", foreign_path(.path), foreign(.given), foreign(.there))]
+    /// A label that is not in the segmentation, or that is ambiguous.
+    #[error("{}: {}; available: {}", foreign_path(.path), foreign(.given), foreign(.there))]
     NoSuchLabel {
         /// File.
         path: PathBuf,
-        /// The label asked for.
+        /// What is wrong with the requested label.
         given: String,
-        /// What the file has.
+        /// Labels of the file.
         there: String,
     },
-    /// An argument from the caller (not from a file) is unusable.
-    #[error("`{}`: given {}; expected {expected}", foreign(.field), foreign(.given))]
+    /// An argument from the caller (not from a file) is invalid.
+    #[error("`{}` is {}; expected {expected}", foreign(.field), foreign(.given))]
     Argument {
         /// Name of the argument.
         field: &'static str,
-        /// The value given.
+        /// The value.
         given: String,
         /// What is expected.
         expected: String,

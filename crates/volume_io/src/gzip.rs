@@ -1,9 +1,10 @@
-//! gzip streams as files hold them: one member after another, and zero padding behind the last.
+//! gzip streams as stored in files: consecutive members, then zero padding.
 
 use flate2::bufread::GzDecoder;
 use std::io::{self, BufRead, Read};
 
-/// Decodes every member of a gzip stream. Zero bytes behind the last member are padding, as for `gzip(1)`; anything else there is an error.
+/// Decodes every member of a gzip stream. Zero bytes after the last member are padding, as for `gzip(1)`;
+/// anything else there is an error.
 pub(crate) struct GzipMembers<R> {
     state: State<R>,
 }
@@ -40,7 +41,7 @@ impl<R: BufRead> Read for GzipMembers<R> {
                 Some(_) => {
                     return Err(io::Error::new(
                         io::ErrorKind::InvalidData,
-                        "bytes that are no gzip behind the gzip data",
+                        "trailing bytes that are not gzip data",
                     ));
                 }
             }
@@ -48,7 +49,7 @@ impl<R: BufRead> Read for GzipMembers<R> {
     }
 }
 
-/// Passes over zero bytes; returns whether there were any.
+/// Skips zero bytes; returns whether there were any.
 fn skip_zeros(reader: &mut impl BufRead) -> io::Result<bool> {
     let mut any = false;
     loop {

@@ -5,7 +5,7 @@ use std::convert::Infallible;
 use sha2::{Digest, Sha256};
 use voxel_grid::{Ct, Volume};
 
-/// Prefix of every hash, so that another layout of the same numbers cannot collide with this one.
+/// Prefix of every hash, so that another layout of the same numbers cannot collide with it.
 const DOMAIN: &[u8] = b"trabecula volume v1\0";
 
 /// A volume with its hash.
@@ -15,8 +15,9 @@ pub fn identified(volume: Volume) -> Ct {
 
 /// SHA-256 of a volume's geometry and voxels.
 ///
-/// Hashed, in this order, all little-endian: the text `trabecula volume v1` and a zero byte; the dimensions as three u64; spacing and
-/// origin in metres and the direction matrix (row by row) as f64 bits, with −0 hashed as +0; the voxels as i16, i fastest.
+/// Hashed, in this order, all little-endian: the text `trabecula volume v1` and a zero byte; the dimensions
+/// as three u64; spacing and origin in metres and the direction matrix (row by row) as f64 bits, with −0
+/// hashed as +0; the voxels as i16, i fastest.
 pub fn volume_hash(volume: &Volume) -> [u8; 32] {
     let Volume { grid, hu } = volume;
     let mut hasher = Sha256::new();

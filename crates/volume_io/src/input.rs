@@ -13,7 +13,7 @@ pub(crate) enum Codec {
     Gzip,
     Zlib,
     Bzip2,
-    /// Two hexadecimal digits a byte, white space anywhere.
+    /// Two hexadecimal digits per byte, white space anywhere.
     Hex,
 }
 
@@ -28,8 +28,9 @@ impl Codec {
         }
     }
 
-    /// Upper bound of what `compressed` bytes decode to. Deflate cannot exceed 1032:1 (zlib technical notes). bzip2 has no useful bound (45
-    /// MB in 45 bytes), so this limit is ours: a hundred times what a mask reaches, and any small volume.
+    /// Upper bound of the decoded size of `compressed` bytes. Deflate cannot exceed 1032:1 (zlib technical
+    /// notes). bzip2 has no useful bound (45 MB from 45 bytes), so this limit is our own: a hundred times
+    /// what a mask reaches, and enough for any small volume.
     fn most_bytes(self, compressed: u64) -> u64 {
         match self {
             Codec::Raw => compressed,
@@ -40,11 +41,11 @@ impl Codec {
     }
 }
 
-/// Most bytes accepted from each byte of bzip2, beyond [`BZIP2_FREE_BYTES`].
+/// Largest decoded size per byte of bzip2 data, beyond [`BZIP2_FREE_BYTES`].
 const BZIP2_RATIO: u64 = 10_000;
 const BZIP2_FREE_BYTES: u64 = 16 << 20;
 
-/// Where the files may be that a header names, or that a folder links to.
+/// Where the files that a header names, or that a folder links to, may be.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum DataFiles {
     /// In the header's folder, after following all links.
@@ -70,7 +71,7 @@ pub(crate) fn open(path: &Path) -> Result<(File, u64), VolumeError> {
     Ok((file, metadata.len()))
 }
 
-/// The decoded content of a file from byte `offset` on, and the most bytes it can hold.
+/// The decoded content of a file from byte `offset`, and its largest possible size.
 pub(crate) fn open_stream(
     path: &Path,
     offset: u64,
@@ -96,7 +97,7 @@ pub(crate) fn open_stream(
 struct HexDigits<R>(R);
 
 impl<R: BufRead> HexDigits<R> {
-    /// The next digit's value; `None` at the end.
+    /// Returns the next digit's value, or `None` at the end.
     fn digit(&mut self) -> std::io::Result<Option<u8>> {
         loop {
             let Some(&byte) = self.0.fill_buf()?.first() else { return Ok(None) };
@@ -105,8 +106,12 @@ impl<R: BufRead> HexDigits<R> {
                 continue;
             }
             let digit = char::from(byte).to_digit(16);
-            let wrong =
-                || std::io::Error::new(ErrorKind::InvalidData, format!("{:?} is no digit", char::from(byte)));
+            let wrong = || {
+                std::io::Error::new(
+                    ErrorKind::InvalidData,
+                    format!("{:?} is not a hexadecimal digit", char::from(byte)),
+                )
+            };
             return digit.map(|digit| Some(digit as u8)).ok_or_else(wrong);
         }
     }
@@ -122,7 +127,8 @@ impl<R: BufRead> Read for HexDigits<R> {
     }
 }
 
-/// Fails before any allocation if a stream of at most `most_bytes` cannot hold `needed_bytes`; for bzip2 by our own limit.
+/// Fails before any allocation if a stream of at most `most_bytes` cannot hold `needed_bytes`; for bzip2 by
+/// our own limit.
 pub(crate) fn check_length(path: &Path, most_bytes: u64, needed_bytes: u64) -> Result<(), VolumeError> {
     if most_bytes >= needed_bytes {
         return Ok(());
@@ -130,7 +136,8 @@ pub(crate) fn check_length(path: &Path, most_bytes: u64, needed_bytes: u64) -> R
     Err(VolumeError::truncated(path, "voxel data", [most_bytes, needed_bytes]))
 }
 
-/// Fills `buffer` until the stream ends; returns the bytes read. A stream cut in the middle counts as ended there.
+/// Fills `buffer` until the stream ends; returns the number of bytes read. A truncated stream counts as ended
+/// there.
 pub(crate) fn read_full(
     path: &Path,
     codec: &'static str,
@@ -171,10 +178,11 @@ pub(crate) fn skip(
     Ok(())
 }
 
-/// Checks what follows the voxels of a stream, which end at byte `needed` by the header's `field`; the stream holds at most `most` bytes.
+/// Checks what follows the voxels of a stream, which end at byte `needed` according to the header's `field`;
+/// the stream holds at most `most` bytes.
 ///
-/// Extra compressed bytes mean that the header is wrong, and every voxel with it. After raw voxels other programs leave padding and
-/// trailers; ITK and nibabel read the voxels and ignore the rest, and so does this reader, with a note.
+/// Extra compressed bytes mean that the header is wrong, and with it every voxel. After raw voxels some
+/// programs write padding and trailers; ITK and nibabel ignore them, and so does this reader, with a note.
 pub(crate) fn check_end(
     path: &Path,
     codec: Codec,
@@ -184,7 +192,7 @@ pub(crate) fn check_end(
 ) -> Result<(), VolumeError> {
     if codec == Codec::Raw {
         if most > needed {
-            notes.push(format!("{} bytes behind the voxels are not read", most - needed));
+            notes.push(format!("{} bytes after the voxel data are ignored", most - needed));
         }
         return Ok(());
     }
@@ -196,7 +204,7 @@ pub(crate) fn check_end(
         path,
         field,
         format!("more than {needed} bytes of data"),
-        "as many bytes as the voxels need",
+        "exactly the bytes of the voxels",
     ))
 }
 
@@ -209,9 +217,9 @@ pub(crate) fn head(path: &Path, offset: u64, codec: Codec, count: usize) -> Resu
     Ok(bytes)
 }
 
-/// The data file that a header names in `field`: relative names are relative to the header's folder.
+/// Resolves the data file that a header names in `field`; relative names are relative to the header's folder.
 ///
-/// The returned path contains no link, so that the file opened is the file checked.
+/// The returned path contains no link, so that the opened file is the checked one.
 pub(crate) fn data_file(
     header: &Path,
     field: &str,
@@ -232,7 +240,7 @@ pub(crate) fn folder_of(path: &Path) -> &Path {
     }
 }
 
-/// The target of a path after following all links; `None` if it must be in `folder` and is not.
+/// Resolves all links of a path; `None` if the target must be in `folder` and is not.
 pub(crate) fn inside(folder: &Path, path: &Path, files: DataFiles) -> Result<Option<PathBuf>, VolumeError> {
     if files == DataFiles::Anywhere {
         return Ok(Some(path.to_owned()));

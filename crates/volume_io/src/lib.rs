@@ -1,11 +1,12 @@
-//! CT volumes for the hub: readers, a synthetic femur with known landmarks, and geometry in world LPS.
+//! CT volumes: readers, phantoms with known landmarks, and geometry in world LPS.
 //!
-//! Every reader returns one [`Volume`](voxel_grid::Volume): Hounsfield units as `i16`, i fastest, with spacing, origin and direction in the world frame (LPS,
-//! metres). Readers never resample or reorder voxels; they only convert the geometry, which [`voxel_grid`] checks. [`resample`] is explicit.
+//! Every reader returns a [`Volume`](voxel_grid::Volume): Hounsfield units as `i16`, i fastest, with spacing,
+//! origin and direction in the world frame (LPS, metres). Readers never resample or reorder voxels; they only
+//! convert the geometry, which [`voxel_grid`] checks. [`resample`] is explicit.
 //!
-//! **Boundary:** it knows nothing of processes or scenes. **Invariants:** every length in a file is checked before memory is allocated for
-//! it; no file outside a header's folder is opened unless the caller allows it; sheared, unevenly spaced, incomplete or mixed volumes are
-//! refused, never assumed to be uniform.
+//! **Boundary:** knows nothing about processes or scenes. **Invariants:** every length in a file is checked
+//! before memory is allocated for it; no file outside a header's folder is opened unless the caller allows
+//! it; sheared, unevenly spaced, incomplete or mixed volumes are refused, never assumed to be uniform.
 //!
 //! ```
 //! use volume_io::{read, write_nrrd};

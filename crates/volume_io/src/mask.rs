@@ -5,10 +5,10 @@ use crate::error::VolumeError;
 use std::path::Path;
 use voxel_grid::Volume;
 
-/// How to fill a solid 0/1 mask. The result is synthetic: only the outline comes from the patient.
+/// Model that fills a solid 0/1 mask. The result is synthetic: only the outline comes from the patient.
 ///
-/// The defaults are typical of a proximal femur: cortex and cancellous bone at the Hounsfield units that rho [kg/m³] = 131 + 1.067 HU (Rho
-/// et al. 1995, Med Eng Phys 17:347) gives for 1.73 and 0.5 to 0.2 g/cm³.
+/// The defaults are typical of a proximal femur: Hounsfield units of cortex and cancellous bone from rho
+/// [kg/m³] = 131 + 1.067 HU (Rho et al. 1995, Med Eng Phys 17:347) for 1.73 and 0.5 to 0.2 g/cm³.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MaskModel {
     /// Thickness of the cortical shell under the surface, metres.
@@ -47,13 +47,16 @@ impl Default for MaskModel {
     }
 }
 
-/// Replaces a 0/1 mask by synthetic Hounsfield units: cortical shell, cancellous bone graded with depth, marrow core, soft tissue, air.
+/// Replaces a 0/1 mask by synthetic Hounsfield units: cortical shell, cancellous bone graded with depth,
+/// marrow core, soft tissue, air.
 ///
-/// Depth is the exact Euclidean distance from the voxel centre to the nearest centre outside, minus half the smallest spacing (the surface
-/// lies between the two). If the mask reaches the edge of the volume, the bone counts as cut there: that face gets no shell.
+/// Depth is the exact Euclidean distance from the voxel centre to the nearest centre outside, minus half the
+/// smallest spacing (the surface lies between the two). If the mask reaches the edge of the volume, the bone
+/// counts as cut there: that face gets no shell.
 ///
 /// # Errors
-/// [`VolumeError::Argument`] if the volume is not a mask (0 and one other value, both present) or the model has a negative thickness.
+/// [`VolumeError::Argument`] if the volume is not a mask (0 and one other value, both present) or the model
+/// has a negative thickness.
 pub fn mask_to_hu(volume: &mut Volume, model: &MaskModel) -> Result<(), VolumeError> {
     check_model(model)?;
     let label = mask_label(volume)?;
@@ -63,7 +66,7 @@ pub fn mask_to_hu(volume: &mut Volume, model: &MaskModel) -> Result<(), VolumeEr
     let part = Part::around(volume, &inside, reach_m);
     let bone: Vec<bool> = part.indices().map(|index| inside[index]).collect();
     let outside: Vec<bool> = bone.iter().map(|b| !b).collect();
-    // The surface is half a voxel from the last centre inside.
+    // The surface lies half a voxel from the last centre inside.
     let half_m = 0.5 * spacing_m.iter().copied().fold(f64::INFINITY, f64::min);
     let to_outside = squared_distance_m2(part.dims, spacing_m, &outside);
     let to_bone = squared_distance_m2(part.dims, spacing_m, &bone);
@@ -82,16 +85,17 @@ pub fn mask_to_hu(volume: &mut Volume, model: &MaskModel) -> Result<(), VolumeEr
     Ok(())
 }
 
-/// Turns the voxels of one label into 1, all others into 0.
+/// Sets the voxels of one label to 1, all others to 0.
 ///
 /// # Errors
-/// [`VolumeError::NoSuchLabel`] if no voxel has it; [`VolumeError::Argument`] if there are negative values, which no label is.
+/// [`VolumeError::NoSuchLabel`] if no voxel has the label; [`VolumeError::Argument`] if there are negative
+/// values, which are not labels.
 pub(crate) fn keep_label(path: &Path, values: &mut [i16], label: i16) -> Result<(), VolumeError> {
     if let Some(negative) = values.iter().find(|value| **value < 0) {
         return Err(VolumeError::argument(
             "label",
             format!("{label} of {}, which holds {negative}", path.display()),
-            "a map of labels, 0 and above; these are Hounsfield units",
+            "a label map with values of 0 and above; these look like Hounsfield units",
         ));
     }
     if !values.contains(&label) {
@@ -107,8 +111,8 @@ pub(crate) fn keep_label(path: &Path, values: &mut [i16], label: i16) -> Result<
         there.sort_unstable();
         return Err(VolumeError::NoSuchLabel {
             path: path.into(),
-            given: format!("label {label}"),
-            there: format!("voxels of {there:?}"),
+            given: format!("label {label} not found"),
+            there: format!("voxel values {there:?}"),
         });
     }
     for value in values.iter_mut() {
@@ -140,31 +144,24 @@ fn check_model(model: &MaskModel) -> Result<(), VolumeError> {
     ];
     for (field, value) in lengths {
         if !(value.is_finite() && value >= 0.0) {
-            return Err(VolumeError::argument(
-                field,
-                format!("{value} m"),
-                "a finite thickness, zero or more",
-            ));
+            return Err(VolumeError::argument(field, format!("{value} m"), "a finite thickness, 0 or more"));
         }
     }
     Ok(())
 }
 
-/// The mask's one value other than zero.
+/// The mask's only value other than zero.
 fn mask_label(volume: &Volume) -> Result<i16, VolumeError> {
-    let refuse = |given: String| {
-        VolumeError::argument("volume", given, "a binary mask: 0 and one other value, both present")
-    };
+    let refuse =
+        |given: String| VolumeError::argument("volume", given, "a binary mask, with 0 and one other value");
     let Some(label) = volume.hu.iter().copied().find(|value| *value != 0) else {
-        return Err(refuse("only zeros".into()));
+        return Err(refuse("a volume of zeros".into()));
     };
     if let Some(other) = volume.hu.iter().find(|value| **value != 0 && **value != label) {
-        return Err(refuse(format!(
-            "0, {label} and {other}: this is not a mask, or already Hounsfield units"
-        )));
+        return Err(refuse(format!("a volume with 0, {label} and {other}")));
     }
     if !volume.hu.contains(&0) {
-        return Err(refuse(format!("only the value {label}")));
+        return Err(refuse(format!("a volume with only the value {label}")));
     }
     Ok(label)
 }

@@ -1,7 +1,7 @@
 //! MetaImage files: .mha, and .mhd with a data file; raw, zlib-compressed or text.
 //!
-//! Source: MetaIO documentation (itk.org/Wiki/MetaIO/Documentation) and ITK's `MetaImageIO`: world LPS, rows of `TransformMatrix` are
-//! the directions of the axes. No well-kept crate reads this format.
+//! Source: MetaIO documentation (itk.org/Wiki/MetaIO/Documentation) and ITK's `MetaImageIO`: world LPS; rows
+//! of `TransformMatrix` are the axis directions. There is no maintained crate for this format.
 
 use crate::data_files::{DataFile, is_list, named, read_each};
 use crate::error::{Field, VolumeError};
@@ -18,13 +18,13 @@ struct Header<'a> {
     path: &'a Path,
     files: DataFiles,
     fields: BTreeMap<String, String>,
-    /// The lines behind `ElementDataFile = LIST`.
+    /// The lines after `ElementDataFile = LIST`.
     list: Vec<String>,
-    /// Bytes of the header; local data follow.
+    /// Length of the header; local data follow.
     length: u64,
 }
 
-/// Whether voxels in the header's own file are compressed; none if they are in others.
+/// Whether voxels in the header's own file are compressed; `None` if they are in other files.
 pub(crate) fn is_local_compressed(path: &Path, options: &ReadOptions) -> Result<Option<bool>, VolumeError> {
     let header = Header::read(path, options.data_files)?;
     let is_local = header.data_files()?.iter().all(|file| file.path == path);
@@ -89,7 +89,7 @@ impl<'a> Header<'a> {
                 return Err(wrong(path, "header", text, "lines of the form `name = value`"));
             };
             if fields.insert(name.trim().to_string(), value.trim().to_string()).is_some() {
-                return Err(wrong(path, name.trim(), value, "each field once"));
+                return Err(wrong(path, name.trim(), value, "each field only once"));
             }
         }
         let mut list = Vec::new();
@@ -112,7 +112,7 @@ impl<'a> Header<'a> {
         VolumeError::unsupported(self.path, field, format!("`{given}`"), expected)
     }
 
-    /// A truth value; none if the header lacks the field.
+    /// A boolean field; `None` if the header lacks it.
     fn flag(&self, name: &'static str) -> Result<Option<bool>, VolumeError> {
         match self.get(&[name]) {
             None => Ok(None),
@@ -133,7 +133,7 @@ impl<'a> Header<'a> {
         if rank.parse::<u8>().is_err() {
             return Err(wrong(self.path, "NDims", rank, "3"));
         }
-        // A fourth axis may hold one time.
+        // A fourth axis may hold a single time point.
         let axes = if rank == "4" { 4 } else { 3 };
         let sizes = all_sizes(self.path, "DimSize", given, axes);
         let not_three = || {
@@ -190,7 +190,7 @@ impl<'a> Header<'a> {
 
     fn unit(&self) -> Result<(f64, String), VolumeError> {
         match self.get(&["DistanceUnits"]) {
-            None | Some((_, "?")) => Ok((1e-3, "mm (assumed: the file states none)".into())),
+            None | Some((_, "?")) => Ok((1e-3, "mm (assumed: not stated in the file)".into())),
             Some((field, text)) => unit_of_length(text)
                 .map(|(unit_m, name)| (unit_m, name.to_string()))
                 .ok_or_else(|| self.unsupported(field, text, "m, cm, mm or um")),
@@ -205,7 +205,7 @@ impl<'a> Header<'a> {
         let origin = match self.get(&["Offset", "Origin", "Position"]) {
             Some((field, text)) => self.of_space(field, text)?,
             None => {
-                notes.push("no origin is given: (0, 0, 0) is assumed".into());
+                notes.push("no origin given; assuming (0, 0, 0)".into());
                 [0.0; 3]
             }
         };
@@ -216,7 +216,7 @@ impl<'a> Header<'a> {
             }
             Some((field, text)) => numbers::<9>(self.path, field, text)?,
             None => {
-                notes.push("no directions are given: left, posterior, superior is assumed".into());
+                notes.push("no axis directions given; assuming left, posterior, superior".into());
                 [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
             }
         };
@@ -225,12 +225,12 @@ impl<'a> Header<'a> {
         placement(self.path, names, StatedGeometry { spacing_m, origin_m, axes }, notes)
     }
 
-    /// Whether there is a fourth axis; [`Self::dimensions`] has found one time on it.
+    /// Whether there is a fourth axis, for which [`Self::dimensions`] has checked that its size is 1.
     fn has_time(&self) -> bool {
         self.get(&["NDims"]).is_some_and(|(_, rank)| rank == "4")
     }
 
-    /// The entries for space of a field with one number an axis.
+    /// The spatial entries of a field with one number per axis.
     fn of_space(&self, field: &str, text: &str) -> Result<[f64; 3], VolumeError> {
         if self.has_time() {
             return numbers::<4>(self.path, field, text).map(|[x, y, z, _]| [x, y, z]);
@@ -238,7 +238,8 @@ impl<'a> Header<'a> {
         numbers::<3>(self.path, field, text)
     }
 
-    /// Refused because readers disagree: some apply the intensity function, others ignore it (ITK does), so no value can be trusted.
+    /// Refuses intensity functions: some readers apply them, others (ITK) ignore them, so the values are
+    /// ambiguous.
     fn refuse_intensity_function(&self) -> Result<(), VolumeError> {
         for (name, neutral) in
             [("ElementToIntensityFunctionSlope", 1.0), ("ElementToIntensityFunctionOffset", 0.0)]
@@ -256,7 +257,7 @@ impl<'a> Header<'a> {
         Ok(())
     }
 
-    /// The data files in order; the header's own file if its voxels are local.
+    /// The data files in order; the header's own file for local voxels.
     fn data_files(&self) -> Result<Vec<DataFile>, VolumeError> {
         let (field, name) = self.require(&["ElementDataFile"], "LOCAL or a file name")?;
         match name {

@@ -44,7 +44,7 @@ pub(crate) fn read(path: &Path, options: &ReadOptions) -> Result<(Volume, Volume
     Ok((volume, info))
 }
 
-/// gzip or raw, judged by the first two bytes rather than the name.
+/// gzip or raw, by the first two bytes rather than by name.
 fn codec_of(path: &Path) -> Result<Codec, VolumeError> {
     let magic = input::head(path, 0, Codec::Raw, 2)?;
     Ok(if magic == [0x1f, 0x8b] { Codec::Gzip } else { Codec::Raw })
@@ -62,7 +62,7 @@ fn geometry(
     let axes = columns(lps.map(|row| [row[0], row[1], row[2]]));
     let names =
         GeometryFields { spacing: "pixdim or srow", direction: "srow or quatern", origin: "srow or qoffset" };
-    // Report the direction of a zero column rather than its size: it is the fault that matters.
+    // A zero column is reported as a direction error: that is the actual fault, not the size.
     let singular = axes.iter().any(|axis| {
         let length = norm(*axis);
         !(length.is_finite() && length > 0.0)

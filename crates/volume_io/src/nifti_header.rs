@@ -1,7 +1,8 @@
 //! The NIfTI-1 and NIfTI-2 headers: fields, checks and the affine.
 //!
-//! Sources: nifti1.h and nifti2.h (NIfTI DFWG, 2003 and 2011). Parsed here because the `nifti` crate does not read NIfTI-2 and because
-//! every field must be checked before any data is read; the tests compare the result with the `nifti` crate.
+//! Sources: nifti1.h and nifti2.h (NIfTI DFWG, 2003 and 2011). Parsed here because the `nifti` crate does not
+//! read NIfTI-2 and because every field must be checked before any data is read; the tests compare the result
+//! with the `nifti` crate.
 
 use crate::error::{Field, VolumeError};
 use crate::scalar::{Endian, Layout, Scalar, Scale};
@@ -253,7 +254,7 @@ fn dimensions(path: &Path, dim: &[i64; 8]) -> Result<[usize; 3], VolumeError> {
 /// Metres per unit of length, from `xyzt_units`; bits 0 to 2 hold the spatial unit.
 fn unit(path: &Path, xyzt_units: i64) -> Result<(f64, &'static str), VolumeError> {
     match xyzt_units & 0x07 {
-        0 => Ok((1e-3, "mm (assumed: the file states none)")),
+        0 => Ok((1e-3, "mm (assumed: not stated in the file)")),
         1 => Ok((1.0, "m")),
         2 => Ok((1e-3, "mm")),
         3 => Ok((1e-6, "um")),
@@ -266,7 +267,8 @@ fn unit(path: &Path, xyzt_units: i64) -> Result<(f64, &'static str), VolumeError
     }
 }
 
-/// The voxel-to-RAS affine: sform if its code is set, else qform, else voxel sizes alone (nifti1.h methods 3, 2 and 1).
+/// The voxel-to-RAS affine: sform if its code is set, else qform, else voxel sizes alone (nifti1.h methods 3,
+/// 2 and 1).
 fn affine(raw: &RawHeader, notes: &mut Vec<String>) -> [[f64; 4]; 3] {
     let quaternion = (raw.qform_code > 0).then(|| quaternion_affine(raw));
     if raw.sform_code > 0 {
@@ -277,7 +279,7 @@ fn affine(raw: &RawHeader, notes: &mut Vec<String>) -> [[f64; 4]; 3] {
                 difference > 1e-3 * size
             });
             if differs {
-                notes.push("sform and qform differ; the sform is used".into());
+                notes.push("sform and qform differ; using the sform".into());
             }
         }
         return raw.srow;
@@ -285,16 +287,20 @@ fn affine(raw: &RawHeader, notes: &mut Vec<String>) -> [[f64; 4]; 3] {
     if let Some(q) = quaternion {
         return q;
     }
-    notes.push("neither sform nor qform is set: the axes are assumed to be right, anterior, superior, from the origin".into());
+    notes.push(
+        "neither sform nor qform is set; assuming the axes right, anterior, superior, from the origin".into(),
+    );
     let size = &raw.pixdim;
     [[size[1], 0.0, 0.0, 0.0], [0.0, size[2], 0.0, 0.0], [0.0, 0.0, size[3], 0.0]]
 }
 
-/// nifti1.h method 2: rotation from the quaternion (b, c, d), voxel sizes, and the handedness `qfac` in pixdim[0].
+/// nifti1.h method 2: rotation from the quaternion (b, c, d), voxel sizes, and the handedness `qfac` in
+/// pixdim[0].
 fn quaternion_affine(raw: &RawHeader) -> [[f64; 4]; 3] {
     let [b, c, d] = raw.quatern;
     let square = b * b + c * c + d * d;
-    // Rounding to f32 can push the norm above 1; then a is 0 and the rest is normalised (nifti_quatern_to_mat44).
+    // Rounding to f32 can push the norm above 1; then a is 0 and the rest is normalised
+    // (nifti_quatern_to_mat44).
     let (a, b, c, d) = if square > 1.0 - 1e-7 {
         let scale = 1.0 / square.sqrt();
         (0.0, b * scale, c * scale, d * scale)

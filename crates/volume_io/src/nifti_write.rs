@@ -1,4 +1,4 @@
-//! Writes NIfTI-1: int16 with the voxels' place as sform, in right-anterior-superior space and millimetres.
+//! Writes NIfTI-1: int16, with the geometry as sform, in right-anterior-superior space and millimetres.
 //!
 //! Source: nifti1.h (NIfTI Data Format Working Group, 2003).
 
@@ -14,17 +14,18 @@ use crate::hash::in_little_endian;
 use crate::volume::check_length;
 use voxel_grid::Volume;
 
-/// Bytes of header and of the empty extension flag behind it.
+/// Size of the header plus the empty extension flag after it.
 const HEADER_BYTES: usize = 352;
 
-/// Writes `volume` to `path` as one NIfTI-1 file, gzip-compressed if the name ends in `.gz`.
+/// Writes `volume` to `path` as a NIfTI-1 file, gzip-compressed if the name ends in `.gz`.
 ///
-/// Voxels and sizes survive a round trip exactly. The format holds its geometry in single precision: places are right to a ten-millionth of
-/// their distance from the origin, 0.03 µm at 300 mm.
+/// Voxels and sizes survive a round trip exactly. The format holds its geometry in single precision:
+/// positions are accurate to a ten-millionth of their distance from the origin, 0.03 µm at 300 mm.
 ///
 /// # Errors
-/// [`VolumeError::Output`] if the file exists or cannot be written, in which case nothing is left of it; [`VolumeError::Unsupported`] for
-/// more than 32767 voxels along an axis; [`VolumeError::Header`] for more or fewer voxels than the grid has.
+/// [`VolumeError::Output`] if the file exists or cannot be written; no partial file is left.
+/// [`VolumeError::Unsupported`] for more than 32767 voxels along an axis; [`VolumeError::Header`] if the
+/// number of voxels does not match the grid.
 pub fn write_nifti(path: impl AsRef<Path>, volume: &Volume) -> Result<(), VolumeError> {
     let path = path.as_ref();
     check_length(path, volume)?;
@@ -34,7 +35,7 @@ pub fn write_nifti(path: impl AsRef<Path>, volume: &Volume) -> Result<(), Volume
             path,
             "dim",
             format!("{:?}", volume.grid.dims()),
-            "at most 32767 voxels along each axis; write NRRD",
+            "at most 32767 voxels along each axis; write NRRD instead",
         ));
     };
     let header = header(volume, [ni, nj, nk]);
@@ -68,7 +69,7 @@ fn header(volume: &Volume, [ni, nj, nk]: [i16; 3]) -> [u8; HEADER_BYTES] {
     for (index, size) in [3, ni, nj, nk, 1, 1, 1, 1].into_iter().enumerate() {
         put(40 + 2 * index, &size.to_le_bytes());
     }
-    // DT_INT16, 16 bits a voxel.
+    // DT_INT16, 16 bits per voxel.
     put(70, &4_i16.to_le_bytes());
     put(72, &16_i16.to_le_bytes());
     let spacing_mm = volume.grid.spacing_m().map(|spacing_m| (1e3 * spacing_m) as f32);
@@ -76,7 +77,7 @@ fn header(volume: &Volume, [ni, nj, nk]: [i16; 3]) -> [u8; HEADER_BYTES] {
         put(76 + 4 * index, &spacing_mm.to_le_bytes());
     }
     put(108, &(HEADER_BYTES as f32).to_le_bytes());
-    // Values are stored as they are: slope 1, intercept 0.
+    // Values are stored unscaled: slope 1, intercept 0.
     put(112, &1.0_f32.to_le_bytes());
     // NIFTI_UNITS_MM.
     put(123, &[2]);
@@ -86,7 +87,7 @@ fn header(volume: &Volume, [ni, nj, nk]: [i16; 3]) -> [u8; HEADER_BYTES] {
     let (spacing_m, origin_m, direction) =
         (volume.grid.spacing_m(), volume.grid.origin_m(), volume.grid.direction());
     for row in 0..3 {
-        // NIfTI is RAS: x and y of LPS change their sign.
+        // NIfTI is RAS: x and y of LPS change sign.
         let sign = if row < 2 { -1.0 } else { 1.0 };
         let axis = |axis: usize| direction[row][axis] * spacing_m[axis];
         for (column, value) in [axis(0), axis(1), axis(2), origin_m[row]].into_iter().enumerate() {

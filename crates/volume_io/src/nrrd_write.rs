@@ -12,12 +12,12 @@ use voxel_grid::Volume;
 
 /// Writes `volume` to `path` as an attached, gzip-compressed NRRD in LPS and millimetres.
 ///
-/// Voxels and sizes survive a round trip exactly; spacing, origin and direction to rounding (1e-15 relative), because the format stores
-/// metres as millimetres and the product of direction and spacing.
+/// Voxels and sizes survive a round trip exactly; spacing, origin and direction to rounding (1e-15 relative),
+/// because the format stores metres as millimetres and the product of direction and spacing.
 ///
 /// # Errors
-/// [`VolumeError::Output`] if the file exists or cannot be written, in which case nothing is left of it; [`VolumeError::Header`] for more
-/// or fewer voxels than the grid has.
+/// [`VolumeError::Output`] if the file exists or cannot be written; no partial file is left.
+/// [`VolumeError::Header`] if the number of voxels does not match the grid.
 pub fn write_nrrd(path: impl AsRef<Path>, volume: &Volume) -> Result<(), VolumeError> {
     let path = path.as_ref();
     check_length(path, volume)?;

@@ -1,44 +1,46 @@
-//! What a caller may ask of the readers.
+//! Options of the readers.
 
 use crate::error::VolumeError;
 use crate::input::DataFiles;
 use std::path::Path;
 
-/// How a volume is to be read; the default refuses whatever would need a choice.
+/// How to read a volume; the default refuses everything ambiguous.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ReadOptions {
-    /// Where a header's data files and a folder's links may lie.
+    /// Where a header's data files and a folder's links may be.
     pub data_files: DataFiles,
-    /// The SeriesInstanceUID (0020,000e) to read from a DICOM folder that holds several; files of another format have none.
+    /// The SeriesInstanceUID (0020,000e) to read from a DICOM folder with several series; ignored for other
+    /// formats.
     pub series: Option<String>,
-    /// What becomes of slices that are unevenly spaced or stacked askew.
+    /// How to treat unevenly spaced or sheared slices.
     pub slices: Slices,
-    /// Read one label of a segmentation, as 1 inside and 0 outside.
+    /// Reads one label of a segmentation, as 1 inside and 0 outside.
     pub label: Option<Label>,
 }
 
 impl ReadOptions {
-    /// Keeps the label to be read, if any, of a file whose labels are numbers alone.
+    /// Keeps only the selected label, if any, in a file whose labels are plain numbers.
     pub(crate) fn keep_label(&self, path: &Path, hu: &mut [i16]) -> Result<(), VolumeError> {
         match &self.label {
             None => Ok(()),
             Some(Label::Value(value)) => crate::mask::keep_label(path, hu, *value),
             Some(Label::Name(name)) => Err(VolumeError::NoSuchLabel {
                 path: path.into(),
-                given: format!("label \"{name}\""),
-                there: "numbers alone; only a .seg.nrrd has names".into(),
+                given: format!("label \"{name}\" not found"),
+                there: "numeric labels only; named labels need a .seg.nrrd".into(),
             }),
         }
     }
 }
 
-/// What becomes of slices that lie on no rectangular grid: unevenly spaced, or stacked at an angle (a tilted gantry).
+/// How to treat slices that are not on a rectangular grid: unevenly spaced, or stacked at an angle (tilted
+/// gantry).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Slices {
-    /// Refused, with where they lie.
+    /// Refuses them, with their positions.
     #[default]
     AsTheyLie,
-    /// Resampled to a rectangular grid by linear interpolation; the notes state the error.
+    /// Resamples them to a rectangular grid by linear interpolation; the notes state the error.
     Rectify,
 }
 

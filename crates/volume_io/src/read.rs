@@ -1,4 +1,5 @@
-//! Reads a volume of any supported format. The content decides the format; the name only where the content cannot.
+//! Reads a volume of any supported format. The content decides the format; the name only if the content is
+//! ambiguous.
 
 use crate::error::VolumeError;
 use crate::input::{self, Codec, lower_name};
@@ -18,19 +19,21 @@ pub fn read(path: impl AsRef<Path>) -> Result<Volume, VolumeError> {
 
 /// Reads a CT volume and reports what was found and what was assumed.
 ///
-/// Reads NIfTI-1/2 (.nii, .hdr/.img, plain or gzip), NRRD (attached or detached, one data file or several; raw, gzip, bzip2, hex, text),
-/// MetaImage (.mha, .mhd; raw, zlib, text) and DICOM CT (a folder, or any one file of a series; classic and enhanced; uncompressed,
-/// deflated, RLE, JPEG, JPEG-LS, JPEG 2000). Geometry is converted to LPS and metres; voxels stay in their order. Slope and intercept are
-/// applied; fractions are rounded (halves away from zero) and values beyond `i16` clamped, both counted in the notes. A file
-/// without units is read as millimetres.
+/// Reads NIfTI-1/2 (.nii, .hdr/.img, plain or gzip), NRRD (attached or detached, one data file or several;
+/// raw, gzip, bzip2, hex, text), MetaImage (.mha, .mhd; raw, zlib, text) and DICOM CT (a folder, or any one
+/// file of a series; classic and enhanced; uncompressed, deflated, RLE, JPEG, JPEG-LS, JPEG 2000). Geometry
+/// is converted to LPS and metres; voxels stay in their order. Slope and intercept are applied; fractions are
+/// rounded (halves away from zero) and values beyond `i16` clamped, both counted in the notes. A file without
+/// units is read as millimetres.
 ///
 /// # Errors
-/// Every cause is a variant of [`VolumeError`], and names the file, the field, the value found and what is expected.
+/// Every cause is a variant of [`VolumeError`], and names the file, the field, the value found and what was
+/// expected.
 pub fn read_with_info(path: impl AsRef<Path>) -> Result<(Volume, VolumeInfo), VolumeError> {
     read_as(path, &ReadOptions::default())
 }
 
-/// As [`read_with_info`], with choices.
+/// As [`read_with_info`], with options.
 ///
 /// # Errors
 /// As [`read_with_info`].
@@ -51,7 +54,9 @@ pub fn read_as(path: impl AsRef<Path>, options: &ReadOptions) -> Result<(Volume,
     if ends(&[".img", ".img.gz"]) {
         return match nifti::header_of(path) {
             Some(header) => on_a_grid(nifti::read(&header, options), options),
-            None => Err(refused(path, "the voxels of a NIfTI pair, but no .hdr file is beside them".into())),
+            None => {
+                Err(refused(path, "the voxels of a NIfTI pair, without the .hdr file beside them".into()))
+            }
         };
     }
     if head.starts_with(&[0x1f, 0x8b]) {
@@ -67,23 +72,24 @@ pub fn read_as(path: impl AsRef<Path>, options: &ReadOptions) -> Result<(Volume,
     if ends(&[".mha", ".mhd"]) || head.starts_with(b"ObjectType") || head.starts_with(b"NDims") {
         return on_a_grid(metaimage::read(path, options), options);
     }
-    // Last, because little tells a data set without a preamble.
+    // Last, because a data set without a preamble is hard to recognize.
     if dicom::is_dicom(&head) {
         return dicom::read_file(path, options);
     }
     if ends(&[".dcm", ".ima", ".dicom"]) {
         return Err(refused(
             path,
-            "no `DICM` after 128 bytes, and no data set at the start (not a DICOM file)".into(),
+            "not a DICOM file: no `DICM` after 128 bytes, and no data set at the start".into(),
         ));
     }
     if ends(&[".nrrd", ".nhdr"]) {
-        return Err(refused(path, "no `NRRD` at the start".into()));
+        return Err(refused(path, "no NRRD magic at the start".into()));
     }
     Err(refused(path, format!("a file that starts with {:02x?}", head.get(..8).unwrap_or(&head))))
 }
 
-/// A volume of a format without series and without loose slices, with a note of the choices that are for DICOM alone.
+/// Wraps the result of a format without series and loose slices, with a note on options that apply only to
+/// DICOM.
 fn on_a_grid(
     read: Result<(Volume, VolumeInfo), VolumeError>,
     options: &ReadOptions,
@@ -94,9 +100,8 @@ fn on_a_grid(
         (options.slices != Slices::AsTheyLie, "--rectify", "volume.resample"),
     ];
     for (_, flag, key) in for_dicom.iter().filter(|(is_given, ..)| *is_given) {
-        info.notes.push(format!(
-            "`{flag}` (in a scene `{key}`) has no effect: it is for the slices of a DICOM series"
-        ));
+        info.notes
+            .push(format!("`{flag}` (in a scene `{key}`) has no effect: it applies only to DICOM series"));
     }
     Ok((volume, info))
 }

@@ -1,42 +1,42 @@
-//! Slices that lie on no rectangular grid (unevenly spaced, or stacked askew by a tilted gantry), resampled to one.
+//! Resamples slices that are not on a rectangular grid (unevenly spaced, or sheared by a tilted gantry).
 
 use crate::error::VolumeError;
 use crate::volume::voxel_count;
 use std::path::Path;
 
-/// Value of voxels outside of the slices: air.
+/// Value of voxels outside the slices: air.
 const AIR_HU: i16 = -1000;
-/// What is closer than this part of a voxel counts as at the same place.
+/// Positions closer than this fraction of a voxel count as equal.
 const SAME_PLACE: f64 = 1e-6;
 
-/// Parallel slices of one size, in the order of their heights.
+/// Parallel slices of equal size, sorted by height.
 pub(crate) struct Slices<'a> {
     pub columns: usize,
     pub rows: usize,
-    /// Distance between columns, between rows.
+    /// Distance between columns, then between rows.
     pub spacing_m: [f64; 2],
-    /// Where each slice's first voxel lies: along the row direction, along the column direction, along the normal.
+    /// Position of each slice's first voxel: along the row direction, the column direction and the normal.
     pub places_m: &'a [[f64; 3]],
     pub hu: &'a [i16],
 }
 
-/// A rectangular grid over the slices, in the same three directions.
+/// A rectangular grid over the slices, with the same three directions.
 pub(crate) struct Rectified {
     pub dims: [usize; 3],
     pub spacing_m: [f64; 3],
-    /// The first voxel, in the coordinates of [`Slices::places_m`].
+    /// Position of the first voxel, in the coordinates of [`Slices::places_m`].
     pub first_m: [f64; 3],
     pub hu: Vec<i16>,
-    /// What was done and how far it is off.
+    /// Describes the resampling and its error.
     pub note: String,
 }
 
-/// Resamples by linear interpolation within and between slices, to the smallest distance between two of them, or a little less so that the
-/// first and the last lie on the grid.
+/// Resamples by linear interpolation within and between slices. The slice distance is the smallest one found,
+/// or slightly less so that the first and the last slice lie on the grid.
 ///
-/// The error that the note states: each slice but the first and last is predicted from its two neighbours the same way, and the
-/// differences' root mean square taken. The neighbours lie twice as far apart as those of any voxel of the result, so it errs by less where
-/// the tissue is smooth.
+/// The note states an error estimate: each inner slice is predicted from its two neighbours in the same way,
+/// and the root mean square of the differences is taken. Those neighbours are twice as far apart as for any
+/// voxel of the result, whose error is smaller where the tissue is smooth.
 ///
 /// # Errors
 /// [`VolumeError::TooLarge`].
@@ -80,13 +80,16 @@ pub(crate) fn rectify(path: &Path, slices: &Slices<'_>) -> Result<Rectified, Vol
     let count = hu.len();
     let error = match predicted_error_hu(slices) {
         Some(error_hu) => format!(
-            "each slice predicted from its two neighbours the same way is off by {error_hu:.1} HU (root mean square; they lie twice as far apart)"
+            "predicting each slice from its two neighbours in the same way gives an error of {error_hu:.1} \
+             HU (root mean square, at twice the distance)"
         ),
         None => "with fewer than three slices the error cannot be measured".to_owned(),
     };
     let tilt_deg = tilt_deg(places);
     let note = format!(
-        "resampled to a rectangular grid, linearly: slices {:.3} to {:.3} mm apart, stacked {tilt_deg:.2} degrees askew; {error}; {outside} of {count} voxels lie outside of the slices and are {AIR_HU} HU",
+        "resampled linearly to a rectangular grid: slices {:.3} to {:.3} mm apart, stack tilted by \
+         {tilt_deg:.2} degrees; {error}; {outside} of {count} voxels are outside the slices and set to \
+         {AIR_HU} HU",
         smallest * 1e3,
         largest * 1e3,
     );
@@ -100,12 +103,12 @@ fn tilt_deg(places: &[[f64; 3]]) -> f64 {
     libm::atan2(libm::hypot(u, v), w).to_degrees()
 }
 
-/// Two slices and a height between them.
+/// Two slices, and a height between them.
 struct Between<'a> {
     slices: &'a Slices<'a>,
     low: usize,
     high: usize,
-    /// Of the upper one.
+    /// Weight of the upper one.
     weight: f64,
 }
 
@@ -115,7 +118,7 @@ impl<'a> Between<'a> {
         Self { slices, low, high, weight: ((height_m - from) / (to - from)).clamp(0.0, 1.0) }
     }
 
-    /// The value at a place in the plane; `None` outside of a slice that counts there.
+    /// The value at a position in the plane; `None` outside a slice that has a weight.
     fn value(&self, at_m: [f64; 2]) -> Option<f64> {
         let lower = if self.weight < 1.0 { self.slices.within(self.low, at_m)? } else { 0.0 };
         let upper = if self.weight > 0.0 { self.slices.within(self.high, at_m)? } else { 0.0 };
@@ -124,7 +127,7 @@ impl<'a> Between<'a> {
 }
 
 impl Slices<'_> {
-    /// The value within a slice, bilinear between its voxels' centres.
+    /// The value within a slice, bilinear between voxel centres.
     fn within(&self, slice: usize, at_m: [f64; 2]) -> Option<f64> {
         let place = self.places_m[slice];
         let (i, across) = cell((at_m[0] - place[0]) / self.spacing_m[0], self.columns)?;
@@ -137,7 +140,8 @@ impl Slices<'_> {
     }
 }
 
-/// The voxel below a place along an axis and the part of the way to the next; `None` outside of the outermost centres.
+/// The voxel below a position along an axis, and the fraction to the next one; `None` outside the outermost
+/// centres.
 fn cell(place: f64, voxels: usize) -> Option<(usize, f64)> {
     let last = (voxels - 1) as f64;
     if !(-SAME_PLACE..=last + SAME_PLACE).contains(&place) {
@@ -148,7 +152,8 @@ fn cell(place: f64, voxels: usize) -> Option<(usize, f64)> {
     Some((low as usize, place - low))
 }
 
-/// Root mean square of what each inner slice differs from the interpolation of its neighbours; `None` without an inner slice.
+/// Root mean square difference of each inner slice from the interpolation of its neighbours; `None` without
+/// inner slices.
 fn predicted_error_hu(slices: &Slices<'_>) -> Option<f64> {
     let (mut sum, mut count) = (0.0, 0_u64);
     for slice in 1..slices.places_m.len().saturating_sub(1) {
@@ -190,7 +195,7 @@ mod tests {
         }
         let slices = Slices { columns, rows, spacing_m, places_m, hu: &hu };
         let out = rectify(Path::new("s"), &slices).unwrap();
-        assert_eq!(tilt, !out.note.contains("stacked 0.00 degrees"), "{}", out.note);
+        assert_eq!(tilt, !out.note.contains("tilted by 0.00 degrees"), "{}", out.note);
         out
     }
 
@@ -220,6 +225,6 @@ mod tests {
         let out = linear(&places, true);
         assert_eq!(out.dims, [9, 9, 6]);
         assert!(compare(&out) > 9 * 5 * 6);
-        assert!(out.note.contains("14.04 degrees askew"), "{}", out.note);
+        assert!(out.note.contains("tilted by 14.04 degrees"), "{}", out.note);
     }
 }

@@ -3,11 +3,13 @@
 use crate::error::VolumeError;
 use voxel_grid::{MAX_VOXELS, Volume, VoxelGrid};
 
-/// Resamples to cubic voxels of `spacing_m` by trilinear interpolation between voxel centres. Keeps axes and outer extent; values at the
-/// rim are those of the outermost centres. Resample a binary mask after [`mask_to_hu`](crate::mask_to_hu).
+/// Resamples to cubic voxels of `spacing_m` by trilinear interpolation between voxel centres. Keeps axes and
+/// outer extent; values at the rim are those of the outermost centres. Resample a binary mask after
+/// [`mask_to_hu`](crate::mask_to_hu).
 ///
 /// # Errors
-/// [`VolumeError::Argument`] if the spacing is not a positive length, or the result would have more than [`MAX_VOXELS`].
+/// [`VolumeError::Argument`] if the spacing is not a positive length, or the result would have more than
+/// [`MAX_VOXELS`].
 pub fn resample(volume: &Volume, spacing_m: f64) -> Result<Volume, VolumeError> {
     let (old_dims, old_m) = (volume.grid.dims(), volume.grid.spacing_m());
     let refuse = |given: String, expected: &str| VolumeError::argument("spacing_m", given, expected);
@@ -18,7 +20,7 @@ pub fn resample(volume: &Volume, spacing_m: f64) -> Result<Volume, VolumeError> 
     let counts = [0, 1, 2].map(|axis| libm::floor(extent(axis) / spacing_m + 0.5).max(1.0));
     if counts.iter().product::<f64>() > MAX_VOXELS as f64 {
         let given = format!(
-            "{spacing_m} m, which makes {:.0} x {:.0} x {:.0} voxels",
+            "{spacing_m} m, which gives {:.0} x {:.0} x {:.0} voxels",
             counts[0], counts[1], counts[2]
         );
         return Err(refuse(given, "at most 2^29 voxels: a larger spacing"));
@@ -30,7 +32,7 @@ pub fn resample(volume: &Volume, spacing_m: f64) -> Result<Volume, VolumeError> 
         [0, 1, 2].map(|axis| samples(dims[axis], old_dims[axis], first[axis], spacing_m / old_m[axis]));
     let grid = VoxelGrid::new(dims, [spacing_m; 3], volume.grid.world_m(first), volume.grid.axes());
     let grid =
-        grid.map_err(|cause| refuse(format!("{spacing_m} m, which makes {cause}"), "another spacing"))?;
+        grid.map_err(|cause| refuse(format!("{spacing_m} m, which gives {cause}"), "another spacing"))?;
     let mut hu = Vec::with_capacity(dims.iter().product());
     for k in &axes[2] {
         for j in &axes[1] {

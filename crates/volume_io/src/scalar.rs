@@ -70,7 +70,7 @@ impl Scalar {
     /// Appends the little-endian numbers in `bytes`; 64-bit integers are rounded to f64.
     fn append(self, bytes: &[u8], scale: Scale, sink: &mut HuSink) {
         match self {
-            // A CT as most files hold it: nothing to scale, round or clamp.
+            // The usual CT: nothing to scale, round or clamp.
             Scalar::I16 if scale == Scale::IDENTITY => {
                 sink.hu.extend(bytes.as_chunks().0.iter().map(|b| i16::from_le_bytes(*b)));
             }
@@ -88,7 +88,7 @@ impl Scalar {
     }
 }
 
-/// Value of HU = slope × stored + intercept.
+/// Conversion HU = slope × stored + intercept.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Scale {
     pub slope: f64,
@@ -112,7 +112,7 @@ impl Scale {
     }
 }
 
-/// Collects voxels as `i16` and counts those it had to change.
+/// Collects voxels as `i16` and counts those that had to be changed.
 #[derive(Debug, Default)]
 pub(crate) struct HuSink {
     pub hu: Vec<i16>,
@@ -125,7 +125,7 @@ impl HuSink {
     /// Appends one stored number. Halves round away from zero; NaN becomes air.
     pub fn push(&mut self, stored: f64, scale: Scale) {
         let value = if scale == Scale::IDENTITY { stored } else { scale.slope * stored + scale.intercept };
-        // Most numbers are whole HU already.
+        // Most numbers are integer HU already.
         let direct = value as i16;
         if f64::from(direct) == value {
             self.hu.push(direct);
@@ -153,10 +153,10 @@ impl HuSink {
         }
     }
 
-    /// Takes memory for `count` more voxels.
+    /// Reserves memory for `count` more voxels.
     ///
     /// # Errors
-    /// `Memory`: there is too little.
+    /// `Memory` if there is too little.
     fn reserve(&mut self, path: &Path, count: usize, all: usize) -> Result<(), VolumeError> {
         self.hu.try_reserve(count).map_err(|_| VolumeError::Memory {
             path: path.into(),
@@ -165,7 +165,7 @@ impl HuSink {
         })
     }
 
-    /// The voxels; adds a note for each kind of change made.
+    /// Returns the voxels; adds a note for each kind of change.
     pub fn finish(self, notes: &mut Vec<String>) -> Vec<i16> {
         let mut note = |count: u64, what: &str| {
             if count > 0 {
@@ -173,7 +173,7 @@ impl HuSink {
             }
         };
         note(self.clamped, "were outside -32768..32767 and were clamped");
-        note(self.rounded, "were rounded to whole HU");
+        note(self.rounded, "were rounded to integer HU");
         note(self.not_a_number, "were not a number and were set to -1000 HU");
         self.hu
     }
@@ -188,13 +188,14 @@ pub(crate) struct Layout {
 }
 
 impl Layout {
-    /// Bytes that `count` voxels take; `count` is at most [`voxel_grid::MAX_VOXELS`], so this cannot overflow.
+    /// Size of `count` voxels in bytes; `count` is at most [`voxel_grid::MAX_VOXELS`], so this cannot
+    /// overflow.
     pub fn byte_count(self, count: usize) -> u64 {
         count as u64 * self.scalar.size() as u64
     }
 
-    /// Reads `count` voxels of a data file into `sink`: those behind `skip` decoded bytes, to the end of the file. `field` is what the header
-    /// says their number with.
+    /// Reads `count` voxels of a data file into `sink`, from after `skip` decoded bytes to the end of the
+    /// file. `field` is the header field that gives their number.
     pub fn read_file(
         self,
         (path, start, codec): (&Path, u64, Codec),
@@ -210,8 +211,8 @@ impl Layout {
             return Err(VolumeError::unsupported(
                 path,
                 "encoding",
-                format!("bzip2 data that would grow to {voxels} bytes of voxels"),
-                "data that grow by a factor of at most 10000; store it as raw or gzip",
+                format!("bzip2 data that would expand to {voxels} bytes of voxels"),
+                "data that expand by a factor of at most 10000; store it as raw or gzip",
             ));
         }
         input::check_length(path, most, needed)?;
@@ -220,7 +221,8 @@ impl Layout {
         input::check_end(path, codec, reader.as_mut(), (field, needed, most), notes)
     }
 
-    /// Reads `count` voxels from a stream into `sink`; memory grows with the data that arrives, not with what a header promises.
+    /// Reads `count` voxels from a stream into `sink`; memory grows with the data read, not with the size a
+    /// header promises.
     pub fn read(
         self,
         path: &Path,
@@ -230,7 +232,8 @@ impl Layout {
         sink: &mut HuSink,
     ) -> Result<(), VolumeError> {
         let size = self.scalar.size();
-        // A raw file's length has been checked already; a compressed stream may still hold less than its upper bound.
+        // A raw file's length has been checked already; a compressed stream may still hold less than its
+        // upper bound.
         if codec == Codec::Raw.name() {
             sink.reserve(path, count, count)?;
         }

@@ -1,4 +1,5 @@
-//! Which files a volume is read from, without reading its voxels: for a caller that keeps decoded volumes by the content of their files.
+//! Lists the files that a volume is read from, without reading its voxels: for callers that cache decoded
+//! volumes by file content.
 
 use crate::error::VolumeError;
 use crate::input::{self, Codec, lower_name};
@@ -12,17 +13,19 @@ use std::path::{Path, PathBuf};
 pub struct Sources {
     /// Every file whose content the reader uses, in a fixed order.
     pub files: Vec<PathBuf>,
-    /// What else decides the volume or its notes: the names that decide the format, and how many files of a folder are left out.
+    /// What else determines the volume or its notes: the names that decide the format, and the number of
+    /// ignored files in a folder.
     pub names: Vec<String>,
-    /// Whether reading decodes more than plain voxels in one piece: compressed data, or a file a slice.
+    /// Whether reading decodes more than plain voxels in one piece: compressed data, or one file per slice.
     pub are_encoded: bool,
 }
 
-/// The files that [`read_as`](crate::read_as) reads for `path`: together with the options they decide the volume and its notes. `None` where
-/// that shows only while reading: a header with its voxels in another file, or one DICOM file of a series.
+/// Lists the files that [`read_as`](crate::read_as) reads for `path`: together with the options they
+/// determine the volume and its notes. `None` if that is known only while reading: a header with its voxels
+/// in another file, or one DICOM file of a series.
 ///
 /// # Errors
-/// As [`read_as`](crate::read_as), for what is wrong with a header or a folder.
+/// As [`read_as`](crate::read_as), for errors of a header or a folder.
 pub fn sources(path: impl AsRef<Path>, options: &ReadOptions) -> Result<Option<Sources>, VolumeError> {
     let path = path.as_ref();
     if std::fs::metadata(path).map_err(input::io_error(path, "open"))?.is_dir() {

@@ -5,7 +5,7 @@ use crate::input::{Codec, open_stream, read_full};
 use crate::scalar::{HuSink, Scale};
 use std::path::Path;
 
-/// Longest text header accepted, bytes.
+/// Longest accepted text header, bytes.
 pub(crate) const MAX_HEADER_BYTES: usize = 1 << 20;
 
 /// A [`VolumeError::Header`] for a field of a text header.

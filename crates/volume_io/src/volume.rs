@@ -1,4 +1,4 @@
-//! What readers share about a volume: its placement as a header states it, and what is reported of it.
+//! A volume's placement as stated in its header, and the summary of a volume that was read.
 
 use crate::error::{Field, VolumeError};
 use std::fmt;
@@ -18,7 +18,7 @@ pub struct HuStatistics {
 }
 
 impl HuStatistics {
-    /// Of these voxels.
+    /// Computes the statistics of voxels.
     pub fn of(hu: &[i16]) -> HuStatistics {
         let sum: i64 = hu.iter().copied().map(i64::from).sum();
         HuStatistics {
@@ -38,11 +38,11 @@ pub struct VolumeInfo {
     pub stored_as: String,
     /// The file's own unit of length, and whether it was stated or assumed.
     pub units: String,
-    /// Where the voxels lie.
+    /// Grid of the voxels.
     pub grid: VoxelGrid,
     /// Range and mean.
     pub hu: HuStatistics,
-    /// Every assumption and every change of values that the reader made.
+    /// Every assumption and every change of values by the reader.
     pub notes: Vec<String>,
 }
 
@@ -93,7 +93,8 @@ pub(crate) struct GeometryFields {
 }
 
 impl GeometryFields {
-    /// Turns a [`GridError`] into an error with the format's own field names; `axes` are the unit axes given.
+    /// Converts a [`GridError`] to an error with the format's own field names; `axes` are the given unit
+    /// axes.
     fn error(self, path: &Path, error: GridError, axes: [[f64; 3]; 3]) -> VolumeError {
         match error {
             GridError::Spacing { spacing_m } => {
@@ -117,10 +118,10 @@ impl GeometryFields {
     }
 }
 
-/// A grid that is not read from a file; `path` names it in errors.
+/// Builds a grid that is not read from a file; `path` names it in errors.
 ///
 /// # Errors
-/// The variant that a reader has for the same fault.
+/// The same variants as a reader's.
 pub fn grid_of(
     path: &Path,
     dims: [usize; 3],
@@ -133,7 +134,7 @@ pub fn grid_of(
     VoxelGrid::new(dims, spacing_m, origin_m, axes).map_err(|error| names.error(path, error, axes))
 }
 
-/// The volume of these voxels at a placement.
+/// Builds the volume of voxels at a placement.
 pub(crate) fn placed(
     path: &Path,
     dims: [usize; 3],
@@ -144,7 +145,7 @@ pub(crate) fn placed(
     Ok(Volume { grid, hu })
 }
 
-/// Refuses a volume with more or fewer voxels than its grid has.
+/// Refuses a volume whose number of voxels does not match its grid.
 pub(crate) fn check_length(path: &Path, volume: &Volume) -> Result<(), VolumeError> {
     let (given, expected) = (volume.hu.len(), volume.grid.voxel_count());
     if given == expected {
@@ -159,19 +160,19 @@ pub(crate) fn check_length(path: &Path, volume: &Volume) -> Result<(), VolumeErr
     ))
 }
 
-/// Cosines between axes up to this are the rounding of `f32`, and not worth a note.
+/// Cosines between axes up to this are `f32` rounding, and not worth a note.
 const NOTED_COSINE: f64 = 1e-6;
 
-/// A volume's geometry as a header states it, not yet checked. LPS.
+/// A volume's geometry as stated in a header, not yet checked. LPS.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct StatedGeometry {
     pub spacing_m: [f64; 3],
     pub origin_m: [f64; 3],
-    /// One direction an axis, of any positive length.
+    /// One direction per axis, of any positive length.
     pub axes: [[f64; 3]; 3],
 }
 
-/// The placement that a header states. Notes if its axes had to be made perpendicular.
+/// Builds the placement stated in a header. Adds a note if its axes had to be made perpendicular.
 pub(crate) fn placement(
     path: &Path,
     names: GeometryFields,
@@ -186,10 +187,11 @@ pub(crate) fn placement(
         if !(length.is_finite() && length > 1e-12) {
             return Err(singular());
         }
-        // Adding zero turns −0 into +0, so that two files with the same geometry compare and print the same.
+        // Adding zero turns −0 into +0, so that files with the same geometry compare and print the same.
         *out = axis.map(|c| c / length + 0.0);
     }
-    // Linear dependence and shear are different errors: a volume of zero thickness cannot be resampled, a sheared one can.
+    // Linear dependence and shear are different errors: a volume of zero thickness cannot be resampled, a
+    // sheared one can.
     let triple = dot(unit[0], cross(unit[1], unit[2]));
     if !(triple.is_finite() && triple.abs() > 1e-6) {
         return Err(singular());
@@ -206,7 +208,7 @@ pub(crate) fn placement(
     Ok(placed)
 }
 
-/// The number of voxels, if within the limit; `field` names the dimensions.
+/// Returns the number of voxels, if within the limit; `field` names the dimensions.
 pub(crate) fn voxel_count(path: &Path, field: &str, dims: [usize; 3]) -> Result<usize, VolumeError> {
     if dims.contains(&0) {
         return Err(VolumeError::header(
@@ -223,7 +225,7 @@ fn too_large(path: &Path, field: &str, dims: [usize; 3]) -> VolumeError {
     VolumeError::TooLarge(Field::new(path, field, format!("{} x {} x {}", dims[0], dims[1], dims[2])))
 }
 
-/// Transposes: columns of a matrix as an array of vectors, or the reverse.
+/// Transposes: matrix columns as an array of vectors, or the reverse.
 pub(crate) fn columns(m: [[f64; 3]; 3]) -> [[f64; 3]; 3] {
     [0, 1, 2].map(|column| [0, 1, 2].map(|row| m[row][column]))
 }

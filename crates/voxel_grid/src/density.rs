@@ -1,4 +1,4 @@
-//! Apparent density of bone by its Hounsfield units: rho [kg/m³] = 131 + 1.067 HU.
+//! Apparent density of bone from its Hounsfield units: rho [kg/m³] = 131 + 1.067 HU.
 //!
 //! Source: Rho, Hobatho and Ashman 1995, Med Eng Phys 17:347.
 

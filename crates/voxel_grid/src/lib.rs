@@ -1,16 +1,17 @@
-//! Where the voxels of a CT lie in the world (patient frame, LPS, metres): dimensions, spacing, origin and axes.
+//! The voxel grid of a CT in the world (patient frame, LPS, metres): dimensions, spacing, origin and axes.
 //!
-//! A [`VoxelGrid`] is checked on creation and immutable, so a grid that one reader accepts, all accept: files (`volume_io`), the message
-//! in shared memory (`messages`), the physics (`simulation`) and the X-ray (`xray`) all use it. A [`Volume`] is the voxels on it, a [`Ct`]
-//! those with their hash.
+//! A [`VoxelGrid`] is checked on creation and immutable, so a grid accepted by one reader is accepted by all:
+//! files (`volume_io`), the message in shared memory (`messages`), the physics (`simulation`) and the X-ray
+//! (`xray`) all use it. A [`Volume`] is a grid with its voxels, a [`Ct`] a volume with its hash.
 //!
-//! Its axes are perpendicular to rounding. Files store them with few digits (DICOM six, NIfTI as f32), so axes within
-//! [`PERPENDICULAR_TOLERANCE`] are made perpendicular by Gram-Schmidt, which keeps the first axis and adjusts the others. This matches
-//! DICOM, where the row direction is stored and the slice direction is the normal of the image. ITK applies the same tolerance and
-//! correction to NIfTI files. Axes further off are sheared and refused: only resampling could put the voxels where the file says.
+//! The axes are perpendicular to within rounding. Files store them with few digits (DICOM six, NIfTI as f32),
+//! so axes within [`PERPENDICULAR_TOLERANCE`] are orthogonalised by Gram-Schmidt, which keeps the first axis
+//! and adjusts the others. This matches DICOM, where the row direction is stored and the slice direction is
+//! the normal of the image. ITK applies the same tolerance and correction to NIfTI files. Axes further off
+//! are sheared and refused: only resampling could put the voxels where the file says.
 //!
-//! [`sample`] reads Hounsfield units between voxel centres, [`mod@slice`] is a plane through them as pixels, [`density`] the bone
-//! density that they stand for.
+//! [`sample`] reads Hounsfield units between voxel centres, [`mod@slice`] is a plane through them as pixels,
+//! [`density`] converts them to bone density.
 //!
 //! ```
 //! use voxel_grid::{GridError, VoxelGrid};
@@ -42,8 +43,8 @@ pub const MIN_SPACING_M: f64 = 1e-6;
 pub const MAX_SPACING_M: f64 = 0.1;
 /// Largest coordinate of the first voxel, far beyond any real patient's position.
 pub const MAX_ORIGIN_M: f64 = 100.0;
-/// Largest deviation from orthonormal axes that counts as rounding, in their dot products: for two axes, the cosine of their angle (0.006
-/// degrees, which moves a slice 500 mm away by 0.05 mm).
+/// Largest deviation from orthonormal axes that counts as rounding, in their dot products: for two axes, the
+/// cosine of their angle (0.006 degrees, which moves a slice 500 mm away by 0.05 mm).
 pub const PERPENDICULAR_TOLERANCE: f64 = 1e-4;
 /// Axes of a grid along the world axes: i to the patient's left, j to posterior, k to superior.
 const WORLD_AXES: [[f64; 3]; 3] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
@@ -53,15 +54,16 @@ const EXACT: f64 = 1e-12;
 /// Why a grid is invalid.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum GridError {
-    /// No voxel, or too many.
+    /// No voxels, or too many.
     #[error(
-        "{dims:?} voxels; expected 1 to {MAX_VOXELS_ALONG_AXIS} along each axis and at most {MAX_VOXELS} in all: crop or resample the volume"
+        "{dims:?} voxels; expected 1 to {MAX_VOXELS_ALONG_AXIS} along each axis and at most {MAX_VOXELS} in \
+         total: crop or resample the volume"
     )]
     Dimensions {
         /// Voxels along i, j, k.
         dims: [usize; 3],
     },
-    /// A spacing that is no plausible voxel size.
+    /// An implausible voxel spacing.
     #[error(
         "a voxel spacing of {spacing_m:?} m; expected {MIN_SPACING_M:e} to {MAX_SPACING_M} m along each axis"
     )]
@@ -69,7 +71,7 @@ pub enum GridError {
         /// Spacing along i, j, k.
         spacing_m: [f64; 3],
     },
-    /// A first voxel implausibly far away.
+    /// An implausibly distant origin.
     #[error("an origin of {origin_m:?} m; expected -{MAX_ORIGIN_M} to {MAX_ORIGIN_M} m in each coordinate")]
     Origin {
         /// Centre of voxel (0, 0, 0).
@@ -77,16 +79,17 @@ pub enum GridError {
     },
     /// Axes that are not perpendicular unit vectors.
     #[error(
-        "axes that are off perpendicular unit vectors by {deviation:.1e}; expected at most {PERPENDICULAR_TOLERANCE:e}: resample a sheared \
-         volume to a rectangular grid first"
+        "non-orthonormal axes (deviation {deviation:.1e}, limit {PERPENDICULAR_TOLERANCE:e}): resample a \
+         sheared volume to a rectangular grid first"
     )]
     Sheared {
-        /// Largest deviation of a dot product of two axes; infinite if one is not a number.
+        /// Largest deviation of a dot product of two axes; infinite if one is NaN.
         deviation: f64,
     },
 }
 
-/// A uniform grid: voxel (i, j, k) has its centre at `origin_m + i s_0 a_0 + j s_1 a_1 + k s_2 a_2`; i runs fastest in memory.
+/// A uniform grid: voxel (i, j, k) has its centre at `origin_m + i s_0 a_0 + j s_1 a_1 + k s_2 a_2`; i runs
+/// fastest in memory.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct VoxelGrid {
     dims: [usize; 3],
@@ -94,7 +97,8 @@ pub struct VoxelGrid {
 }
 
 impl VoxelGrid {
-    /// A checked grid; `axes[a]` is the direction of index axis a in the world. Left-handed grids are allowed: voxels are never reordered.
+    /// Creates a validated grid; `axes[a]` is the direction of index axis a in the world. Left-handed grids
+    /// are allowed: voxels are never reordered.
     ///
     /// # Errors
     /// Any [`GridError`].
@@ -107,7 +111,7 @@ impl VoxelGrid {
         VoxelGrid::placed(dims, Placement::new(spacing_m, origin_m, axes)?)
     }
 
-    /// A checked grid along the world axes.
+    /// Creates a validated grid along the world axes.
     ///
     /// # Errors
     /// As [`VoxelGrid::new`].
@@ -119,7 +123,7 @@ impl VoxelGrid {
         VoxelGrid::new(dims, spacing_m, origin_m, WORLD_AXES)
     }
 
-    /// A grid of these dimensions at a placement.
+    /// Creates a grid of these dimensions at a placement.
     ///
     /// # Errors
     /// [`GridError::Dimensions`].
@@ -159,7 +163,7 @@ impl VoxelGrid {
         [0, 1, 2].map(|row| [axes[0][row], axes[1][row], axes[2][row]])
     }
 
-    /// World position of a point that is given in voxels; (0, 0, 0) is the centre of the first.
+    /// World position of a point in voxel coordinates; (0, 0, 0) is the centre of the first voxel.
     pub fn world_m(&self, voxel: [f64; 3]) -> [f64; 3] {
         let Placement { spacing_m, origin_m, axes } = self.placement;
         let step = [0, 1, 2].map(|axis| voxel[axis] * spacing_m[axis]);
@@ -168,20 +172,20 @@ impl VoxelGrid {
         })
     }
 
-    /// Place in memory of voxel (i, j, k); `None` outside the grid.
+    /// Linear index of voxel (i, j, k); `None` outside the grid.
     pub fn index(&self, [i, j, k]: [usize; 3]) -> Option<usize> {
         let [ni, nj, nk] = self.dims;
         (i < ni && j < nj && k < nk).then(|| i + ni * (j + nj * k))
     }
 
-    /// i, j, k of a voxel by its place in memory; `None` outside the grid.
+    /// Voxel (i, j, k) of a linear index; `None` outside the grid.
     pub fn voxel(&self, index: usize) -> Option<[usize; 3]> {
         let [ni, nj, _] = self.dims;
         (index < self.voxel_count()).then(|| [index % ni, index / ni % nj, index / (ni * nj)])
     }
 }
 
-/// A grid without dimensions, for a reader that learns them last.
+/// A grid without dimensions, for readers that learn them last.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Placement {
     spacing_m: [f64; 3],
@@ -190,10 +194,10 @@ pub struct Placement {
 }
 
 impl Placement {
-    /// As [`VoxelGrid::new`].
+    /// Creates a validated placement, as [`VoxelGrid::new`] does.
     ///
     /// # Errors
-    /// Any [`GridError`] except that of dimensions.
+    /// Any [`GridError`] except [`GridError::Dimensions`].
     pub fn new(spacing_m: [f64; 3], origin_m: [f64; 3], axes: [[f64; 3]; 3]) -> Result<Placement, GridError> {
         // Written so that NaN fails.
         if !spacing_m.iter().all(|s| (MIN_SPACING_M..=MAX_SPACING_M).contains(s)) {
@@ -221,7 +225,7 @@ impl Placement {
     }
 }
 
-/// The number of voxels, if within the limits.
+/// Returns the number of voxels if it is within the limits.
 ///
 /// # Errors
 /// [`GridError::Dimensions`].
@@ -247,7 +251,7 @@ fn perpendicular(axes: [[f64; 3]; 3]) -> Result<[[f64; 3]; 3], GridError> {
     Ok([x, y, z])
 }
 
-/// Largest deviation of the axes' dot products from those of orthonormal axes; infinite if one is not a number.
+/// Largest deviation of the axes' dot products from those of orthonormal axes; infinite if one is NaN.
 fn deviation(axes: &[[f64; 3]; 3]) -> f64 {
     let mut largest = 0.0_f64;
     for (i, a) in axes.iter().enumerate() {
@@ -322,8 +326,8 @@ mod tests {
     }
 
     proptest! {
-        /// Within the tolerance, axes become perpendicular to rounding, move by no more than their error, and stay bit for bit from then
-        /// on.
+        /// Axes within the tolerance become perpendicular to within rounding, move by no more than their
+        /// error, and are then kept bit for bit.
         #[test]
         fn axes_within_the_tolerance_become_perpendicular_once(
             turn in prop::array::uniform3(-3.0..3.0_f64),

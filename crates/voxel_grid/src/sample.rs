@@ -3,7 +3,8 @@
 use crate::VoxelGrid;
 
 impl VoxelGrid {
-    /// The place of a world position (LPS, metres) in voxels; whole numbers are voxel centres. The inverse of [`VoxelGrid::world_m`].
+    /// Voxel coordinates of a world position (LPS, metres); voxel centres are at integers. The inverse of
+    /// [`VoxelGrid::world_m`].
     #[inline]
     pub fn voxel_at(&self, world_m: [f64; 3]) -> [f64; 3] {
         let (origin_m, axes, spacing_m) = (self.origin_m(), self.axes(), self.spacing_m());
@@ -14,38 +15,41 @@ impl VoxelGrid {
         })
     }
 
-    /// Place in memory of the voxel whose box holds a place that is given in voxels; `None` outside the grid.
+    /// Linear index of the voxel that contains a point in voxel coordinates; `None` outside the grid.
     #[inline]
     pub fn index_of(&self, voxel: [f64; 3]) -> Option<usize> {
         let dims = self.dims();
         if !holds(dims, voxel) {
             return None;
         }
-        // Half a voxel on, the next smaller whole number is the nearest centre; a cast of a positive number finds it.
+        // Adding half a voxel and rounding down gives the nearest centre; casting a positive number rounds
+        // down.
         let [i, j, k] = [0, 1, 2].map(|axis| ((voxel[axis] + 0.5) as usize).min(dims[axis] - 1));
         Some(i + dims[0] * (j + dims[1] * k))
     }
 }
 
-/// Whether a place that is given in voxels lies in the box of these voxels, to their faces. Not a number: no.
+/// Returns true if a point in voxel coordinates lies in the box of these voxels, up to their outer faces;
+/// false for NaN.
 #[inline]
 pub fn holds(dims: [usize; 3], voxel: [f64; 3]) -> bool {
     (0..3).all(|axis| (-0.5..=dims[axis] as f64 - 0.5).contains(&voxel[axis]))
 }
 
-/// Hounsfield units at a place that is given in voxels, linear between the eight voxel centres around it; beyond the outermost centres
-/// those of the nearest. `None` outside the box of the voxels. `hu`: i fastest.
+/// Hounsfield units at a point in voxel coordinates: trilinear between the eight surrounding voxel centres,
+/// clamped to the nearest centre beyond the outermost ones. `None` outside the box of the voxels. `hu`: i
+/// fastest.
 #[inline]
 pub fn hu_at(dims: [usize; 3], hu: &[i16], voxel: [f64; 3]) -> Option<f64> {
     if !holds(dims, voxel) {
         return None;
     }
     let strides = [1, dims[0], dims[0] * dims[1]];
-    // Of each axis: where its two centres lie in memory, and how much each counts.
+    // For each axis, the memory offsets and weights of its two centres.
     let (mut offsets, mut shares) = ([[0; 2]; 3], [[0.0; 2]; 3]);
     for axis in 0..3 {
         let place = voxel[axis].clamp(0.0, (dims[axis] - 1) as f64);
-        // A cast rounds a positive number down.
+        // Casting rounds a positive number down.
         let low = place as usize;
         let share = place - low as f64;
         offsets[axis] = [low * strides[axis], (low + usize::from(share > 0.0)) * strides[axis]];
@@ -67,7 +71,7 @@ pub fn hu_at(dims: [usize; 3], hu: &[i16], voxel: [f64; 3]) -> Option<f64> {
 mod tests {
     use super::*;
 
-    /// Hounsfield units that are linear in the place are found exactly, on a grid turned by 36.87 degrees about z.
+    /// A field that is linear in position is sampled exactly, on a grid rotated by 36.87 degrees about z.
     #[test]
     fn a_linear_field_is_read_exactly_on_an_oblique_grid() {
         let axes = [[0.8, 0.6, 0.0], [-0.6, 0.8, 0.0], [0.0, 0.0, 1.0]];

@@ -1,4 +1,4 @@
-//! A plane through the voxels as pixels, as pictures and viewers show a CT.
+//! Slices: planes through the voxels sampled as pixels, for images and viewers.
 
 use crate::MAX_ORIGIN_M;
 
@@ -7,16 +7,17 @@ pub const LARGEST_SIDE_M: f64 = 20.0;
 /// Largest deviation of the axes of a slice from perpendicular unit vectors, in their dot products.
 const AXES_TOLERANCE: f64 = 1e-3;
 
-/// A plane as radiologists look at it. +x is the patient's left, +y posterior, +z the head.
+/// A standard plane in radiological orientation. +x is the patient's left, +y posterior, +z the head.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Anatomical {
-    /// Its name.
+    /// Name of the plane.
     pub name: &'static str,
-    /// Unit vector to the right of the picture.
+    /// Unit vector to the right of the image.
     pub right: [f64; 3],
-    /// Unit vector down the picture.
+    /// Unit vector down the image.
     pub down: [f64; 3],
-    /// What lies at the left, right, upper and lower edge: right, left, anterior, posterior, head, feet.
+    /// Orientation letters at the left, right, upper and lower edge: right, left, anterior, posterior, head,
+    /// feet.
     pub letters: [&'static str; 4],
 }
 
@@ -42,25 +43,25 @@ pub const ANATOMICAL: [Anatomical; 3] = [
     },
 ];
 
-/// Why a plane is none.
+/// Why a plane is invalid.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum PlaneError {
-    /// A middle that is implausibly far away, or not a number.
-    #[error("a slice about {centre_m:?} m; expected -{MAX_ORIGIN_M} to {MAX_ORIGIN_M} m in each coordinate")]
+    /// An implausibly distant centre, or NaN.
+    #[error("slice centre {centre_m:?} m; expected -{MAX_ORIGIN_M} to {MAX_ORIGIN_M} m in each coordinate")]
     Centre {
-        /// Its middle.
+        /// The centre.
         centre_m: [f64; 3],
     },
     /// Axes that are not perpendicular unit vectors.
-    #[error("a slice along {right:?} and {down:?}; expected perpendicular unit vectors")]
+    #[error("slice axes {right:?} and {down:?}; expected perpendicular unit vectors")]
     Axes {
-        /// To the right of the picture.
+        /// The axis to the right of the image.
         right: [f64; 3],
-        /// Down the picture.
+        /// The axis down the image.
         down: [f64; 3],
     },
     /// A width or height that is not positive, or too large.
-    #[error("a slice of {side_m:?} m; expected more than 0 and at most {LARGEST_SIDE_M} m each way")]
+    #[error("slice size {side_m:?} m; expected more than 0 and at most {LARGEST_SIDE_M} m each way")]
     Side {
         /// Width and height.
         side_m: [f64; 2],
@@ -77,7 +78,8 @@ pub struct Plane {
 }
 
 impl Plane {
-    /// A checked rectangle: its middle, its unit vectors to the right and down, its width and height.
+    /// Creates a validated rectangle from its centre, its unit vectors to the right and down, and its width
+    /// and height.
     ///
     /// # Errors
     /// Any [`PlaneError`].
@@ -87,7 +89,7 @@ impl Plane {
         down: [f64; 3],
         side_m: [f64; 2],
     ) -> Result<Plane, PlaneError> {
-        // Each test is written so that what is not a number fails.
+        // Each test is written so that NaN fails.
         if !centre_m.iter().all(|x| x.abs() <= MAX_ORIGIN_M) {
             return Err(PlaneError::Centre { centre_m });
         }
@@ -102,7 +104,7 @@ impl Plane {
         Ok(Plane { centre_m, right, down, side_m })
     }
 
-    /// The middle of a pixel, of a picture of so many columns and rows.
+    /// Centre of a pixel in an image of `columns` x `rows`.
     #[inline]
     pub fn pixel_m(&self, [column, row]: [usize; 2], [columns, rows]: [usize; 2]) -> [f64; 3] {
         let from_middle = |index: usize, count: usize, side_m: f64| {
@@ -113,7 +115,7 @@ impl Plane {
         [0, 1, 2].map(|axis| self.centre_m[axis] + self.right[axis] * right_m + self.down[axis] * down_m)
     }
 
-    /// The middles of all pixels, row by row.
+    /// Centres of all pixels, row by row.
     pub fn pixels_m(&self, [columns, rows]: [usize; 2]) -> impl Iterator<Item = [f64; 3]> {
         let plane = *self;
         (0..rows).flat_map(move |row| {

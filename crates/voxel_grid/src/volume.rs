@@ -6,7 +6,7 @@ use crate::sample::{self, holds};
 /// Hounsfield units on a grid: voxel (i, j, k) is `hu[i + ni * (j + nj * k)]`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Volume {
-    /// Where the voxels lie.
+    /// The voxel grid.
     pub grid: VoxelGrid,
     /// Hounsfield units, i fastest, one for each voxel of the grid.
     pub hu: Vec<i16>,
@@ -18,19 +18,19 @@ impl Volume {
         self.grid.index(voxel).and_then(|index| self.hu.get(index).copied())
     }
 
-    /// Whether a world position lies in the volume's box, to the voxels' faces.
+    /// Returns true if a world position lies in the volume's box, up to the outer voxel faces.
     pub fn holds(&self, world_m: [f64; 3]) -> bool {
         holds(self.grid.dims(), self.grid.voxel_at(world_m))
     }
 
-    /// Hounsfield units at a world position (LPS, metres), linear between the eight voxel centres around it; beyond the outermost
-    /// centres those of the nearest. `None` outside the volume's box.
+    /// Hounsfield units at a world position (LPS, metres): trilinear between the eight surrounding voxel
+    /// centres, clamped to the nearest centre beyond the outermost ones. `None` outside the volume's box.
     pub fn hu_at(&self, world_m: [f64; 3]) -> Option<f64> {
         sample::hu_at(self.grid.dims(), &self.hu, self.grid.voxel_at(world_m))
     }
 }
 
-/// A CT: the one description of it from the reader to shared memory and the simulation.
+/// A CT volume and its hash: the same description from the reader to shared memory and the simulation.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Ct {
     /// Grid and voxels.

@@ -10,13 +10,13 @@ use crate::placement::Placement;
 use crate::solids::PlacedSolids;
 use crate::vector::{Vec3, norm, scale};
 
-/// The solids of an arm, and the joints that move them.
+/// The solids of an arm and the joints that move them.
 #[derive(Debug, Clone)]
 pub struct ArmModel {
-    /// From the arm's base to the flange.
+    /// Joints from the arm's base to the flange.
     joints: Vec<Joint>,
     solids: Arc<[ClosedMesh]>,
-    /// For each solid, the number of joints before its link, and its place in that link's frame.
+    /// For each solid, the number of joints before its link and its pose in that link's frame.
     places: Vec<(usize, Placement)>,
     density_g_per_cm3: f64,
 }
@@ -25,12 +25,12 @@ pub struct ArmModel {
 #[derive(Debug, Clone, Copy)]
 struct Joint {
     t_before_joint: Placement,
-    /// Unit vector about which it turns, in its frame; `None`: it stands still.
+    /// Unit rotation axis in the joint's frame; `None` for a fixed joint.
     axis: Option<Vec3>,
 }
 
 impl ArmModel {
-    /// The model of an arm with the meshes that are there; `None` where X-ray frames show none of it.
+    /// Builds the model from the meshes that exist; `None` if X-ray frames show no part of the arm.
     pub fn new<'a>(arm: &Arm, meshes: impl IntoIterator<Item = (&'a ArmMesh, ClosedMesh)>) -> Option<Self> {
         let density_g_per_cm3 = arm.xray_density_g_per_cm3?;
         let chain = arm.joint.as_deref().unwrap_or_default();
@@ -53,7 +53,8 @@ impl ArmModel {
         self.solids.iter().map(|solid| solid.triangles().len()).sum()
     }
 
-    /// The arm in a state: its last link ends at the flange, and from there the joint angles lead back to its base.
+    /// Returns the arm posed in a state. The last link ends at the flange; the joint angles lead from there
+    /// back to the base.
     pub fn placed(&self, state: &State) -> PlacedSolids {
         let mut angles_rad = state.arm_joint_position_rad.iter();
         let mut t_base_link = vec![Placement::IDENTITY];

@@ -10,9 +10,10 @@ pub const ENERGY_RANGE_KEV: (f64, f64) = (30.0, 120.0);
 /// Density of solid aluminium: NIST SRD 126, table 1.
 pub const ALUMINIUM_G_PER_CM3: f64 = 2.699;
 
-/// A homogeneous material. Mass attenuation coefficients: NIST X-ray mass attenuation tables (SRD 126, NISTIR 5632), elements mixed by
-/// mass fraction. Those tables have no 120 keV entry; there the values are NIST's XCOM as tabulated by xraylib 4.3. Each material gives
-/// its density. None has an absorption edge between 30 and 120 keV; interpolated values differ from XCOM by at most 2.1 %.
+/// A homogeneous material. Mass attenuation coefficients: NIST X-ray mass attenuation tables (SRD 126, NISTIR
+/// 5632), elements mixed by mass fraction. Those tables have no 120 keV entry; there the values are NIST's
+/// XCOM as tabulated by xraylib 4.3. Each material gives its density. None has an absorption edge between 30
+/// and 120 keV; interpolated values differ from XCOM by at most 2.1 %.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Material {
     /// Water, 1.0 g/cm3.
@@ -63,13 +64,13 @@ impl Material {
         }
     }
 
-    /// Attenuation of a gram on a square centimetre, cm2/g, at an energy of the table's range.
+    /// Mass attenuation coefficient at an energy within the table's range, cm2/g.
     pub(crate) fn mass_mu_cm2_per_g(self, energy_kev: f64) -> f64 {
         log_log(&ENERGIES_KEV, &self.table().1, energy_kev)
     }
 
-    /// Linear attenuation coefficient at a photon energy, 1/m. Interpolates log(mu) linearly over log(energy) between the table's
-    /// energies.
+    /// Linear attenuation coefficient at a photon energy, 1/m. Interpolates log(mu) linearly over log(energy)
+    /// between the table's energies.
     ///
     /// # Errors
     /// The energy is outside 30 to 120 keV.
@@ -97,10 +98,11 @@ pub struct MuTable {
 }
 
 impl MuTable {
-    /// Tabulates water scaling at a photon energy: `mu = mu_water (1 + HU/1000)`, the inverse of the Hounsfield definition. Exact for water,
-    /// and for any tissue if the frame's energy equals the CT's effective energy; for a CT of 70 keV, cortical bone is off by -12 % at 60 keV
-    /// and +11 % at 80 keV. Values below `air_below_hu` count as air and attenuate nothing, so that noisy air and padding can be skipped. No
-    /// entry is negative.
+    /// Tabulates water scaling at a photon energy: `mu = mu_water (1 + HU/1000)`, the inverse of the
+    /// Hounsfield definition. Exact for water, and for any tissue if the frame's energy equals the CT's
+    /// effective energy; for a CT of 70 keV, cortical bone is off by -12 % at 60 keV and +11 % at 80 keV.
+    /// Values below `air_below_hu` count as air and attenuate nothing, so that noisy air and padding can be
+    /// skipped. No entry is negative.
     ///
     /// # Errors
     /// The energy is outside 30 to 120 keV.

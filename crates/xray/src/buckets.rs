@@ -1,7 +1,8 @@
 //! Counting sort.
 
-/// Sorts values by their bucket, 0 to `buckets - 1`, and keeps their order within each: those of bucket i are then
-/// `sorted[starts[i]..starts[i + 1]]`. Both vectors are reused, so sorting as many values again allocates nothing.
+/// Sorts values by their bucket, 0 to `buckets - 1`, and keeps their order within each: those of bucket i are
+/// then `sorted[starts[i]..starts[i + 1]]`. Both vectors are reused, so sorting as many values again
+/// allocates nothing.
 pub(crate) fn sort_into_buckets<T: Copy + Default>(
     values: impl Iterator<Item = (usize, T)> + Clone,
     buckets: usize,

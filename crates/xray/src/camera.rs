@@ -1,10 +1,11 @@
-//! C-arms in the conventions of other software: a pinhole camera (K, R, t) in both directions, and DICOM positioner angles from any
-//! C-arm.
+//! C-arms in the conventions of other software: a pinhole camera (K, R, t) in both directions, and DICOM
+//! positioner angles from any C-arm.
 //!
-//! Camera: `s (u, v, 1) = K (R x + t)`, x in the world, the camera's z toward the detector, as in OpenCV and DeepDRR. In OpenCV pixel
-//! centres are integers, as in [`CArm`]; in DeepDRR and nanodrr they are at +1/2 ([`PixelCentre::Half`]). A radiograph is usually viewed
-//! from the detector's side, which mirrors what a camera at the source sees. With a proper rotation that means a negative focal length,
-//! which DeepDRR also uses.
+//! Camera: `s (u, v, 1) = K (R x + t)`, x in the world, the camera's z toward the detector, as in OpenCV and
+//! DeepDRR. In OpenCV pixel centres are integers, as in [`CArm`]; in DeepDRR and nanodrr they are at +1/2
+//! ([`PixelCentre::Half`]). A radiograph is usually viewed from the detector's side, which mirrors what a
+//! camera at the source sees. With a proper rotation that means a negative focal length, which DeepDRR also
+//! uses.
 
 use scene::PixelCentre;
 
@@ -40,11 +41,12 @@ pub struct Positioner {
 }
 
 impl CArm {
-    /// The C-arm of a camera. K gives the detector distance in pixels only; the pixel pitch along a row converts it to metres.
+    /// The C-arm of a camera. K gives the detector distance in pixels only; the pixel pitch along a row
+    /// converts it to metres.
     ///
     /// # Errors
-    /// A number is not finite, K has skew, a last row other than (0, 0, 1) or a focal length of 0, R is not a rotation, or
-    /// [`CArm::validate`] refuses the result.
+    /// A number is not finite, K has skew, a last row other than (0, 0, 1) or a focal length of 0, R is not a
+    /// rotation, or [`CArm::validate`] refuses the result.
     pub fn from_camera(
         camera: &Camera,
         centre: PixelCentre,
@@ -113,8 +115,9 @@ impl CArm {
         }
     }
 
-    /// Positioner angles of the direction from source to detector, and distances, about an isocentre. The angles do not define the
-    /// image's rotation about that direction, and DICOM assumes that the central ray hits the image centre.
+    /// Positioner angles of the direction from source to detector, and distances, about an isocentre. The
+    /// angles do not define the image's rotation about that direction, and DICOM assumes that the central ray
+    /// hits the image centre.
     pub fn positioner(&self, isocentre_m: [f64; 3]) -> Positioner {
         let (n, source_detector_m) = self.sight();
         Positioner {

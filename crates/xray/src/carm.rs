@@ -22,7 +22,8 @@ pub struct DetectorFormat {
 /// Positioner angles as defined in DICOM PS3.3 C.8.7.5, in the patient frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PositionerAngles {
-    /// (0018,1510): 0 with the detector facing the chest, +90 degrees at the patient's left (LAO), -90 at the right (RAO).
+    /// (0018,1510): 0 with the detector facing the chest, +90 degrees at the patient's left (LAO), -90 at the
+    /// right (RAO).
     pub primary_rad: f64,
     /// (0018,1511): +90 degrees with the detector at the head (cranial), -90 caudal.
     pub secondary_rad: f64,
@@ -38,8 +39,8 @@ impl PositionerAngles {
     }
 }
 
-/// A point source and a flat detector. Pixel (0, 0) is the first pixel of the first row. Pixel centres are at integers, so
-/// `detector_centre_m` is at column (columns - 1)/2, row (rows - 1)/2.
+/// A point source and a flat detector. Pixel (0, 0) is the first pixel of the first row. Pixel centres are at
+/// integers, so `detector_centre_m` is at column (columns - 1)/2, row (rows - 1)/2.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CArm {
     /// Focal spot.
@@ -70,13 +71,14 @@ pub struct Projection {
 }
 
 impl CArm {
-    /// A C-arm rotated about its isocentre. The detector is at `isocentre + (source_detector - source_isocentre) n`, the source at
-    /// `isocentre - source_isocentre n`, with `n = (sin p cos s, -cos p cos s, sin s)` for primary angle p and secondary angle s. The
-    /// image has the head up and is viewed from the detector, facing the patient: at AP the patient's right is on the left of the image.
+    /// A C-arm rotated about its isocentre. The detector is at `isocentre + (source_detector -
+    /// source_isocentre) n`, the source at `isocentre - source_isocentre n`, with `n = (sin p cos s, -cos p
+    /// cos s, sin s)` for primary angle p and secondary angle s. The image has the head up and is viewed from
+    /// the detector, facing the patient: at AP the patient's right is on the left of the image.
     ///
     /// # Errors
-    /// A distance is outside 1 mm to 10 m, the detector is on the source's side of the isocentre, or [`CArm::validate`] refuses the
-    /// result.
+    /// A distance is outside 1 mm to 10 m, the detector is on the source's side of the isocentre, or
+    /// [`CArm::validate`] refuses the result.
     pub fn from_positioner_angles(
         isocentre_m: [f64; 3],
         angles: PositionerAngles,
@@ -198,7 +200,8 @@ impl Pinhole {
         self.finish(self.homogeneous(point_m))
     }
 
-    /// Projects the corners `centre + sum(+-half[i])` of a box; bit i of a corner's index is the sign of `half[i]`.
+    /// Projects the corners `centre + sum(+-half[i])` of a box; bit i of a corner's index is the sign of
+    /// `half[i]`.
     pub(crate) fn corners(&self, centre_m: [f64; 3], half_m: &[[f64; 3]; 3]) -> [Option<Projection>; 8] {
         core::array::from_fn(|corner| {
             let sign = |axis: usize| if corner >> axis & 1 == 1 { 1.0 } else { -1.0 };
@@ -210,28 +213,31 @@ impl Pinhole {
         })
     }
 
-    /// A world point as the projection sees it: the numerators of column and row, then its depth. Linear in the point.
+    /// Homogeneous image coordinates of a world point: the numerators of column and row, then the depth.
+    /// Linear in the point.
     pub(crate) fn seen(&self, point_m: Vec3) -> Vec3 {
         self.homogeneous(point_m)
     }
 
-    /// Column and row of a seen point in front of the source.
+    /// Column and row of homogeneous coordinates ([`Pinhole::seen`]) in front of the source.
     pub(crate) fn pixel(&self, seen: Vec3) -> [f64; 2] {
         [self.column_0 + seen[0] / seen[2], self.row_0 + seen[1] / seen[2]]
     }
 
-    /// Of a plane `normal . seen = d` the numbers by which a pixel's depth there is `d / (slope . (column, row, 1))`.
+    /// Coefficients of a plane `normal . seen = d`: a pixel sees it at depth `d / (slope . (column, row,
+    /// 1))`.
     pub(crate) fn slope(&self, normal: Vec3) -> Vec3 {
         [normal[0], normal[1], normal[2] - normal[0] * self.column_0 - normal[1] * self.row_0]
     }
 
-    /// Whether column, row and depth of seen points turn like the world's axes.
+    /// Returns true if column, row and depth form a right-handed system like the world's axes.
     pub(crate) fn is_right_handed(&self) -> bool {
         dot(cross(self.column, self.row), self.normal) > 0.0
     }
 
-    /// Bounding rectangle, in pixels, of the projected box `centre + sum(+-half[i])`, clipped to the detector. The whole detector if some
-    /// corners are level with or behind the source; `None` if all are, or if the rectangle is empty.
+    /// Bounding rectangle, in pixels, of the projected box `centre + sum(+-half[i])`, clipped to the
+    /// detector. The whole detector if some corners are level with or behind the source; `None` if all are,
+    /// or if the rectangle is empty.
     pub fn bounds(
         &self,
         centre_m: [f64; 3],
@@ -287,7 +293,7 @@ impl PixelBox {
     /// Margin of the bounding rectangle against rounding in the projection, in pixels.
     const SLACK: f64 = 1e-3;
 
-    /// Its common part with another; `None` if there is none.
+    /// Returns the intersection with another box; `None` if it is empty.
     pub(crate) fn within(&self, other: &Self) -> Option<Self> {
         let common = |a: (u32, u32), b: (u32, u32)| (a.0.max(b.0), a.1.min(b.1));
         let (columns, rows) = (common(self.columns, other.columns), common(self.rows, other.rows));

@@ -7,20 +7,23 @@ use counter_random::{Key, mix, uniform};
 use crate::error::{DrrError, check_range};
 use crate::lane_math;
 
-/// Photon counts with a mean below this are drawn from the exact Poisson distribution, others from a normal one.
+/// Photon counts with a mean below this are drawn from the exact Poisson distribution, others from a normal
+/// one.
 pub const EXACT_POISSON_BELOW: f64 = 30.0;
 
 /// The detector.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DetectorParameters {
-    /// Photons that a pixel detects with nothing between it and the source. About 1e2 to 1e3 behind a patient for a fluoroscopy pulse,
-    /// far more for a radiograph.
+    /// Photons that a pixel detects with nothing between it and the source. About 1e2 to 1e3 behind a patient
+    /// for a fluoroscopy pulse, far more for a radiograph.
     pub photons_per_pixel: f64,
     /// Adds photon noise.
     pub quantum_noise: bool,
-    /// Standard deviation of the light spread in the scintillator, in pixels; 0 for none. It blurs the noise too, as in a real detector.
+    /// Standard deviation of the light spread in the scintillator, in pixels; 0 for none. It blurs the noise
+    /// too, as in a real detector.
     pub blur_sigma_px: f64,
-    /// The readout is `min(gain * signal + offset, saturation)`, with a signal of 1 in the open field: 0.01 to 100.
+    /// The readout is `min(gain * signal + offset, saturation)`, with a signal of 1 in the open field: 0.01
+    /// to 100.
     pub gain: f64,
     /// Dark signal as a fraction of the open-field signal: 0 to 0.5.
     pub offset: f64,
@@ -90,7 +93,8 @@ pub struct FrameSeed {
 }
 
 impl FrameSeed {
-    /// A counter-based random number for a pixel: stateless, so any pixel order and any number of threads give the same frame.
+    /// A counter-based random number for a pixel: stateless, so any pixel order and any number of threads
+    /// give the same frame.
     pub fn hash(self, pixel: u64) -> u64 {
         self.key().word(pixel)
     }
@@ -101,8 +105,8 @@ impl FrameSeed {
     }
 }
 
-/// A Poisson-distributed number: exact for means below `EXACT_POISSON_BELOW`, otherwise a normal deviate of the same mean and variance,
-/// rounded.
+/// A Poisson-distributed number: exact for means below `EXACT_POISSON_BELOW`, otherwise a normal deviate of
+/// the same mean and variance, rounded.
 pub fn photon_number(mean: f64, random: u64) -> f64 {
     if mean < EXACT_POISSON_BELOW {
         return small_poisson(mean.max(0.0), random);
@@ -110,7 +114,8 @@ pub fn photon_number(mean: f64, random: u64) -> f64 {
     lane_math::round(mean + mean.sqrt() * lane_math::normal(random)).max(0.0)
 }
 
-/// Exact: the sum of two Poisson numbers, one for the integer part of the mean (from a table) and one for its fraction (by inversion).
+/// Exact: the sum of two Poisson numbers, one for the integer part of the mean (from a table) and one for its
+/// fraction (by inversion).
 fn small_poisson(mean: f64, random: u64) -> f64 {
     static TABLES: LazyLock<Vec<PoissonTable>> =
         LazyLock::new(|| (0..EXACT_POISSON_BELOW as usize).map(|m| PoissonTable::new(m as f64)).collect());
@@ -171,7 +176,8 @@ pub fn gaussian_weights(sigma_px: f64) -> Vec<f64> {
     weights
 }
 
-/// One output row of a blur along rows: `out[c] = sum_i w_i row[c + i - r]`, with edge pixels repeated outside.
+/// One output row of a blur along rows: `out[c] = sum_i w_i row[c + i - r]`, with edge pixels repeated
+/// outside.
 #[inline(always)]
 pub fn blur_row(row: &[f32], weights: &[f32], out: &mut [f32]) {
     let (reach, width) = (weights.len() / 2, row.len());

@@ -1,5 +1,6 @@
-//! Anatomy in a short interval of a ray. Same bits as [`joseph::interval_integral`](crate::joseph::interval_integral), but without its
-//! divisions: the interval spans only a few planes, so checking both ends is enough to know that all of it is inside the volume.
+//! Anatomy in a short interval of a ray. Same bits as
+//! [`joseph::interval_integral`](crate::joseph::interval_integral), but without its divisions: the interval
+//! spans only a few planes, so checking both ends is enough to know that all of it is inside the volume.
 
 use crate::joseph;
 use crate::ray::IndexRay;
@@ -33,7 +34,7 @@ struct Interval {
 }
 
 impl Interval {
-    /// `None` if a neighbour may be missing.
+    /// `None` if a neighbour could be missing.
     #[inline]
     fn new(field: &AttenuationField<'_>, ray: &IndexRay, range: (f64, f64)) -> Option<Self> {
         let d = ray.direction.map(f64::abs);

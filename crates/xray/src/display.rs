@@ -1,10 +1,10 @@
 //! From the detector signal to the displayed image.
 //!
-//! Fluoroscopes show the logarithm of the signal: equal steps of attenuation are equal steps of grey. A window (lowest and highest
-//! attenuation shown) sets the contrast.
+//! Fluoroscopes show the logarithm of the signal: equal steps of attenuation are equal steps of grey. A
+//! window (lowest and highest attenuation shown) sets the contrast.
 //!
-//! As on a fluoroscope's intensifier ([`Display::BoneDark`]) bone is darker than soft tissue, the tool black and a drilled path a lighter
-//! track; as on a radiograph ([`Display::BoneBright`]) the reverse.
+//! As on a fluoroscope's intensifier ([`Display::BoneDark`]) bone is darker than soft tissue, the tool black
+//! and a drilled path a lighter track; as on a radiograph ([`Display::BoneBright`]) the reverse.
 
 use scene::Display;
 
@@ -13,8 +13,8 @@ use crate::error::{DrrError, check_range};
 /// Range of attenuation (-ln of the fraction of photons) that the image shows.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Window {
-    /// From the frame's own anatomy, without tool and noise: between two percentiles of the pixels behind the object, widened on the
-    /// dense side so that metal can be darker than any bone.
+    /// From the frame's own anatomy, without tool and noise: between two percentiles of the pixels behind the
+    /// object, widened on the dense side so that metal can be darker than any bone.
     Automatic {
         /// Fraction of the object's pixels below the window, 0 to 0.5.
         low_share: f64,
@@ -71,9 +71,10 @@ impl DisplayParameters {
 /// Histogram bins for the automatic window; each is [`BIN`] wide.
 const BINS: usize = 2048;
 const BIN: f64 = 0.005;
-/// A pixel with less attenuation than this sees the source directly, past the object.
+/// Attenuation below which a pixel sees the source directly, past the object.
 const OPEN_FIELD: f64 = 0.02;
-/// Minimum width of the automatic window, so that a homogeneous object does not show its noise at full contrast.
+/// Minimum width of the automatic window, so that a homogeneous object does not show its noise at full
+/// contrast.
 const NARROWEST: f64 = 0.5;
 
 /// Limits of a window: attenuation shown at the ends of the grey scale.

@@ -10,7 +10,7 @@ const GIB: f64 = (1_u64 << 30) as f64;
 #[non_exhaustive]
 pub enum DrrError {
     /// A number outside its range.
-    #[error("{field} is {given:?}, expected {expected}: correct the value")]
+    #[error("{field} is {given:?}, expected {expected}")]
     OutOfRange {
         /// Name of the field, with its unit.
         field: &'static str,
@@ -77,8 +77,9 @@ pub enum DrrError {
     },
     /// The reordered copy of the volume does not fit into free memory.
     #[error(
-        "the re-ordered copy of a volume of {} x {} x {} voxels needs {:.2} GiB ({bytes_each} B a voxel and 32 zeros between \
-         rows), and {:.2} GiB are free, or a limit (`ulimit -v`) keeps them back: crop or resample the volume, or choose the projector `preview` or `joseph`",
+        "the reordered copy of the {} x {} x {} voxel volume needs {:.2} GiB ({bytes_each} B per voxel, plus \
+         32 zeros between rows) but only {:.2} GiB are free, or a limit (`ulimit -v`) is lower: crop or \
+         resample the volume, or choose the projector `preview` or `joseph`",
         dims[0], dims[1], dims[2], *needed_bytes as f64 / GIB, *available_bytes as f64 / GIB
     )]
     Memory {
@@ -93,8 +94,9 @@ pub enum DrrError {
     },
     /// The intermediate images of the sum over slices do not fit into free memory.
     #[error(
-        "the intermediate images of this C-arm have {samples} samples and need {:.2} GiB, and {:.2} GiB are free, or a limit (`ulimit -v`) keeps them back: lower \
-         `oversampling`, narrow the detector, or choose the projector `preview` or `joseph`",
+        "the intermediate images of this C-arm ({samples} samples) need {:.2} GiB but only {:.2} GiB are \
+         free, or a limit (`ulimit -v`) is lower: lower `oversampling`, narrow the detector, or choose the \
+         projector `preview` or `joseph`",
         *needed_bytes as f64 / GIB, *available_bytes as f64 / GIB
     )]
     Images {
@@ -105,8 +107,8 @@ pub enum DrrError {
         /// Bytes free.
         available_bytes: u64,
     },
-    /// A frame of a batch is refused, and with it the batch.
-    #[error("frame {frame} of the batch, counted from 0: {cause}")]
+    /// A frame of a batch is invalid, so the whole batch is refused.
+    #[error("frame {frame} of the batch (counting from 0): {cause}")]
     Frame {
         /// Position of the frame in the batch.
         frame: usize,
@@ -125,7 +127,7 @@ pub enum DrrError {
 }
 
 impl DrrError {
-    /// Whether it is the machine's fault: with more memory or threads the same frame is rendered.
+    /// Returns true if the machine is at fault: with more memory or threads the same frame would be rendered.
     pub fn is_of_the_machine(&self) -> bool {
         match self {
             DrrError::Memory { .. } | DrrError::Images { .. } | DrrError::Threads { .. } => true,

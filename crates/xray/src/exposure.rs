@@ -1,8 +1,9 @@
-//! From line integrals to pixels: tool and arm, Beer-Lambert, noise, blur, readout and display, in two passes over the image.
+//! From line integrals to pixels: tool and arm, Beer-Lambert, noise, blur, readout and display, in two passes
+//! over the image.
 //!
-//! Pass 1, row by row: tool and arm over anatomy, transmission, noise, blur along the row. Pass 2: blur along columns, readout, display.
-//! Disabled stages cost nothing; without blur the second pass does everything. The loops ([`crate::lane_math`]) compile to the
-//! CPU's vector instructions, with the same bits on every CPU.
+//! Pass 1, row by row: tool and arm over anatomy, transmission, noise, blur along the row. Pass 2: blur along
+//! columns, readout, display. Disabled stages cost nothing; without blur the second pass does everything. The
+//! loops ([`crate::lane_math`]) compile to the CPU's vector instructions, with the same bits on every CPU.
 
 use std::sync::Arc;
 
@@ -49,7 +50,7 @@ impl Output<'_> {
         self.len() == 0
     }
 
-    /// Checks the C-arm, and that there is a pixel for each of its own.
+    /// Checks the C-arm, and that the output has as many pixels as its detector.
     pub(crate) fn check(&self, c_arm: &CArm) -> Result<(), DrrError> {
         c_arm.validate()?;
         let (given, expected) = (self.len(), c_arm.pixels());
@@ -66,7 +67,7 @@ pub struct Anatomy<'a> {
     pub bone_m: &'a [f64],
 }
 
-/// What a frame shows beside the anatomy.
+/// The tool and arm of a frame: everything but the anatomy.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Metal<'a> {
     pub(crate) tool: &'a PlacedTool,
@@ -98,7 +99,7 @@ struct Frame<'a> {
 }
 
 impl Exposure {
-    /// A stage with an empty workspace.
+    /// Creates a stage with an empty workspace.
     pub fn new(
         detector: DetectorParameters,
         display: DisplayParameters,
@@ -107,7 +108,7 @@ impl Exposure {
         Self::of(detector, display, spectrum.map(Arc::new))
     }
 
-    /// The same stage with an empty workspace of its own.
+    /// Returns the same stage with its own, empty workspace.
     pub(crate) fn anew(&self) -> Self {
         Self::of(self.detector, self.display, self.spectrum.clone())
     }
@@ -129,7 +130,7 @@ impl Exposure {
         }
     }
 
-    /// Writes once to the workspace of so many pixels.
+    /// Allocates the workspace for this number of pixels and touches every page of it.
     pub(crate) fn prepare(&mut self, pixels: usize) {
         if self.weights.len() > 1 {
             self.detected.resize(pixels, 1.0);
@@ -275,7 +276,7 @@ impl Exposure {
                 materials.lengths_m[aluminium] += core::mem::take(&mut arm_m[i]);
                 values[i] = table.attenuation_with_tool(total[i], bone[i], cell, &materials);
             });
-            // Beside the tool.
+            // Pixels that the tool does not cover.
             for i in (0..count).filter(|i| arm_m[*i] > 0.0) {
                 let mut materials = ToolMaterials::default();
                 materials.lengths_m[aluminium] = arm_m[i];
@@ -290,7 +291,8 @@ impl Exposure {
         }
     }
 
-    /// The second pass without blur. Without noise it passes the attenuation on, unless the readout changes it.
+    /// Runs the second pass without blur. Without noise, the attenuation passes through unchanged unless the
+    /// readout alters it.
     fn directly(&self, frame: &Frame<'_>, row: usize, from: usize, count: usize, values: &mut [f64; CHUNK]) {
         let (readout, mode) = (self.detector.readout(), self.display.mode);
         if self.detector.quantum_noise {
@@ -305,7 +307,7 @@ impl Exposure {
         }
     }
 
-    /// The blur along columns, and the readout.
+    /// Applies the blur along columns and the readout.
     fn read_out(&self, row: usize, width: usize, from: usize, count: usize, values: &mut [f64; CHUNK]) {
         let mut detected = [0.0; CHUNK];
         let weights = &self.weights[..];

@@ -11,7 +11,7 @@ use crate::lanes::lanes;
 use crate::spectrum::SpectrumTable;
 
 lanes! {
-    /// Grey levels of a chunk of a row.
+    /// Computes the grey levels of a chunk of a row.
     ToGreys { scale: Scale, values: &'a [f64; CHUNK], out: &'a mut [u16] } -> () {
         scale.to_greys(values, out);
     }
@@ -25,7 +25,7 @@ lanes! {
 }
 
 lanes! {
-    /// Fraction of photons transmitted.
+    /// Computes the fraction of photons transmitted.
     Transmit { values: &'a [f64; CHUNK], out: &'a mut [f32] } -> () {
         for (o, v) in out.iter_mut().zip(values) {
             *o = lane_math::exp(-v) as f32;
@@ -34,7 +34,8 @@ lanes! {
 }
 
 lanes! {
-    /// Fraction of photons detected, with noise; `values` become mean photon counts. Returns the smallest of them.
+    /// Computes the fraction of photons detected, with noise. `values` become mean photon counts; returns the
+    /// smallest.
     Detect {
         photons: f64,
         key: Key,
@@ -60,14 +61,14 @@ lanes! {
 }
 
 lanes! {
-    /// The attenuation of tissue and bone.
+    /// Looks up the attenuation of tissue and bone.
     Tabulate { table: &'a SpectrumTable, tissue_m: &'a mut [f64], bone_m: &'a [f64] } -> () {
         table.attenuation_of_row(tissue_m, bone_m);
     }
 }
 
 lanes! {
-    /// The readout of attenuations without noise and blur.
+    /// Applies the readout to attenuations, without noise or blur.
     ReadThrough { readout: Readout, mode: Display, values: &'a mut [f64; CHUNK] } -> () {
         for v in values.iter_mut() {
             *v = readout.apply(lane_math::exp(-*v));
@@ -93,8 +94,13 @@ lanes! {
 }
 
 lanes! {
-    /// The readout of fractions of photons.
-    ReadOut { readout: Readout, mode: Display, detected: &'a [f32; CHUNK], values: &'a mut [f64; CHUNK] } -> () {
+    /// Applies the readout to fractions of photons.
+    ReadOut {
+        readout: Readout,
+        mode: Display,
+        detected: &'a [f32; CHUNK],
+        values: &'a mut [f64; CHUNK],
+    } -> () {
         for (v, s) in values.iter_mut().zip(detected) {
             *v = readout.apply(f64::from(*s));
         }
@@ -121,7 +127,8 @@ pub(crate) fn column_blur(
     }
 }
 
-/// -ln of the readout. The readout is clamped to half a photon in 1e6, so that no signal is black rather than infinite.
+/// -ln of the readout. The readout is clamped to half a photon in 1e6, so that no signal is black rather than
+/// infinite.
 #[inline(always)]
 fn to_attenuation(values: &mut [f64; CHUNK]) {
     for v in values.iter_mut() {

@@ -15,12 +15,12 @@ use crate::{
     Tool, VolumeView,
 };
 
-/// What becomes of the cached picture of the anatomy.
+/// What happens to the cached anatomy image.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Cache {
-    /// It becomes that of this frame's C-arm.
+    /// It is replaced by the image from this frame's C-arm.
     Follows,
-    /// It is kept for the scene's C-arm; this frame's C-arm is for one frame only.
+    /// It stays that of the scene's C-arm; this frame's C-arm is used once.
     Kept,
 }
 
@@ -29,7 +29,7 @@ pub enum Cache {
 pub struct Job {
     /// State of the tick.
     pub state: Box<State>,
-    /// What to put back before removing `removed`.
+    /// Voxels to restore before removing `removed`.
     pub restores: Restores,
     /// Voxels removed since the last job.
     pub removed: Vec<u32>,
@@ -39,7 +39,7 @@ pub struct Job {
     pub request_id: u64,
     /// C-arm.
     pub c_arm: CArm,
-    /// What becomes of the cache of the anatomy.
+    /// What happens to the cached anatomy.
     pub cache: Cache,
     /// The scene's isocentre.
     pub isocentre_m: [f64; 3],
@@ -47,7 +47,7 @@ pub struct Job {
     pub noise_seed: u64,
     /// The tool's radii.
     pub radii: ToolRadii,
-    /// What joins the tool to the arm.
+    /// The holder that joins the tool to the arm.
     pub holder: Holder,
     /// Notches of the links.
     pub notch: Option<SceneNotch>,
@@ -83,7 +83,7 @@ impl Rendered {
 /// Renders one frame. The result depends only on this job and on the removals of the jobs before it.
 ///
 /// # Errors
-/// The renderer's.
+/// Any error of the renderer.
 pub fn render_job(
     renderer: &mut DrrRenderer,
     view: &VolumeView<'_>,
@@ -100,11 +100,12 @@ pub fn render_job(
     Ok(rendered(job, (job.sequence, &job.c_arm), pixels, report))
 }
 
-/// Renders a frame of the same state from each C-arm, numbered from `job.sequence` on; the job's own C-arm and what becomes of the cache are
-/// not used. Each has the bits of [`render_job`], and together they take less time ([`DrrRenderer::render_batch`]).
+/// Renders a frame of the same state from each C-arm, numbered from `job.sequence` on; the job's own C-arm
+/// and cache mode are ignored. Each frame is bit-identical to [`render_job`]'s, and rendering them together
+/// is faster ([`DrrRenderer::render_batch`]).
 ///
 /// # Errors
-/// The renderer's.
+/// Any error of the renderer.
 pub fn render_poses(
     renderer: &mut DrrRenderer,
     view: &VolumeView<'_>,
@@ -126,7 +127,7 @@ pub fn render_poses(
         .collect())
 }
 
-/// The message's parts.
+/// Assembles the message.
 fn rendered(job: &Job, (sequence, c_arm): (u64, &CArm), pixels: Vec<u16>, report: FrameReport) -> Rendered {
     let hash = xxh3_128(pixels.as_bytes());
     let frame = Frame {
@@ -145,10 +146,11 @@ fn rendered(job: &Job, (sequence, c_arm): (u64, &CArm), pixels: Vec<u16>, report
     Rendered { frame, prefix, pixels, report }
 }
 
-/// The labels of a frame; voxels at or above `bone_from_hu` are bone. May follow or precede [`render_job`] of the same job.
+/// Computes the labels of a frame; voxels at or above `bone_from_hu` are bone. Can run before or after
+/// [`render_job`] of the same job.
 ///
 /// # Errors
-/// The renderer's.
+/// Any error of the renderer.
 pub fn label_job(
     renderer: &mut DrrRenderer,
     view: &VolumeView<'_>,

@@ -19,7 +19,7 @@ fn given_projector(drr: &Drr) -> Projector {
     }
 }
 
-/// The choice that `tolerance.drr_rel` leads to, in words; `None` for a scene without it or without X-ray.
+/// Describes the projector that `tolerance.drr_rel` selects; `None` for a scene without it or without X-ray.
 pub fn tolerance_text(scene: &Scene) -> Option<String> {
     let wanted = scene.drr.as_ref().and(scene.tolerance)?.drr_rel?;
     let rung = ladder::choose(wanted);

@@ -5,7 +5,8 @@ use voxel_grid::{Volume, VoxelGrid};
 use crate::error::DrrError;
 use crate::vector::{Vec3, add_scaled, cross, dot, scale, sub};
 
-/// Voxel geometry: voxel (i, j, k) has its centre at `origin_m + i s_x d_0 + j s_y d_1 + k s_z d_2` (world LPS).
+/// Voxel geometry: voxel (i, j, k) has its centre at `origin_m + i s_x d_0 + j s_y d_1 + k s_z d_2` (world
+/// LPS).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Grid {
     dims: [usize; 3],
@@ -18,8 +19,8 @@ pub struct Grid {
 }
 
 impl Grid {
-    /// A grid of `dims` voxels, x fastest in memory. `axes` are the unit world vectors of the index axes, `origin_m` is the centre
-    /// of voxel (0, 0, 0).
+    /// A grid of `dims` voxels, x fastest in memory. `axes` are the unit world vectors of the index axes,
+    /// `origin_m` is the centre of voxel (0, 0, 0).
     ///
     /// # Errors
     /// [`VoxelGrid`] refuses the grid.

@@ -1,11 +1,13 @@
-//! Joseph's line integral: bilinear interpolation in the planes of voxel centres perpendicular to the ray's dominant axis.
+//! Joseph's line integral: bilinear interpolation in the planes of voxel centres perpendicular to the ray's
+//! dominant axis.
 //!
-//! P. M. Joseph, "An improved algorithm for reprojecting rays through pixel images", IEEE Trans. Med. Imaging 1 (1982) 192.
-//! The dominant axis is the one with the largest component in index space, so anisotropic voxels are handled correctly.
-//! Attenuation outside the volume is 0 and blends in over half a voxel beyond the outermost centres.
+//! P. M. Joseph, "An improved algorithm for reprojecting rays through pixel images", IEEE Trans. Med. Imaging
+//! 1 (1982) 192. The dominant axis is the one with the largest component in index space, so anisotropic
+//! voxels are handled correctly. Attenuation outside the volume is 0 and blends in over half a voxel beyond
+//! the outermost centres.
 //!
-//! Positions in a plane are 32.32 fixed point: no rounding calls, no drift, and exact integer division finds the planes in which a ray is
-//! inside. The quantisation is below 1e-6 voxel.
+//! Positions in a plane are 32.32 fixed point: no rounding calls, no drift, and exact integer division finds
+//! the planes in which a ray is inside. The quantisation is below 1e-6 voxel.
 
 use crate::ray::IndexRay;
 use crate::removal::{AttenuationField, BLOCK_SHIFT, is_drilled, is_occupied};
@@ -13,7 +15,8 @@ use crate::removal::{AttenuationField, BLOCK_SHIFT, is_drilled, is_occupied};
 /// 2^32: one voxel in fixed point.
 const ONE: i64 = 1 << 32;
 const FRACTION: f64 = 1.0 / ONE as f64;
-/// A position this many voxels away cannot re-enter a volume (at most 65536 voxels per side, slope at most 1).
+/// A position this many voxels away cannot re-enter a volume (at most 65536 voxels per side, slope at most
+/// 1).
 const FAR: f64 = 1e6;
 
 /// Line integral of attenuation over the whole ray, dimensionless.
@@ -32,8 +35,8 @@ pub fn line_integral(field: &AttenuationField<'_>, ray: &IndexRay) -> f64 {
     sum * planes.metres_per_plane
 }
 
-/// The part of [`line_integral`] between two parameters of the ray, 0 <= a <= b <= 1. Every plane represents the ray for half a plane
-/// spacing on either side and is weighted by how much of that lies in the interval.
+/// The part of [`line_integral`] between two parameters of the ray, 0 <= a <= b <= 1. Every plane represents
+/// the ray for half a plane spacing on either side and is weighted by how much of that lies in the interval.
 pub fn interval_integral(field: &AttenuationField<'_>, ray: &IndexRay, range: (f64, f64)) -> f64 {
     let Some(planes) = Planes::new(field, ray) else { return 0.0 };
     let (a, b) = (planes.coordinate(range.0), planes.coordinate(range.1));
@@ -138,7 +141,7 @@ impl<'a> Planes<'a> {
         (first <= last).then_some((first, last))
     }
 
-    /// Adds planes in which a neighbour of the sample may be missing.
+    /// Adds planes in which a neighbour of the sample could be missing.
     fn add_border(&self, mut sum: f64, first: i64, last: i64) -> f64 {
         for k in first..=last {
             sum += self.border_sample(k);
@@ -185,8 +188,8 @@ impl<'a> Planes<'a> {
         sum
     }
 
-    /// Flags, OR-ed, of all blocks that `count` planes from plane k on read. Slopes are at most 1, so the positions lie in at most 2 x 2
-    /// blocks.
+    /// OR-ed flags of all blocks that are read in `count` planes from plane k on. Slopes are at most 1, so
+    /// the positions lie in at most 2 x 2 blocks.
     fn flags_along(&self, k: i64, p: [i64; 2], count: i64) -> u8 {
         let block = |position: i64| (position >> 32) as usize >> BLOCK_SHIFT;
         let q = [0, 1].map(|m| p[m] + (count - 1) * self.step[m]);

@@ -1,23 +1,25 @@
-//! The voxels of a ray for labels: Siddon's exact method, slab by slab along the ray's dominant axis.
+//! Traverses the voxels of a ray for labels: Siddon's exact method, slab by slab along the ray's dominant
+//! axis.
 //!
-//! In a slab one voxel thick a ray crosses at most one plane of each other axis, so at most three voxels. Unlike in the walk of
-//! [`siddon`](crate::siddon), no slab waits for the one before it, and eight slabs of empty blocks cost one look at their flags.
+//! In a slab one voxel thick, a ray crosses at most one plane of each other axis, hence at most three voxels.
+//! Unlike in the walk of [`siddon`](crate::siddon), slabs do not depend on each other, and eight slabs of
+//! empty blocks cost one flag lookup.
 
 use crate::grid::Grid;
 use crate::ray::IndexRay;
 use crate::removal::BLOCK_SHIFT;
 
-/// Slabs in a run, a block's side.
+/// Slabs in a run: the side of a block.
 const RUN: usize = 1 << BLOCK_SHIFT;
 
-/// What a walk does with blocks.
+/// What a walk does with a block.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Visit {
-    /// Nothing in it counts.
+    /// Nothing in the block counts.
     Skip,
-    /// Nothing in it is drilled.
+    /// Nothing in the block is drilled.
     Intact,
-    /// Some of it is drilled.
+    /// Part of the block is drilled.
     Drilled,
 }
 
@@ -26,9 +28,9 @@ pub(crate) enum Visit {
 pub(crate) struct Piece {
     /// The voxel's linear index.
     pub linear: usize,
-    /// Parameter of the ray at which it begins.
+    /// Ray parameter at which the ray enters the voxel.
     pub from: f64,
-    /// Its length as a difference of parameters; may be 0.
+    /// Length as a difference of ray parameters; can be 0.
     pub length: f64,
 }
 
@@ -48,7 +50,7 @@ pub(crate) struct SlabWalk {
 const K: usize = 2;
 
 impl SlabWalk {
-    /// `None` if the ray passes the volume by.
+    /// Prepares the walk; `None` if the ray misses the volume.
     #[inline(always)]
     pub(crate) fn new(grid: &Grid, block_strides: [usize; 3], ray: &IndexRay) -> Option<Self> {
         let d = ray.direction.map(f64::abs);
@@ -73,7 +75,7 @@ impl SlabWalk {
         for axis in 0..3 {
             let high = walk.size[axis] as f64 - 0.5;
             if walk.direction[axis] == 0.0 {
-                // On a plane, the ray is in the voxel above.
+                // On a plane, the ray counts as being in the voxel above.
                 if walk.origin[axis] < -0.5 || walk.origin[axis] >= high {
                     return None;
                 }
@@ -94,18 +96,18 @@ impl SlabWalk {
     /// The voxel of an axis at a parameter inside the volume.
     #[inline(always)]
     fn voxel_at(&self, axis: usize, at: f64) -> i32 {
-        // Rounding may lead out by less than a voxel. A cast of what is above -1 gives no less than 0.
+        // Rounding can overshoot by less than a voxel; casting a value above -1 gives at least 0.
         ((self.origin[axis] + at * self.direction[axis] + 0.5) as i32).clamp(0, self.size[axis] as i32 - 1)
     }
 
-    /// Calls `what(block)` for the blocks on the ray and `visit(drilled, pieces)` for each slab that crosses one that is not skipped, from
-    /// the source on.
+    /// Calls `what(block)` for the blocks on the ray, and `visit(drilled, pieces)` for each slab that crosses
+    /// a block that is not skipped, starting at the source.
     #[inline(always)]
     pub(crate) fn walk(&self, what: impl Fn(usize) -> Visit, mut visit: impl FnMut(bool, [Piece; 3])) {
         let (first, last) = (self.voxel_at(K, self.enter), self.voxel_at(K, self.leave));
         let forward = last >= first;
         let mut k = first;
-        // Runs end where blocks do; each pass takes one.
+        // Runs end at block boundaries; each pass handles one run.
         for _ in 0..self.size[K] / RUN + 2 {
             let block_first = k & !(RUN as i32 - 1);
             let end = match forward {
@@ -132,7 +134,8 @@ impl SlabWalk {
         (clip(self.at_plane(K, f64::from(k) - half)), clip(self.at_plane(K, f64::from(k) + half)))
     }
 
-    /// The most that a block on the slabs `k..=end` needs: slopes are at most 1, so there are at most 2 x 2.
+    /// The most demanding [`Visit`] of the blocks on the slabs `k..=end`. Slopes are at most 1, so there are
+    /// at most 2 x 2 blocks.
     #[inline(always)]
     fn most(&self, k: i32, end: i32, what: &impl Fn(usize) -> Visit) -> Visit {
         let (from, to) = (self.slab(k).0, self.slab(end).1);
@@ -148,12 +151,12 @@ impl SlabWalk {
             .unwrap_or(Visit::Drilled)
     }
 
-    /// Visits the slabs from `first` to `last`, at most a run.
+    /// Visits the slabs from `first` to `last`, at most one run.
     #[inline(always)]
     fn run(&self, first: i32, last: i32, mut visit: impl FnMut([Piece; 3])) {
         let count = (first.abs_diff(last) + 1) as usize;
         let step = if last >= first { 1 } else { -1 };
-        // Without a branch, so that the compiler makes vectors of it.
+        // Branch-free, so that the compiler vectorises it.
         let mut at = [0.0; RUN + 1];
         at[0] = self.slab(first).0;
         for i in 0..RUN {
@@ -167,7 +170,7 @@ impl SlabWalk {
             }
             let stride = self.stride[axis] as i64;
             for i in 0..RUN {
-                // One plane is crossed at most; another is crossed by rounding only.
+                // At most one plane is crossed; crossing a second is a rounding artefact.
                 let (from, to) = (cell[i], cell[i + 1].clamp(cell[i] - 1, cell[i] + 1));
                 let plane = self.at_plane(axis, f64::from(from.max(to)) - 0.5);
                 crossing[axis][i] =
@@ -212,7 +215,7 @@ mod tests {
     use super::*;
     use crate::siddon;
 
-    /// Pseudo-random numbers of [0, 1): Knuth's linear congruence.
+    /// Pseudo-random numbers in [0, 1): Knuth's linear congruential generator.
     fn numbers() -> impl FnMut() -> f64 {
         let mut state = 1_u64;
         move || {
@@ -221,7 +224,7 @@ mod tests {
         }
     }
 
-    /// Siddon's walk is the other implementation: voxel by voxel, by divisions.
+    /// Compares with the independent implementation, Siddon's walk: voxel by voxel, with divisions.
     #[test]
     fn slabs_have_the_voxels_of_siddons_walk() {
         let mut random = numbers();
@@ -231,7 +234,7 @@ mod tests {
             let grid = Grid::centred(dims, [1e-3; 3]).unwrap();
             let mut point = || [0, 1, 2].map(|axis| (random() * 2.0 - 0.5) * dims[axis] as f64);
             let (mut from, to) = (point(), point());
-            // Along an axis or two, and on the planes between voxels.
+            // Rays along one or two axes, and on the planes between voxels.
             for axis in (0..3).filter(|axis| round >> axis & 1 == 1) {
                 from[axis] = if round & 8 == 0 { to[axis] } else { from[axis].round() + 0.5 };
             }
@@ -268,7 +271,7 @@ mod tests {
                 let (got, want) = (of(&found), of(&wanted));
                 assert!(
                     (got - want).abs() < 1e-13,
-                    "round {round}, voxel {linear}: {got}, not {want} ({length})"
+                    "round {round}, voxel {linear}: {got}, expected {want} ({length})"
                 );
             }
         }

@@ -1,36 +1,37 @@
-//! What a frame shows, pixel by pixel and joint by joint: for training, segmentation and registration.
+//! Ground-truth labels of a frame, per pixel and per joint: for training, segmentation and registration.
 //!
-//! Every label is of the rays to the pixels' centres, so it has neither noise nor blur. [`DrrRenderer::labels`](crate::DrrRenderer::labels)
-//! makes them by Siddon's walk ([`siddon`](crate::siddon)), whatever projector renders the frame.
+//! Labels refer to the rays to the pixel centres, so they have neither noise nor blur.
+//! [`DrrRenderer::labels`](crate::DrrRenderer::labels) computes them with Siddon's walk
+//! ([`siddon`](crate::siddon)), whichever projector renders the frame.
 
 use crate::carm::CArm;
 use crate::ray::WorldRay;
 use crate::tool::{PreparedPart, Tool, ToolPart};
 use crate::vector::{Vec3, add_scaled, dot, norm, sub};
 
-/// What a mask tells apart. A pixel may belong to several: an X-ray has no foreground.
+/// Classes of the mask. A pixel can belong to several, because an X-ray has no foreground.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Class {
-    /// The ray crosses bone that is still there.
+    /// The ray crosses remaining bone.
     Bone,
     /// The ray crosses metal of the shaft, the links or the drive cable.
     Tool,
     /// The ray crosses the burr.
     Burr,
-    /// The ray crosses voxels that are drilled, those drilled before the start among them.
+    /// The ray crosses drilled voxels, including those drilled before the start.
     Tunnel,
 }
 
 impl Class {
-    /// All classes, by rising bit.
+    /// All classes in order of their bits.
     pub const ALL: [Self; 4] = [Self::Bone, Self::Tool, Self::Burr, Self::Tunnel];
 
-    /// Its bit in [`Labels::mask`]: 1, 2, 4, 8.
+    /// The class's bit in [`Labels::mask`]: 1, 2, 4, 8.
     pub fn bit(self) -> u8 {
         1 << self as u8
     }
 
-    /// Its name in data sets.
+    /// The class's name in data sets.
     pub fn name(self) -> &'static str {
         match self {
             Self::Bone => "bone",
@@ -41,14 +42,14 @@ impl Class {
     }
 }
 
-/// What to label beside the anatomy.
+/// What to label in addition to the anatomy.
 #[derive(Debug, Clone, Copy)]
 pub struct LabelRequest<'a> {
     /// The tool.
     pub tool: &'a Tool,
-    /// Number of the first part of the tool that is its burr; those behind it are so too.
+    /// Index of the tool's first burr part; all later parts belong to the burr too.
     pub burr: usize,
-    /// World points to find in the image: base, joints from base to tip, burr.
+    /// World points to project into the image: base, joints from base to tip, burr.
     pub points_m: &'a [[f64; 3]],
     /// Voxels at or above this are bone.
     pub bone_from_hu: i16,
@@ -61,19 +62,20 @@ pub struct Labels {
     pub columns: u32,
     /// Pixels in a column.
     pub rows: u32,
-    /// The bits of each pixel's classes, [`Class::bit`].
+    /// Class bits of each pixel, [`Class::bit`].
     pub mask: Vec<u8>,
-    /// Attenuation (-ln of the transmission) of the anatomy without what the tool displaces. With `metal` it is that of the frame before
-    /// noise and blur, by Siddon's projector.
+    /// Attenuation (-ln of the transmission) of the anatomy, excluding what the tool displaces. Adding
+    /// `metal` gives the frame's attenuation before noise and blur, by Siddon's projector.
     pub anatomy: Vec<f32>,
-    /// Attenuation that the metal of the tool, and of the arm where frames show it, adds. For one photon energy the line integral of the metal; a spectrum is hardened by the anatomy.
+    /// Attenuation added by the metal of the tool, and of the arm if frames show it. For a single photon
+    /// energy this is the line integral through the metal; a spectrum is hardened by the anatomy.
     pub metal: Vec<f32>,
-    /// Length of the ray in bone, m. The tool takes none of it away.
+    /// Length of the ray in bone, m; bone that the tool displaces is included.
     pub bone_m: Vec<f32>,
     /// Length of the ray in drilled voxels, m.
     pub tunnel_m: Vec<f32>,
-    /// Depth at which the ray first enters a part of the tool whose metal it crosses, m from the source along the detector's normal; NaN
-    /// without one.
+    /// Depth at which the ray first enters a tool part whose metal it crosses, m from the source along the
+    /// detector's normal; NaN if there is none.
     pub tool_depth_m: Vec<f32>,
     /// Depth at which the ray first enters bone; NaN without bone.
     pub bone_depth_m: Vec<f32>,
@@ -82,7 +84,7 @@ pub struct Labels {
 }
 
 impl Labels {
-    /// True where a class is, row-major.
+    /// For each pixel, row-major, true if it belongs to the class.
     pub fn of(&self, class: Class) -> impl Iterator<Item = bool> {
         self.mask.iter().map(move |bits| bits & class.bit() != 0)
     }
@@ -91,36 +93,36 @@ impl Labels {
 /// A point of the tool in the image.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Keypoint {
-    /// Column coordinate; pixel centres are whole numbers. NaN for a point level with or behind the source.
+    /// Column coordinate; pixel centres are at integers. NaN for a point level with or behind the source.
     pub column: f64,
     /// Row coordinate.
     pub row: f64,
     /// Distance from the source along the detector's normal, m.
     pub depth_m: f64,
-    /// Whether it can be told in the image.
+    /// Visibility of the point in the image.
     pub visibility: Visibility,
 }
 
-/// Visibility of a keypoint, by the numbers of COCO.
+/// Visibility of a keypoint, numbered as in COCO.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Visibility {
     /// Not in the image.
     Outside = 0,
-    /// In the image, but the ray crosses another part of the tool too: the burr, or a stretch farther from the point than the tool is
-    /// wide, as where the tool crosses itself or is seen from its end.
+    /// In the image, but the ray also crosses another part of the tool: the burr, or a section farther from
+    /// the point than the tool's width, as where the tool crosses itself or is seen end-on.
     Overlapped = 1,
-    /// In the image, and nothing else of the tool over it. Bone hides nothing from X-rays.
+    /// In the image, with no other part of the tool in front or behind. Bone hides nothing from X-rays.
     Alone = 2,
 }
 
 impl Visibility {
-    /// Its number: 0, 1, 2.
+    /// The COCO number: 0, 1 or 2.
     pub fn code(self) -> u8 {
         self as u8
     }
 }
 
-/// Name of a keypoint of so many: `base`, `joint_1` and so on, `burr`.
+/// Name of keypoint `index` out of `count`: `base`, `joint_1` and so on, `burr`.
 pub fn keypoint_name(index: usize, count: usize) -> String {
     match index {
         0 => "base".to_owned(),
@@ -129,14 +131,14 @@ pub fn keypoint_name(index: usize, count: usize) -> String {
     }
 }
 
-/// Finds points of the tool in the image.
+/// Projects points of the tool into the image.
 pub(crate) fn keypoints(
     c_arm: &CArm,
     tool: &Tool,
     parts: &[PreparedPart],
     points_m: &[Vec3],
 ) -> Vec<Keypoint> {
-    // The tool's own width: the holder behind it bears no point.
+    // The width of the tool itself: the holder behind it has no keypoints.
     let bears = |part: &&ToolPart| points_m.iter().any(|point| is_end(part, *point));
     let width_m = tool.parts.iter().filter(bears).map(half_width_m).fold(0.0, f64::max) * 2.0;
     let at = |&point_m: &Vec3| {
@@ -162,7 +164,7 @@ pub(crate) fn keypoints(
     points_m.iter().map(at).collect()
 }
 
-/// Whether a part counts as another one than that which a point lies on.
+/// Returns true if the part counts as different from the one that the point lies on.
 fn is_another(part: &ToolPart, point_m: Vec3, width_m: f64) -> bool {
     let Some([start_m, end_m]) = axis_ends_m(part) else {
         return matches!(*part, ToolPart::Sphere { centre_m, .. } if norm(sub(centre_m, point_m)) > 1e-9);
@@ -172,12 +174,12 @@ fn is_another(part: &ToolPart, point_m: Vec3, width_m: f64) -> bool {
     norm(add_scaled(from_start, -nearest, along)) > width_m
 }
 
-/// Whether a point is an end of a part's axis.
+/// Returns true if the point is an end of the part's axis.
 fn is_end(part: &ToolPart, point_m: Vec3) -> bool {
     axis_ends_m(part).is_some_and(|ends_m| ends_m.iter().any(|end_m| norm(sub(*end_m, point_m)) < 1e-9))
 }
 
-/// The ends of a part's axis; `None` of a ball.
+/// The ends of a part's axis; `None` for a ball.
 fn axis_ends_m(part: &ToolPart) -> Option<[Vec3; 2]> {
     match *part {
         ToolPart::Sphere { .. } => None,

@@ -1,8 +1,9 @@
 //! Selects the fastest projector within a tolerance, among those with a measured error.
 //!
-//! For each projector, `rungs.csv` holds the largest error of three poses (0/0, 37/18, 90/5 degrees), relative r.m.s., against Siddon's
-//! sum in f64 at every eighth pixel of 512 x 512 in both directions, and the median frame time. The volume is the thigh of
-//! [`reference`](crate::reference) in 512 x 512 x 400 voxels of 0.5 mm. `trabecula-lab chart drr --rungs FILE` writes the file.
+//! For each projector, `rungs.csv` holds the largest error of three poses (0/0, 37/18, 90/5 degrees),
+//! relative r.m.s., against Siddon's sum in f64 at every eighth pixel of 512 x 512 in both directions, and
+//! the median frame time. The volume is the thigh of [`reference`](crate::reference) in 512 x 512 x 400
+//! voxels of 0.5 mm. `trabecula-lab chart drr --rungs FILE` writes the file.
 
 use crate::renderer::Projector;
 
@@ -15,7 +16,8 @@ pub struct Rung {
     pub projector: Projector,
     /// Largest error of three poses against Siddon's sum, relative r.m.s.
     pub error_rel: f64,
-    /// Milliseconds per frame of 512 x 512 pixels on the machine that produced the table; only the order matters.
+    /// Milliseconds per frame of 512 x 512 pixels on the machine that produced the table; only the order
+    /// matters.
     pub frame_ms: f64,
 }
 

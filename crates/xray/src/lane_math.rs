@@ -1,5 +1,5 @@
-//! Branch-free exp, log and normal deviates, so that loops over pixels vectorise. They use only +, -, *, /, sqrt and integer operations
-//! in a fixed order, so every instruction set gives the same bits.
+//! Branch-free exp, log and normal deviates, so that loops over pixels vectorise. They use only +, -, *, /,
+//! sqrt and integer operations in a fixed order, so every instruction set gives the same bits.
 
 /// 1.5 * 2^52: adding it rounds to the nearest integer, which is then in the low bits.
 const MAGIC: f64 = 6_755_399_441_055_744.0;
@@ -37,7 +37,8 @@ pub fn exp(x: f64) -> f64 {
     sum * f64::from_bits(shifted.to_bits().wrapping_add(1023) << 52)
 }
 
-/// Natural logarithm of a positive normal number; absolute error below 1e-15 near 1, relative error below 1e-15 elsewhere.
+/// Natural logarithm of a positive normal number; absolute error below 1e-15 near 1, relative error below
+/// 1e-15 elsewhere.
 #[inline(always)]
 pub fn log(x: f64) -> f64 {
     let bits = x.to_bits();
@@ -87,8 +88,8 @@ pub fn uniforms(random: u64) -> (f64, f64) {
     (unit(random >> 32), unit(random & 0xFFFF_FFFF))
 }
 
-/// A standard normal deviate from a random word (Box and Muller 1958, "A note on the generation of random normal deviates", Ann. Math.
-/// Stat. 29), at most 6.8 in magnitude.
+/// A standard normal deviate from a random word (Box and Muller 1958, "A note on the generation of random
+/// normal deviates", Ann. Math. Stat. 29), at most 6.8 in magnitude.
 #[inline(always)]
 pub fn normal(random: u64) -> f64 {
     let (a, b) = uniforms(random);

@@ -1,7 +1,7 @@
 //! Loops over pixels that are compiled for each instruction set.
 
-/// Declares a loop and its borrows; `Arch::dispatch` runs it. A closure is not enough: the compiler inlines only small closures into the
-/// code for an instruction set, and compiles the others for the baseline CPU.
+/// Declares a loop and its borrows; `Arch::dispatch` runs it. A closure is not enough: the compiler inlines
+/// only small closures into the code for an instruction set, and compiles the others for the baseline CPU.
 macro_rules! lanes {
     ($(#[$about:meta])* $name:ident { $($field:ident: $type:ty),* $(,)? } -> $output:ty $body:block) => {
         $(#[$about])*

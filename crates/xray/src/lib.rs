@@ -1,26 +1,36 @@
-//! Simulated X-ray frames (DRR, digitally reconstructed radiographs): C-arm geometry, projectors, tool, detector, display.
+//! Simulated X-ray frames (DRR, digitally reconstructed radiographs): C-arm geometry, projectors, tool,
+//! detector, display.
 //!
-//! A frame is a pure function of the CT, the set of removed voxels, the tool's parts, the C-arm and the frame seed:
+//! A frame is a pure function of the CT, the set of removed voxels, the tool's parts, the C-arm and the frame
+//! seed:
 //!
-//! 1. Anatomy: the line integral of attenuation along the ray to each pixel centre, by [`slice_ordered`], [`joseph`] or [`siddon`].
-//!    It is cached while the C-arm stands still; after [`DrrRenderer::remove`] only the pixels that see a removed voxel are recomputed.
-//! 2. Tool: closed-form chords of its parts ([`ToolPart`]); anatomy inside the union of their envelopes is subtracted.
+//! 1. Anatomy: the line integral of attenuation along the ray to each pixel centre, by [`slice_ordered`],
+//!    [`joseph`] or [`siddon`]. It is cached while the C-arm is stationary; after [`DrrRenderer::remove`]
+//!    only the pixels that see a removed voxel are recomputed.
+//! 2. Tool: closed-form chords of its parts ([`ToolPart`]); anatomy inside the union of their envelopes is
+//!    subtracted.
 //! 3. Detector ([`DetectorParameters`]): Beer-Lambert, seeded quantum noise, blur. Then the monitor image
 //!    ([`DisplayParameters`]), as mono16.
 //!
-//! The CT is a borrowed `&[i16]` of Hounsfield units and may lie in shared memory. The renderer keeps one bit per voxel for what is
-//! drilled and one byte per block of 8x8x8 voxels for what is empty; [`slice_ordered`] also keeps reordered copies.
+//! The CT is a borrowed `&[i16]` of Hounsfield units and can be in shared memory. The renderer keeps one bit
+//! per voxel for what is drilled and one byte per block of 8x8x8 voxels for what is empty; [`slice_ordered`]
+//! also keeps reordered copies.
 //!
-//! **Boundary:** this crate only computes. It opens no file, reads no clock and starts no thread: the caller passes in a [`Machine`],
-//! which provides worker threads, memory and a clock. `drr_proc` implements it for the real machine and runs the X-ray process.
-//! [`Labels`] are what a frame shows, for training and registration. [`from_scene`] and [`message`] translate scenes and
-//! messages; [`frame`] renders the content of a frame message.
+//! **Boundary:** this crate only computes. It opens no file, reads no clock and starts no thread: the caller
+//! passes in a [`Machine`], which provides worker threads, memory and a clock. `drr_proc` implements it for
+//! the real machine and runs the X-ray process. [`Labels`] are a frame's ground truth, for training and
+//! registration. [`from_scene`] and [`message`] translate scenes and messages; [`frame`] renders the content
+//! of a frame message.
 //!
-//! **Invariants:** a frame's bits do not depend on the number of threads, the vector instructions, the [`Machine`], or earlier frames: a
-//! cached frame equals a full render bit for bit. A refused call changes nothing.
+//! **Invariants:** a frame's bits do not depend on the number of threads, the vector instructions, the
+//! [`Machine`], or earlier frames: a cached frame equals a full render bit for bit. A refused call changes
+//! nothing.
 //!
 //! ```
-//! use xray::{CArm, DetectorFormat, DrrParameters, DrrRenderer, FrameSeed, Grid, Machine, PositionerAngles, Tool, VolumeView};
+//! use xray::{
+//!     CArm, DetectorFormat, DrrParameters, DrrRenderer, FrameSeed, Grid, Machine, PositionerAngles, Tool,
+//!     VolumeView,
+//! };
 //!
 //! /// Threads from rayon, memory from the heap.
 //! struct Desk;
@@ -41,7 +51,7 @@
 //! let (tool, seed) = (Tool::default(), FrameSeed { seed: 1, frame: 0 });
 //! let mut image = vec![0_u16; 64 * 64];
 //!
-//! // The first frame of a C-arm is computed whole, the next only where a voxel was removed.
+//! // The first frame of a C-arm is computed in full, the next only where a voxel was removed.
 //! let first = renderer.render(&view, &c_arm, &tool, seed, &mut image)?;
 //! assert_eq!(first.rays_traced, 64 * 64);
 //! renderer.remove(&view, &[0, 1, 2])?;

@@ -2,8 +2,8 @@
 
 use zerocopy::{FromBytes, Immutable, IntoBytes};
 
-/// Threads, a clock and memory. None of them changes a bit of a frame. They affect only how long it takes, and whether a volume that is
-/// too large is refused.
+/// Threads, a clock and memory. None of them changes a bit of a frame. They affect only how long it takes,
+/// and whether a volume that is too large is refused.
 pub trait Machine: Sync {
     /// A pool of `threads` worker threads.
     ///
@@ -11,8 +11,8 @@ pub trait Machine: Sync {
     /// The system's reason why they cannot be started.
     fn workers(&self, threads: usize) -> Result<rayon::ThreadPool, String>;
 
-    /// Monotonic time in nanoseconds, from any origin. Used only to predict whether an update or a full sum is faster; with a constant
-    /// clock, as in this default, the renderer always updates.
+    /// Monotonic time in nanoseconds, from any origin. Used only to predict whether an update or a full sum
+    /// is faster; with a constant clock, as in this default, the renderer always updates.
     fn now_ns(&self) -> u64 {
         0
     }
@@ -22,8 +22,8 @@ pub trait Machine: Sync {
         None
     }
 
-    /// At least this many zero bytes, aligned to 64 bytes; `None` if there is not enough memory. The default uses the heap; huge pages
-    /// make the sums faster.
+    /// At least this many zero bytes, aligned to 64 bytes; `None` if there is not enough memory. The default
+    /// uses the heap; huge pages make the sums faster.
     fn zeroed(&self, bytes: usize) -> Option<Box<dyn Memory>> {
         let (mut lines, count) = (Vec::new(), bytes.div_ceil(LINE));
         lines.try_reserve_exact(count).ok()?;

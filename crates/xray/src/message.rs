@@ -5,10 +5,10 @@ use zerocopy::FromBytes;
 
 use crate::{CArm, DrrError, Grid, PixelCentre, VolumeView};
 
-/// The volume of a message, in place.
+/// Views the volume of a message in place.
 ///
 /// # Errors
-/// [`DrrError::BadVolume`], or what [`VolumeView::new`] refuses.
+/// [`DrrError::BadVolume`], or an error of [`VolumeView::new`].
 pub fn volume_view<'v>(volume: &Volume, voxels: &'v [u8]) -> Result<VolumeView<'v>, DrrError> {
     let grid = Grid::from(volume.grid().map_err(DrrError::from)?);
     let hu = <[i16]>::ref_from_bytes(voxels)
@@ -16,7 +16,7 @@ pub fn volume_view<'v>(volume: &Volume, voxels: &'v [u8]) -> Result<VolumeView<'
     VolumeView::new(grid, hu)
 }
 
-/// A C-arm's camera and positioner as a message.
+/// Converts a C-arm to its camera and positioner message.
 pub fn projection_message(c_arm: &CArm, isocentre_m: [f64; 3]) -> CArmProjection {
     let camera = c_arm.camera(PixelCentre::Whole);
     let positioner = c_arm.positioner(isocentre_m);
@@ -32,7 +32,7 @@ pub fn projection_message(c_arm: &CArm, isocentre_m: [f64; 3]) -> CArmProjection
     }
 }
 
-/// A C-arm as a message.
+/// Converts a C-arm to a message.
 pub fn c_arm_message(c_arm: &CArm) -> CArmGeometry {
     CArmGeometry {
         source_m: c_arm.source_m,
@@ -45,7 +45,7 @@ pub fn c_arm_message(c_arm: &CArm) -> CArmGeometry {
     }
 }
 
-/// A message's C-arm, validated.
+/// Converts a message to a validated C-arm.
 ///
 /// # Errors
 /// A value is out of range; the error names it.

@@ -1,50 +1,51 @@
-//! Rigid placements as three axes and an origin; angles by `libm`, so that every machine has the same bits.
+//! Rigid placements as three axes and an origin. Trigonometry uses `libm`, so that every machine gives the
+//! same bits.
 
 use messages::Pose;
 
 use crate::vector::{Vec3, add_scaled, cross, dot, scale, sub};
 
-/// Where a frame is in another one.
+/// Pose of a frame in a parent frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Placement {
-    /// The frame's axes in the other one.
+    /// The frame's axes in the parent frame.
     axes: [Vec3; 3],
     origin_m: Vec3,
 }
 
 impl Placement {
-    /// The other frame itself.
+    /// The parent frame itself.
     pub(crate) const IDENTITY: Self =
         Self { axes: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], origin_m: [0.0; 3] };
 
-    /// Of a pose with a unit quaternion.
+    /// Converts a pose with a unit quaternion.
     pub(crate) fn of_pose(pose: &Pose) -> Self {
         let (x, z) = (x_axis(&pose.orientation_xyzw), z_axis(&pose.orientation_xyzw));
         Self { axes: [x, cross(z, x), z], origin_m: pose.position_m }
     }
 
-    /// Of a place and turns about the fixed axes x, y and z, in this order, as URDF has them.
+    /// Converts a position and rotations about the fixed axes x, y and z, in this order, as in URDF.
     pub(crate) fn of_roll_pitch_yaw(position_m: Vec3, [roll, pitch, yaw]: [f64; 3]) -> Self {
         let [x, y, z] = Self::IDENTITY.axes;
         Self { origin_m: position_m, ..Self::IDENTITY }.turned(z, yaw).turned(y, pitch).turned(x, roll)
     }
 
-    /// Where a point of the frame is in the other one.
+    /// Transforms a point to the parent frame.
     pub(crate) fn point(&self, at_m: Vec3) -> Vec3 {
         add_scaled(self.direction(at_m), 1.0, self.origin_m)
     }
 
-    /// A direction of the frame in the other one.
+    /// Transforms a direction to the parent frame.
     pub(crate) fn direction(&self, [x, y, z]: Vec3) -> Vec3 {
         add_scaled(add_scaled(scale(self.axes[0], x), y, self.axes[1]), z, self.axes[2])
     }
 
-    /// Where a frame that has a placement in this one is in the other one.
+    /// Composes with a placement in this frame; the result is in the parent frame.
     pub(crate) fn then(&self, next: &Self) -> Self {
         Self { axes: next.axes.map(|axis| self.direction(axis)), origin_m: self.point(next.origin_m) }
     }
 
-    /// Where the other frame is in this one.
+    /// Returns the pose of the parent frame in this one.
     pub(crate) fn inverse(&self) -> Self {
         let [x, y, z] = self.axes;
         let axes = [0, 1, 2].map(|row| [x[row], y[row], z[row]]);
@@ -52,7 +53,7 @@ impl Placement {
         Self { axes, origin_m: self.axes.map(|axis| dot(axis, back)) }
     }
 
-    /// The frame turned about a unit vector of its own.
+    /// Returns the frame rotated about a unit vector given in the frame itself.
     pub(crate) fn turned(&self, about: Vec3, angle_rad: f64) -> Self {
         let (sin, cos) = libm::sincos(angle_rad);
         // Rodrigues' formula.

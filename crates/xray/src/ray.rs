@@ -52,7 +52,8 @@ impl IndexRay {
     }
 }
 
-/// All rays of a C-arm through a grid. A ray costs a few additions and depends only on its pixel, not on other rays.
+/// All rays of a C-arm through a grid. A ray costs a few additions and depends only on its pixel, not on
+/// other rays.
 #[derive(Debug, Clone, Copy)]
 pub struct RayFan {
     source_m: Vec3,
@@ -90,7 +91,8 @@ impl RayFan {
         WorldRay { origin_m: self.source_m, direction_m, length_m: norm(direction_m) }
     }
 
-    /// World directions and lengths of a row's rays, starting at a pixel: the same bits as [`RayFan::world_ray`].
+    /// World directions and lengths of a row's rays, starting at a pixel: the same bits as
+    /// [`RayFan::world_ray`].
     #[inline(always)]
     pub(crate) fn world_rays_of_row(&self, first: Pixel, direction_m: [&mut [f64]; 3], length_m: &mut [f64]) {
         let (count, row) = (length_m.len(), first.row);

@@ -5,7 +5,8 @@ use rayon::prelude::*;
 use crate::grid::Grid;
 use crate::ray::WorldRay;
 
-/// An ellipsoid along the world axes that adds Hounsfield units to whatever it overlaps; the surroundings are air (-1000 HU).
+/// An ellipsoid along the world axes that adds Hounsfield units to whatever it overlaps; the surroundings are
+/// air (-1000 HU).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Ellipsoid {
     /// Centre.
@@ -32,7 +33,7 @@ impl Ellipsoid {
         if discriminant > 0.0 { 2.0 * discriminant.sqrt() / dd * ray.length_m } else { 0.0 }
     }
 
-    /// Whether a point lies inside.
+    /// Returns true if a point lies inside.
     pub fn contains(&self, p: [f64; 3]) -> bool {
         let scaled = |axis: usize| (p[axis] - self.centre_m[axis]) / self.semi_axes_m[axis];
         let [x, y, z] = [scaled(0), scaled(1), scaled(2)];
@@ -40,8 +41,8 @@ impl Ellipsoid {
     }
 }
 
-/// A thigh about the world origin: soft tissue, femoral head and shaft with cortical shells and softer interiors. At `size` 1 it fills a
-/// box of 240 x 200 x 320 mm.
+/// A thigh about the world origin: soft tissue, femoral head and shaft with cortical shells and softer
+/// interiors. At `size` 1 it fills a box of 240 x 200 x 320 mm.
 pub fn thigh(size: f64) -> Vec<Ellipsoid> {
     let ellipsoid = |centre_mm: [f64; 3], semi_axes_mm: [f64; 3], added_hu: f64| Ellipsoid {
         centre_m: centre_mm.map(|x| x * size * 1e-3),
@@ -57,7 +58,8 @@ pub fn thigh(size: f64) -> Vec<Ellipsoid> {
     ]
 }
 
-/// Hounsfield units of the ellipsoids on a grid, x fastest; each voxel is the mean of `samples`^3 points (partial volume).
+/// Hounsfield units of the ellipsoids on a grid, x fastest; each voxel is the mean of `samples`^3 points
+/// (partial volume).
 pub fn voxelise(grid: &Grid, shapes: &[Ellipsoid], samples: usize) -> Vec<i16> {
     let offsets: Vec<f64> = (0..samples).map(|i| (i as f64 + 0.5) / samples as f64 - 0.5).collect();
     let count = (samples * samples * samples) as f64;

@@ -86,8 +86,8 @@ impl RemovedVoxels {
     }
 }
 
-/// Flags of the blocks. Block (i, j, k) covers the voxels 8i..=8i+8 along each axis: one more than its own, so that it includes every
-/// voxel read by an interpolation that starts inside it.
+/// Flags of the blocks. Block (i, j, k) covers the voxels 8i..=8i+8 along each axis: one more than its own,
+/// so that it includes every voxel read by an interpolation that starts inside it.
 #[derive(Debug, Clone)]
 pub struct BlockMap {
     flags: Vec<u8>,
@@ -133,7 +133,7 @@ impl BlockMap {
         }
     }
 
-    /// Steps in memory between neighbouring blocks.
+    /// Memory strides between neighbouring blocks.
     pub(crate) fn strides(&self) -> [usize; 3] {
         [1, self.blocks[0], self.blocks[0] * self.blocks[1]]
     }
@@ -156,7 +156,7 @@ pub(crate) fn is_drilled(flags: u8) -> bool {
     flags & DRILLED != 0
 }
 
-/// Marks the blocks that a row of voxels meets and in which one of them attenuates: none that is less than `least`.
+/// Marks the blocks in which a voxel of this row attenuates. Voxels below `least` never attenuate.
 fn mark_occupied(row: &[i16], table: &MuTable, least: i16, blocks: &mut [u8]) {
     blocks.fill(EMPTY);
     let attenuates = |hu: &i16| table.mu_per_m(*hu) > 0.0;
@@ -206,7 +206,7 @@ mod tests {
 
     const DIMS: [usize; 3] = [139, 18, 9];
 
-    /// Blocks by their definition, voxel by voxel.
+    /// Reference flags for one occupied voxel, straight from the definition of a block.
     fn flags_of(voxel: [usize; 3]) -> Vec<u8> {
         let blocks = DIMS.map(|n| n.div_ceil(BLOCK));
         let holds = |block: [usize; 3]| (0..3).all(|a| (8 * block[a]..=8 * block[a] + 8).contains(&voxel[a]));
@@ -220,7 +220,7 @@ mod tests {
         let grid = Grid::axis_aligned(DIMS, [1e-3; 3], [0.0; 3]).unwrap();
         let table = MuTable::new(60.0, -900).unwrap();
         let mut hu = vec![-1000_i16; grid.voxels()];
-        // Coprime to the dimensions: all kinds of places.
+        // Coprime to the dimensions, so that all kinds of positions occur.
         for linear in (0..grid.voxels()).step_by(11) {
             hu[linear] = 40;
             let map = BlockMap::new(&VolumeView::new(grid, &hu).unwrap(), &table);

@@ -1,22 +1,23 @@
 //! Siddon's exact line integral through voxels of constant attenuation: the reference projector.
 //!
-//! R. L. Siddon, "Fast calculation of the exact radiological path for a three-dimensional CT array", Med. Phys. 12 (1985) 252. Each
-//! crossing is computed from its plane's index, not accumulated, so errors do not grow along the ray.
+//! R. L. Siddon, "Fast calculation of the exact radiological path for a three-dimensional CT array", Med.
+//! Phys. 12 (1985) 252. Each crossing is computed from its plane's index, not accumulated, so errors do not
+//! grow along the ray.
 
 use crate::grid::Grid;
 use crate::ray::IndexRay;
 use crate::removal::AttenuationField;
 
-/// Line integral of attenuation over the parameter interval `range` of the ray (0 source, 1 pixel), dimensionless. Voxel i fills the
-/// interval [i - 1/2, i + 1/2] of its axis.
+/// Line integral of attenuation over the parameter interval `range` of the ray (0 source, 1 pixel),
+/// dimensionless. Voxel i fills the interval [i - 1/2, i + 1/2] of its axis.
 pub fn line_integral(field: &AttenuationField<'_>, ray: &IndexRay, range: (f64, f64)) -> f64 {
     let mut sum = 0.0;
     walk(field.view.grid(), ray, range, |linear, from, to| sum += field.mu_per_m(linear) * (to - from));
     sum * ray.length_m
 }
 
-/// Calls `visit(linear, from, to)` for each voxel on the part `range` of the ray, from the source on: its linear index, and the parameters
-/// at which the ray enters and leaves it.
+/// Calls `visit(linear, from, to)` for each voxel on the part `range` of the ray, from the source on: its
+/// linear index, and the parameters at which the ray enters and leaves it.
 #[inline]
 pub(crate) fn walk(grid: &Grid, ray: &IndexRay, range: (f64, f64), mut visit: impl FnMut(usize, f64, f64)) {
     let dims = grid.dims();

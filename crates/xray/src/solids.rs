@@ -1,13 +1,15 @@
-//! Length of rays in closed meshes, for all pixels at once.
+//! Path length of rays in closed meshes, for all pixels at once.
 //!
-//! A ray is in a closed mesh from each triangle by which it enters to the one by which it leaves, so its length there is the sum over the
-//! triangles that it crosses of the distance, taken negative where it enters. Distances beyond the detector count as the detector's, those
-//! behind the source as 0, so meshes around either are cut there. The triangles are projected and filled row by row.
+//! A ray is inside a closed mesh from each triangle through which it enters to the one through which it
+//! leaves, so its path length is the sum of the distances to the triangles that it crosses, negated where it
+//! enters. Distances are clamped to the detector and to 0 at the source, which clips meshes around either.
+//! The triangles are projected and filled row by row.
 //!
-//! **No pixel leaks.** A row crosses an edge if it is at or above its lower end and below its upper one, and the crossing is computed from the
-//! lower end to the upper one. So both triangles of an edge have the same bits of it, and of a triangle exactly one edge is crossed upward and
-//! one downward, or none. A triangle covers the columns from the one crossing on to before the other. In a closed mesh the starts and ends
-//! of a row are therefore in pairs, and in every pixel as many triangles are entered as left, whatever the rounding.
+//! **No pixel leaks.** A row crosses an edge if it is at or above the edge's lower end and below its upper
+//! one, and the crossing is computed from the lower end to the upper one. So both triangles of an edge get
+//! the same bits, and exactly one edge of a triangle is crossed upward and one downward, or none. A triangle
+//! covers the half-open range of columns between its crossings. In a closed mesh the starts and ends in a row
+//! therefore come in pairs, and in every pixel as many triangles are entered as left, whatever the rounding.
 
 use std::sync::Arc;
 
@@ -23,28 +25,28 @@ use crate::placement::Placement;
 use crate::ray::RayFan;
 use crate::vector::{Vec3, add_scaled, cross, dot, scale, sub};
 
-/// What is nearer to the source's plane than this is cut off, m.
+/// Near clipping distance from the source's plane, m.
 const NEAREST_M: f64 = 1e-6;
 /// Rows that one thread fills at a time.
 const BAND: usize = 8;
 
-/// Solids of aluminium that is spread evenly over what their meshes enclose. Where two overlap, both attenuate.
+/// Solids whose mass is aluminium spread evenly over the enclosed volume. Where two overlap, both attenuate.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PlacedSolids {
     /// The solids, each in its own frame, m.
     pub(crate) solids: Arc<[ClosedMesh]>,
-    /// Where they are in the world, one for each.
+    /// World pose of each solid.
     pub(crate) places: Vec<Placement>,
-    /// Mass in the enclosed volume.
+    /// Mass per enclosed volume.
     pub(crate) density_g_per_cm3: f64,
 }
 
 impl PlacedSolids {
-    /// Solids in metres, their places in the world, and their density.
+    /// Creates placed solids from meshes in metres, their world poses and their density.
     ///
     /// # Errors
-    /// There are more or fewer places than solids; the density is not within 0.001 to 2.7 g/cm³; a coordinate is not finite or is beyond
-    /// 100 m; an orientation is no unit quaternion.
+    /// The number of poses differs from that of solids, the density is outside 0.001 to 2.7 g/cm³, a
+    /// coordinate is not finite or beyond 100 m, or an orientation is not a unit quaternion.
     pub fn new(
         solids: Arc<[ClosedMesh]>,
         t_world_solid: &[Pose],
@@ -73,7 +75,7 @@ impl PlacedSolids {
 pub(crate) struct SolidLayer {
     facets: Vec<Facet>,
     corners: Vec<Vec3>,
-    /// Numbers of facets, by band and then as they are.
+    /// Facet indices, sorted by band and otherwise in their original order.
     in_bands: Vec<u32>,
     /// The facets of band i are `starts[i]..starts[i + 1]`.
     starts: Vec<usize>,
@@ -85,17 +87,17 @@ pub(crate) struct SolidLayer {
 /// A triangle in the image.
 #[derive(Debug, Clone, Copy)]
 struct Facet {
-    /// Column and row of each corner; pixel centres are whole numbers.
+    /// Column and row of each corner; pixel centres are at integers.
     corners: [[f64; 2]; 3],
-    /// A pixel sees its plane at the depth `distance / (slope . (column, row, 1))`.
+    /// A pixel sees the triangle's plane at depth `distance / (slope . (column, row, 1))`.
     distance: f64,
     slope: Vec3,
-    /// Least and greatest depth of a corner, m; of the detector at most.
+    /// Least and greatest corner depth, m, clamped to the detector's.
     depths_m: [f64; 2],
     rows: (u32, u32),
 }
 
-/// The C-arm as the facets are seen from it.
+/// The C-arm's view of the facets.
 struct View {
     pinhole: Pinhole,
     columns: u32,
@@ -105,7 +107,7 @@ struct View {
 }
 
 impl SolidLayer {
-    /// Computes the lengths, on the threads of the current pool.
+    /// Computes the path lengths on the threads of the current pool.
     pub(crate) fn draw(&mut self, placed: Option<&PlacedSolids>, c_arm: &CArm, fan: &RayFan) {
         self.facets.clear();
         self.aluminium_m.clear();
@@ -122,7 +124,7 @@ impl SolidLayer {
         self.columns = view.columns as usize;
         self.sort_into_bands(view.rows as usize);
         self.aluminium_m.resize(c_arm.pixels(), 0.0);
-        // The image as seen from the source runs against the clock if the axes are left-handed with the normal.
+        // Seen from the source, the image's winding is reversed if the axes and the normal are left-handed.
         let leaving = if pinhole.is_right_handed() { 1.0 } else { -1.0 };
         let fraction = placed.density_g_per_cm3 / ALUMINIUM_G_PER_CM3;
         let mut aluminium_m = core::mem::take(&mut self.aluminium_m);
@@ -133,7 +135,7 @@ impl SolidLayer {
             for (line, row) in rows {
                 facets.iter().for_each(|facet| this.facets[*facet as usize].fill(row, leaving, line));
                 for (sum, column) in line.iter_mut().zip(0_u32..).filter(|(sum, _)| **sum != 0.0) {
-                    // A ray that grazes may have lost its last bit.
+                    // A grazing ray can end up slightly negative by rounding.
                     let depth_m = sum.max(0.0) * fraction;
                     *sum = depth_m / view.focal_m * fan.world_ray(column, row).length_m;
                 }
@@ -169,7 +171,7 @@ impl SolidLayer {
         self.facets.par_extend(facets);
     }
 
-    /// Sorts the facets' numbers by the bands that they are in.
+    /// Sorts the facet indices by band.
     fn sort_into_bands(&mut self, rows: usize) {
         let bands_of = |facet: &Facet| facet.rows.0 as usize / BAND..(facet.rows.1 as usize).div_ceil(BAND);
         let numbered = self.facets.iter().zip(0_u32..);
@@ -178,7 +180,7 @@ impl SolidLayer {
     }
 }
 
-/// The parts of a triangle, as [`Pinhole::seen`] gives its corners, that are in front of the source.
+/// Clips a triangle, with corners from [`Pinhole::seen`], to the half-space in front of the source.
 fn in_front(triangle: [Vec3; 3]) -> [Option<[Vec3; 3]>; 2] {
     let is_in_front = |corner: Vec3| corner[2] >= NEAREST_M;
     match triangle.map(is_in_front) {
@@ -197,7 +199,7 @@ fn in_front(triangle: [Vec3; 3]) -> [Option<[Vec3; 3]>; 2] {
                     keep(triangle[i]);
                 }
                 if inside[i] != inside[next] {
-                    // From the corner in front, so that both triangles of an edge have the same point.
+                    // Start at the corner in front, so that both triangles of an edge get the same point.
                     let (front, behind) = if inside[i] { (i, next) } else { (next, i) };
                     let (front, behind) = (triangle[front], triangle[behind]);
                     let part = (front[2] - NEAREST_M) / (front[2] - behind[2]);
@@ -212,7 +214,7 @@ fn in_front(triangle: [Vec3; 3]) -> [Option<[Vec3; 3]>; 2] {
 }
 
 impl Facet {
-    /// A triangle in front of the source, unless it is above or below the image, beside it, or in no row.
+    /// Prepares a triangle in front of the source; `None` if it lies outside the image or crosses no row.
     fn new(seen: [Vec3; 3], view: &View) -> Option<Self> {
         let corners = seen.map(|corner| view.pinhole.pixel(corner));
         let ends = |of: usize| {
@@ -223,7 +225,7 @@ impl Facet {
         // `as` saturates, so anything far outside gives an empty range.
         let rows =
             (libm::ceil(top).max(0.0) as u32, libm::ceil(bottom).clamp(0.0, f64::from(view.rows)) as u32);
-        // A pixel of margin for the rounding of crossings.
+        // One pixel of margin for rounding of the crossings.
         if rows.0 >= rows.1 || right < -1.0 || left > f64::from(view.columns) {
             return None;
         }
@@ -239,7 +241,8 @@ impl Facet {
         })
     }
 
-    /// Adds the depths of the columns that it covers in a row: with `leaving` where it is seen from inside the solid, against it else.
+    /// Adds the depths of the columns that the facet covers in a row: with the sign of `leaving` where it is
+    /// seen from inside the solid, with the opposite sign otherwise.
     fn fill(&self, row: u32, leaving: f64, line: &mut [f64]) {
         if row < self.rows.0 || row >= self.rows.1 {
             return;
@@ -265,14 +268,14 @@ impl Facet {
         let covered = line.get_mut(start..end).into_iter().flatten();
         for (sum, column) in covered.zip((start..end).map(|column| column as f64)) {
             let depth_m = self.distance / (self.slope[0] * column + in_row);
-            // Of a plane that is seen edge-on, rounding leaves any depth or none.
+            // For a plane seen edge-on, rounding can give any depth or NaN.
             let depth_m = if depth_m >= nearest_m { depth_m.min(farthest_m) } else { nearest_m };
             *sum += sign * depth_m;
         }
     }
 }
 
-/// Where a row crosses an edge from its lower to its upper end.
+/// Column at which a row crosses an edge, computed from its lower to its upper end.
 fn crossing(lower: [f64; 2], upper: [f64; 2], row: f64) -> f64 {
     lower[0] + (row - lower[1]) * ((upper[0] - lower[0]) / (upper[1] - lower[1]))
 }

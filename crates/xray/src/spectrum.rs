@@ -1,14 +1,15 @@
 //! A photon energy spectrum through tissue, bone and metal.
 //!
-//! Every voxel is a mixture of tissue (water's attenuation, scaled by density) and ICRU-44 cortical bone. A ray is therefore described by
-//! two lengths: tissue T and bone B, in metres of water and of cortical bone; the tool adds lengths of metal. The detector integrates
-//! energy:
+//! Every voxel is a mixture of tissue (water's attenuation, scaled by density) and ICRU-44 cortical bone. A
+//! ray is therefore described by two lengths: tissue T and bone B, in metres of water and of cortical bone;
+//! the tool adds lengths of metal. The detector integrates energy:
 //!
 //! `attenuation(T, B) = -ln( sum_E w_E exp(-(T mu_water(E) + B mu_bone(E))) )`, `w_E ~ E N(E)`
 //!
-//! with N(E) after Kramers (Philos. Mag. 46 (1923) 836), `V/E - 1`, filtered by aluminium. Coefficients: NIST ([`Material`]). The model
-//! neglects characteristic lines, and energies below 30 keV, which hardly penetrate a patient. Anatomy pixels look up a table of the
-//! attenuation over (T, B); the few pixels under metal, and those outside the table, sum over the energies.
+//! with N(E) after Kramers (Philos. Mag. 46 (1923) 836), `V/E - 1`, filtered by aluminium. Coefficients: NIST
+//! ([`Material`]). The model neglects characteristic lines, and energies below 30 keV, which hardly penetrate
+//! a patient. Anatomy pixels look up a table of the attenuation over (T, B); the few pixels under metal, and
+//! those outside the table, sum over the energies.
 
 use scene::Spectrum;
 
@@ -59,8 +60,8 @@ fn mixture(spectrum: &Spectrum) -> Result<Mixture, DrrError> {
     })
 }
 
-/// Tissue and bone of a Hounsfield value: tissue of density 1 + HU/1000 up to `bone_above_hu`, then a mixture of that densest tissue and
-/// cortical bone, pure bone at `cortical_hu`.
+/// Tissue and bone of a Hounsfield value: tissue of density 1 + HU/1000 up to `bone_above_hu`, then a mixture
+/// of that densest tissue and cortical bone, pure bone at `cortical_hu`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Mixture {
     /// HU above which a voxel contains bone.
@@ -70,7 +71,8 @@ pub struct Mixture {
 }
 
 impl Mixture {
-    /// (tissue relative to water, fraction of cortical bone); for enamel and metal in the CT the bone fraction exceeds 1.
+    /// (tissue relative to water, fraction of cortical bone); for enamel and metal in the CT the bone
+    /// fraction exceeds 1.
     pub fn of(&self, hu: f64) -> (f64, f64) {
         if hu <= self.bone_above_hu {
             return ((1.0 + hu / 1000.0).max(0.0), 0.0);

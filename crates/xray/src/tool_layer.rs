@@ -1,4 +1,5 @@
-//! Draws the tool over the anatomy, row by row, visiting only pixels inside the projected outlines of its parts.
+//! Draws the tool over the anatomy, row by row, visiting only pixels inside the projected outlines of its
+//! parts.
 
 use pulp::Arch;
 use rayon::prelude::*;
@@ -55,7 +56,7 @@ impl ToolCell {
 
     /// The anatomy's line integral with the tool inserted.
     pub(crate) fn over(&self, anatomy: f64) -> f64 {
-        // What is left of fully displaced anatomy may be slightly negative from rounding.
+        // Fully displaced anatomy can leave a slightly negative rest from rounding.
         (anatomy - self.displaced).max(0.0) + self.metal
     }
 }
@@ -69,7 +70,8 @@ struct Span {
     end: u32,
 }
 
-/// The tool's parts in a C-arm's view, by image row. Reused from frame to frame, so that placing allocates nothing.
+/// The tool's parts in a C-arm's view, by image row. Reused from frame to frame, so that placing allocates
+/// nothing.
 #[derive(Debug, Default)]
 pub(crate) struct PlacedTool {
     parts: Vec<PlacedPart>,
@@ -121,7 +123,8 @@ impl PlacedTool {
         }
     }
 
-    /// Computes the cells; returns the number of pixels that the tool covers. `anatomy` provides what is displaced.
+    /// Computes the cells; returns the number of pixels that the tool covers. `anatomy` provides what is
+    /// displaced.
     pub(crate) fn draw(&mut self, fan: &RayFan, anatomy: &DisplacedBy<'_>) -> usize {
         self.segments.clear();
         for row in self.row_starts.windows(2) {
@@ -206,7 +209,7 @@ impl Outline {
             return;
         }
         if !corners.iter().all(Option::is_some) {
-            // Around or level with the source: it may cover any pixel.
+            // Around or level with the source: it can cover any pixel.
             let whole = |row| Span { row, first: 0, part: number, end: c_arm.columns };
             out.extend((0..c_arm.rows).map(whole));
             return;

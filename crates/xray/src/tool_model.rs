@@ -8,16 +8,18 @@ use crate::tool::LEAST_MITRE_COSINE;
 use crate::vector::{Vec3, add_scaled, cross, dot, norm, scale, sub};
 use crate::{Material, Notch, Tool, ToolPart};
 
-/// Links that turn by less are in line: rounding of their places, rad.
+/// Angle below which links count as collinear (rounding of their positions), rad.
 const STRAIGHT_RAD: f64 = 1e-9;
-/// Wall of the holder, an assumption, m: the drive in it is not drawn.
+/// Wall thickness of the holder, m (assumed). The drive inside it is not drawn.
 const HOLDER_WALL_M: f64 = 2e-3;
 
-/// Shaft and links as nitinol tubes around a steel cable, the burr as a steel ball. With `notch`, every link between two flexures has a
-/// notch at its middle, on alternating sides of the bending plane. Where two links meet at an angle, the plane through the joint that
-/// halves it cuts both, so that no wedge is missing and no metal counts twice. Behind the base the shaft goes on to the holder on the
-/// arm's flange, a steel sleeve. A tool that slides out of an outer tube has that one, of steel, about it. The burr is the last part; of a longer cutter the parts of its balls are, which do not overlap, from the
-/// front to the back, and the last link ends at the centre of the last ball.
+/// Builds the X-ray model of a tool: shaft and links as nitinol tubes around a steel cable, the burr as a
+/// steel ball. With `notch`, every link between two flexures has a notch at its middle, on alternating sides
+/// of the bending plane. Where two links meet at an angle, the bisecting plane through the joint cuts both,
+/// so that no wedge is missing and no metal counts twice. Behind the base the shaft continues to the holder
+/// on the arm's flange, a steel sleeve. A tool that slides out of an outer tube is surrounded by that steel
+/// tube. The burr is the last part. A longer cutter ends in the parts of its balls, cut so that they do not
+/// overlap, from front to back, and the last link ends at the centre of the last ball.
 pub fn tool_of(state: &State, radii: &ToolRadii, holder: &Holder, notch: Option<&SceneNotch>) -> Tool {
     let front_m = holder.front_m(state.t_world_flange.position_m, state.t_world_base.position_m);
     let cutter = &radii.cutter;
@@ -83,14 +85,15 @@ struct Link {
 }
 
 impl Link {
-    /// A link between two places; `None` if it has no length.
+    /// Creates a link between two points; `None` if it has no length.
     fn new(number: usize, start_m: Vec3, end_m: Vec3, toward: Vec3) -> Option<Self> {
         let length_m = norm(sub(end_m, start_m));
         let axis = sub(end_m, start_m).map(|x| x / length_m);
         (length_m >= 1e-6).then_some(Self { number, start_m, end_m, axis, length_m, toward })
     }
 
-    /// A tube about the link, or a rod if the second radius is 0; `None` is an end across the axis.
+    /// Returns a tube along the link, or a rod if the second radius is 0; a normal of `None` gives a flat
+    /// end.
     fn part(
         &self,
         ends: [Option<Vec3>; 2],
@@ -105,7 +108,8 @@ impl Link {
     }
 }
 
-/// The shaft from the holder's front on, and the links of the tool from base to the burr at `end_m`, but for those without length.
+/// Returns the shaft from the holder's front on, and the tool's links from base to the burr at `end_m`,
+/// except those without length.
 fn links_of(state: &State, front_m: Option<Vec3>, end_m: Vec3) -> Vec<Link> {
     let joints = &state.t_world_link[..(state.joint_count as usize).min(state.t_world_link.len())];
     let origins = core::iter::once(&state.t_world_base).chain(joints);
@@ -117,16 +121,17 @@ fn links_of(state: &State, front_m: Option<Vec3>, end_m: Vec3) -> Vec<Link> {
     behind.into_iter().chain(origins.zip(ends).enumerate().filter_map(link)).collect()
 }
 
-/// Normal of the plane that halves the angle between two links; `None` if they are in line, or if a mitre would be too oblique.
+/// Normal of the plane that bisects the angle between two links; `None` if they are collinear or the mitre
+/// would be too oblique.
 fn mitre(before: Vec3, after: Vec3) -> Option<Vec3> {
     let sum = add_scaled(before, 1.0, after);
     let normal = scale(sum, 1.0 / norm(sum).max(f64::MIN_POSITIVE));
     let turns = norm(cross(before, after)) > STRAIGHT_RAD;
-    // A margin, since both links' cosines are as good as equal.
+    // With a margin, since the cosines of both links are nearly equal.
     (turns && dot(normal, before) > LEAST_MITRE_COSINE + 1e-6).then_some(normal)
 }
 
-/// The points of the tool that a frame's labels name: base, each joint from base to tip, burr. World, m.
+/// Keypoints of the tool for labels: base, each joint from base to tip, burr. World frame, m.
 pub fn points_of(state: &State) -> Vec<[f64; 3]> {
     let links = &state.t_world_link[..(state.joint_count as usize).min(state.t_world_link.len())];
     let poses = core::iter::once(&state.t_world_base).chain(links);

@@ -1,5 +1,5 @@
-//! Intersects all rays of one image row with one part of the tool. Branch-free for tubes, so that the loops vectorise; same bits as
-//! [`SeenPart::cross`].
+//! Intersects all rays of one image row with one part of the tool. Branch-free for tubes, so that the loops
+//! vectorise; same bits as [`SeenPart::cross`].
 
 use core::ops::Range;
 
@@ -137,8 +137,8 @@ impl Tube {
         }
     }
 
-    /// Same as [`SeenPart::cross`], operation by operation. False if a ray is exactly parallel to the axis or to an end: use
-    /// [`SeenPart::cross`] then.
+    /// Same as [`SeenPart::cross`], operation by operation. False if a ray is exactly parallel to the axis or
+    /// to an end: use [`SeenPart::cross`] then.
     #[inline(always)]
     fn cross(&self, direction_m: [&[f64]; 3], length_m: &[f64], out: [&mut [f64]; 3]) -> bool {
         let count = length_m.len();
@@ -153,7 +153,7 @@ impl Tube {
             let d = add_scaled(direction, -d_along, self.axis);
             let [rate_a, rate_b] = self.ends.map(|end| dot(direction, end.normal));
             let (a, b) = (self.ends[0].ahead_m / rate_a, self.ends[1].ahead_m / rate_b);
-            // A ray enters by the end that it runs with, and leaves by the other.
+            // The sign of each rate tells whether the ray enters or leaves at that end.
             let (a_enters, b_enters) = (rate_a > 0.0, rate_b < 0.0);
             let enter_a = if a_enters { a } else { f64::NEG_INFINITY };
             let enter_b = if b_enters { b } else { f64::NEG_INFINITY };

@@ -1,9 +1,11 @@
-//! The DRR process: receives every state and every removed voxel, renders the frames that are due, and publishes them.
+//! The DRR process: receives every state and every removed voxel, renders the frames that are due, and
+//! publishes them.
 //!
-//! One thread talks to the other processes while another renders (with as many worker threads as the scene says), so
-//! that no message is lost however long a frame takes. In lockstep every scheduled tick is rendered, and the physics
-//! waits when the renderer falls behind. In real time, a frame that falls due during a render shows the newest state
-//! once the renderer is free. The process publishes which tick a frame will show (`DrrReply`) before it renders it.
+//! One thread talks to the other processes while another renders (with the scene's number of worker threads),
+//! so that no message is lost however long a frame takes. In lockstep every scheduled tick is rendered, and
+//! the physics waits when the renderer falls behind. In real time, a frame that falls due during a render
+//! shows the newest state once the renderer is free. The process publishes which tick a frame will show
+//! (`DrrReply`) before it renders it.
 
 mod ports;
 mod service;
@@ -40,7 +42,7 @@ pub enum DrrProcessError {
     /// The renderer refuses the volume or the C-arm.
     #[error(transparent)]
     Renderer(#[from] DrrError),
-    /// A mesh of the arm that frames show.
+    /// A mesh of the arm shown in frames cannot be used.
     #[error(transparent)]
     ArmMesh(#[from] ArmMeshError),
     /// The scene has no X-ray.
@@ -53,7 +55,7 @@ pub enum DrrProcessError {
     #[error("the rendering thread ended early")]
     WorkerGone,
     /// Signals cannot be handled.
-    #[error("signals cannot be handled: {0}")]
+    #[error("cannot install signal handlers: {0}")]
     Signals(std::io::Error),
 }
 

@@ -45,7 +45,7 @@ impl Ports {
         })
     }
 
-    /// Tells the physics how far this process has come.
+    /// Reports to the physics how far this process has come.
     pub(super) fn report_progress(&self, tick: Tick) -> Result<(), DrrProcessError> {
         self.progress.send(&Progress {
             tick: tick.0,

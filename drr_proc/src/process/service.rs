@@ -32,12 +32,12 @@ const QUEUE: usize = 2;
 const POLL_PERIOD: Duration = Duration::from_millis(2);
 /// Number of states to read before requests are polled again.
 const STATES_PER_ROUND: usize = 32;
-/// Looks at the requests that take all that the queues of all programs hold.
+/// Number of passes that take all requests that the queues of all programs can hold.
 const ROUNDS_OF_REQUESTS: usize = (DRR_REQUEST.max_publishers * DRR_REQUEST.queue_length).div_ceil(LOOKED_AT);
 /// Maximum number of states between progress reports.
 const PROGRESS_TICKS: u64 = 32;
 
-/// A finished frame, and how long it took to render (wall time).
+/// A finished frame with its rendering time (wall time).
 struct Finished {
     rendered: Rendered,
     render_ns: u64,
@@ -63,7 +63,7 @@ pub(super) fn serve(
                 let began_ns = now_ns();
                 let outcome = render_job(&mut renderer, view, &job)
                     .map(|rendered| Finished { rendered, render_ns: now_ns() - began_ns });
-                // The main thread has ended, so end this one too.
+                // The main thread has ended, so this one ends too.
                 if outcomes.send(outcome).is_err() {
                     break;
                 }
@@ -94,7 +94,7 @@ struct Service {
     reported_tick: Tick,
 }
 
-/// What a reply says besides the request and the C-arm.
+/// Contents of a reply besides the request and the C-arm.
 struct ReplyFacts {
     /// Number of the frame that follows; 0 if none does.
     frame_sequence: u64,
@@ -146,7 +146,8 @@ impl Service {
             self.publish_finished()?;
             // A physics process that joins later must learn about this one.
             self.ports.progress.deliver_history()?;
-            // In lockstep a controller that has come back waits for a frame that is out, and no other may follow before it answers.
+            // In lockstep a controller that has reconnected waits for a published frame, and no other can
+            // follow before it answers.
             self.ports.frames.deliver_history()?;
             if let Some(status) = self.ports.status.receive_newest()?
                 && status.message().phase() == Ok(Phase::Ended)
@@ -162,11 +163,12 @@ impl Service {
         self.refuse_waiting()
     }
 
-    /// Renders the last state and what is asked for of it, refuses all other requests, and waits for all frames.
+    /// Renders the last state and the frames requested of it, refuses all other requests, and waits for all
+    /// frames.
     fn finish(mut self) -> Result<(), DrrProcessError> {
         (0..ROUNDS_OF_REQUESTS).try_for_each(|_| self.take_requests())?;
         if let Some(state) = self.newest.take() {
-            // Announced before the first is rendered, so that whoever asked knows that a frame comes.
+            // Announced before the first is rendered, so that requesters know that their frame follows.
             let mut jobs = Vec::new();
             while let Some(due) = self.schedule.last(Tick(state.tick)) {
                 jobs.push(self.announce(&state, due)?);
@@ -183,7 +185,7 @@ impl Service {
         Ok(())
     }
 
-    /// The run is over: refuses the requests that can have no frame any more.
+    /// Refuses the requests that can no longer get a frame, because the run is over.
     fn refuse_waiting(&mut self) -> Result<(), DrrProcessError> {
         for (request, refusal) in self.schedule.end(self.newest_tick()) {
             self.refuse(&request, &refusal)?;
@@ -191,7 +193,7 @@ impl Service {
         (0..ROUNDS_OF_REQUESTS).try_for_each(|_| self.take_requests())
     }
 
-    /// Answers a request with its refusal, and says why.
+    /// Answers a request with its refusal, and reports the reason.
     fn refuse(&mut self, request: &DrrRequest, refusal: &Refusal) -> Result<(), DrrProcessError> {
         let answer = ReplyFacts { frame_sequence: 0, tick: Tick(request.tick), status: refusal.status() };
         self.reply(request, answer, &self.c_arm)?;
@@ -239,7 +241,8 @@ impl Service {
         Ok(self.removals.advance(Tick(state.tick), state.removed_total)?)
     }
 
-    /// Reads pending requests. They are rate-limited per program, so that a flooding program cannot delay frames.
+    /// Reads pending requests. They are rate-limited per program, so that a flooding program cannot delay
+    /// frames.
     fn take_requests(&mut self) -> Result<(), DrrProcessError> {
         let mut refused = Vec::new();
         for _ in 0..LOOKED_AT {
@@ -247,8 +250,7 @@ impl Service {
             let Some(request) = self.ports.requests.receive_valid(malformed)? else { break };
             let from = Connection(request.sender().number());
             if !self.rate_limit.allows(from, now_ns()) {
-                refused
-                    .push("a program requests frames faster than they can be rendered; refused".to_owned());
+                refused.push("a program requests frames faster than the rate limit; refused".to_owned());
                 continue;
             }
             let sender = self.ports.requesters.controller_of(&request);
@@ -281,8 +283,8 @@ impl Service {
         if self.in_flight == 0 { Renderer::Idle } else { Renderer::Busy }
     }
 
-    /// Serves requests that arrived after the state that they ask for: in lockstep no further state may arrive before
-    /// they are answered.
+    /// Serves requests that arrived after the state that they refer to: in lockstep no further state may
+    /// arrive before they are answered.
     fn serve_newest(&mut self) -> Result<(), DrrProcessError> {
         let Some(state) = self.newest.take() else { return Ok(()) };
         self.start_due(&state)?;
@@ -334,7 +336,7 @@ impl Service {
         self.queue(job)
     }
 
-    /// Says that a frame of this state comes; it is the caller's to queue.
+    /// Announces a frame of this state; the caller must queue it.
     fn announce(&mut self, state: &State, due: Due) -> Result<Job, DrrProcessError> {
         let (request, c_arm) = match due {
             Due::Scheduled => (DrrRequest::zeroed(), self.c_arm),

@@ -1,4 +1,5 @@
-//! One target of `trabecula_fuzz` under libFuzzer. `FUZZ_TARGET` names it; `fuzz/run` sets that and the limits.
+//! Runs one target of `trabecula_fuzz` under libFuzzer. `FUZZ_TARGET` selects it; `fuzz/run` sets that and
+//! the limits.
 #![no_main]
 
 use std::path::PathBuf;
@@ -16,7 +17,7 @@ libfuzzer_sys::fuzz_target!(
             eprintln!("FUZZ_TARGET is `{wanted}`, expected one of: {}", names.join(", "));
             std::process::exit(2);
         };
-        // Before libFuzzer reads its folders: one of them may be this one.
+        // Write the seeds before libFuzzer reads its folders, because this may be one of them.
         if let Some(folder) = std::env::var_os("FUZZ_SEEDS").map(PathBuf::from) {
             for (number, seed) in (target.seeds)().iter().enumerate() {
                 let path = folder.join(format!("seed_{number:02}"));

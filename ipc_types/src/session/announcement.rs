@@ -1,4 +1,4 @@
-//! `session.json`: what the host tells programs that join.
+//! `session.json`: what the host announces to programs that join.
 
 use std::collections::BTreeMap;
 use std::os::fd::OwnedFd;
@@ -17,7 +17,7 @@ use crate::scene::{Policy, Wait};
 pub(crate) const ANNOUNCEMENT_FILE: &str = "session.json";
 const RETRY_TIME: Duration = Duration::from_millis(5);
 
-/// Content of `session.json`.
+/// Contents of `session.json`.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct Announcement {
     /// Process number of the host.

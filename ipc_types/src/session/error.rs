@@ -30,14 +30,19 @@ pub enum SessionError {
         searched: Searched,
     },
     /// Several sessions are running and none was named.
-    #[error("{} sessions are running, and none was named: {}; name one (`--session`, `session=` or {SESSION_VARIABLE})", running.len(), listed(running))]
+    #[error(
+        "{} sessions are running: {}; select one with `--session`, `session=` or {SESSION_VARIABLE}",
+        running.len(),
+        listed(running)
+    )]
     SeveralSessions {
         /// Their folders.
         running: Vec<PathBuf>,
     },
-    /// No session has, or could ever have, this name.
+    /// Not a valid session name.
     #[error(
-        "`{given}` cannot be a session: a session's name, which is also its folder's, has {} letters and digits, as `trabecula run` prints it",
+        "`{given}` cannot be a session: expected a session's folder, or its name of {} letters and digits, \
+         as printed by `trabecula run`",
         SessionId::LENGTH
     )]
     NotASession {
@@ -46,16 +51,16 @@ pub enum SessionError {
     },
     /// Other users could read or change the sessions in this folder.
     #[error(
-        "{path}: {cause}; sessions need a folder that only this user owns and can enter: remove this one, or set \
-         XDG_RUNTIME_DIR to such a folder"
+        "{path}: {cause}; sessions need a folder that belongs to this user and is closed to others: remove \
+         this one, or set XDG_RUNTIME_DIR to such a folder"
     )]
     Unfit {
         /// The folder.
         path: PathBuf,
-        /// What is wrong with it.
+        /// The defect.
         cause: Unfit,
     },
-    /// No random numbers for a session name that nobody can guess.
+    /// No random numbers for an unguessable session name.
     #[error("cannot read random numbers from the system ({cause}); a session needs a random name")]
     NoRandomness {
         /// The system's reason.
@@ -63,7 +68,8 @@ pub enum SessionError {
     },
     /// The hub uses another version of the transport.
     #[error(
-        "the hub of {path} uses iceoryx2 {theirs}, this program {ICEORYX2_VERSION}; build both from the same version"
+        "the hub of {path} uses iceoryx2 {theirs}, this program {ICEORYX2_VERSION}; build both from the same \
+         version"
     )]
     Transport {
         /// Session folder.
@@ -84,7 +90,8 @@ pub enum SessionError {
     },
     /// A service's layout differs from the one this program was built with.
     #[error(
-        "service `{service}`: the hub's {message} has layout {theirs}, this program was built with {ours}; build both from the same version"
+        "service `{service}`: the hub's {message} has layout {theirs}, this program was built with {ours}; \
+         build both from the same version"
     )]
     Layout {
         /// Service name.
@@ -97,15 +104,15 @@ pub enum SessionError {
         ours: String,
     },
     /// The port is reserved for a part of the hub.
-    #[error("only {writers} may write service `{service}`")]
+    #[error("only {writers} may write to service `{service}`")]
     Reserved {
         /// Service name.
         service: String,
-        /// Parts that may write it.
+        /// Parts that may write to it.
         writers: String,
     },
-    /// Another program already is this part of the session.
-    #[error("another program already is the {part} of this session")]
+    /// Another program has already claimed this part of the session.
+    #[error("another program is already the {part} of this session")]
     PartTaken {
         /// The part.
         part: Part,
@@ -118,16 +125,17 @@ pub enum SessionError {
         /// Names in the scene.
         known: String,
     },
-    /// Another controller already writes this service.
+    /// Another program is already connected as this controller.
     #[error(
-        "a controller named `{name}` is already connected to this session; only one can use the name at a time"
+        "a controller named `{name}` is already connected to this session; only one can use the name at a \
+         time"
     )]
     ControllerTaken {
         /// The controller's name.
         name: String,
     },
     /// The service has no free slot.
-    #[error("service `{service}`: {limit} programs already {what} it, which is the limit; end one of them")]
+    #[error("service `{service}`: {limit} programs already {what} it, which is the limit; stop one of them")]
     Crowded {
         /// Service name.
         service: String,
@@ -138,7 +146,8 @@ pub enum SessionError {
     },
     /// Not enough shared memory.
     #[error(
-        "/dev/shm: {bytes} bytes of shared memory for service `{service}` cannot be reserved ({cause}); free some space or enlarge /dev/shm"
+        "/dev/shm: {bytes} bytes of shared memory for service `{service}` cannot be reserved ({cause}); free \
+         some space or enlarge /dev/shm"
     )]
     SharedMemory {
         /// Service name.
@@ -153,9 +162,9 @@ pub enum SessionError {
     NoSharedMemory {
         /// Service name.
         service: String,
-        /// What failed.
+        /// The failed action.
         action: &'static str,
-        /// Why, and what to do about it.
+        /// The reason, and what to do about it.
         cause: String,
     },
     /// Any other iceoryx2 error.
@@ -163,14 +172,14 @@ pub enum SessionError {
     Transported {
         /// Service name.
         service: String,
-        /// What failed.
+        /// The failed action.
         action: &'static str,
         /// iceoryx2's reason.
         cause: String,
     },
 }
 
-/// Folders of sessions in a text.
+/// Joins session folders into one text.
 fn listed(folders: &[PathBuf]) -> String {
     folders.iter().map(|folder| foreign_path(folder).to_string()).collect::<Vec<_>>().join(", ")
 }

@@ -1,10 +1,11 @@
-//! A session's folder: creates, locks, checks and removes it. All operations go through its handle, so that what was checked is what is
-//! changed.
+//! A session's folder: creates, locks, checks and removes it. All operations go through its handle, so that
+//! what was checked is what is changed.
 //!
-//! The host holds a lock on the folder for as long as it lives, and the kernel releases it however the host ends. The lock is the only
-//! proof that a session is alive: a process number may have been reused or mean another process in a container, and a name may have been
-//! removed (by a logout, or a cleaner of `/tmp`; well-behaved ones leave locked folders alone). The marker file names the session; a folder
-//! without one is no session.
+//! The host holds a lock on the folder for as long as it lives, and the kernel releases it however the host
+//! ends. The lock is the only proof that a session is alive: a process number may have been reused or belong
+//! to another process in a container, and a name may have been removed (by a logout, or a cleaner of `/tmp`;
+//! well-behaved ones leave locked folders alone). The marker file names the session; a folder without one is
+//! not a session.
 
 use std::ffi::CStr;
 use std::fs::File;
@@ -25,16 +26,17 @@ use super::{SessionError, file_error};
 use crate::messages::{Blame, EventCode};
 use crate::shared_memory::{Identity, SharedMemory};
 
-/// File that holds the session's name.
+/// File with the session's name.
 const MARKER: &str = "session.id";
-/// File that tells in which `/dev/shm` the session's memory is: programs in two containers may share the folder and not the memory.
+/// File that identifies the `/dev/shm` that holds the session's memory: programs in two containers can share
+/// the folder but not the memory.
 const MEMORY: &str = "session.memory";
-/// The folder that the transport creates below a session's for its nodes.
+/// The folder that the transport creates below a session's folder for its nodes.
 const NODES: &str = "nodes";
 /// Longest socket name, bytes (unix(7)).
 const MAX_SOCKET_NAME: usize = 108;
-/// Digits of a listener's number in its socket name, in a process that has made ten thousand ports. With more digits the transport refuses
-/// to create the listener.
+/// Digits of a listener's number in its socket name, in a process that has created ten thousand ports. With
+/// more digits the transport refuses to create the listener.
 const LISTENER_DIGITS: usize = 33;
 /// The transport's sockets are `ROOT/PREFIX_NUMBER.event`.
 pub(crate) const MAX_ROOT_PATH: usize =
@@ -52,7 +54,8 @@ pub(crate) struct HostFolder {
 }
 
 impl HostFolder {
-    /// Creates a session folder in `place`. It starts unlocked and empty; without a marker it is no session yet.
+    /// Creates a session folder in `place`. It starts unlocked and empty; without a marker it is not yet a
+    /// session.
     pub(crate) fn create(place: &Place) -> Result<HostFolder, SessionError> {
         let above = place.open_or_make()?;
         loop {
@@ -73,8 +76,9 @@ impl HostFolder {
             match create_file(&handle, MARKER, id.to_string().as_bytes()) {
                 Ok(()) => {
                     let host = HostFolder { path, id, handle, above };
-                    // Before there is any memory, and whole: of half a text no host would know what to do. Without a shared memory the
-                    // session's first node fails, and says why.
+                    // Written before there is any memory, and atomically, because a host could not interpret
+                    // half a text. Without shared memory the session's first node fails and reports the
+                    // reason.
                     if let Ok(here) = Identity::here() {
                         host.write(MEMORY, here.to_string().as_bytes())?;
                     }
@@ -116,13 +120,14 @@ pub(crate) fn create_file(folder: impl AsFd, name: &str, content: &[u8]) -> io::
     File::from(file).write_all(content)
 }
 
-/// Reads a file of a session's folder. Refuses links and anything a read could block on, and reads no more than a session's files can hold.
+/// Reads a file of a session's folder. Refuses links and anything a read could block on, and limits the
+/// length to what a session's files can hold.
 pub(crate) fn read_file(folder: impl AsFd, name: &str) -> io::Result<String> {
     const LONGEST: u64 = 1 << 20;
     let flags = OFlags::RDONLY | OFlags::NOFOLLOW | OFlags::NONBLOCK | OFlags::CLOEXEC;
     let file = File::from(openat(folder, name, flags, Mode::empty())?);
     if !file.metadata()?.is_file() {
-        return Err(io::Error::other("it is no file"));
+        return Err(io::Error::other("not a regular file"));
     }
     let mut text = String::new();
     file.take(LONGEST).read_to_string(&mut text)?;
@@ -132,7 +137,7 @@ pub(crate) fn read_file(folder: impl AsFd, name: &str) -> io::Result<String> {
 /// Opens a session's folder by its path.
 ///
 /// # Errors
-/// [`SessionError::NoSession`] if there is none, [`SessionError::Unfit`] if others can change it.
+/// [`SessionError::NoSession`] if it does not exist, [`SessionError::Unfit`] if others can change it.
 pub(crate) fn open(path: &Path) -> Result<OwnedFd, SessionError> {
     open_private(rustix::fs::CWD, path).map_err(|cause| match cause {
         Unfit::Missing | Unfit::NotAFolder => {
@@ -142,11 +147,12 @@ pub(crate) fn open(path: &Path) -> Result<OwnedFd, SessionError> {
     })
 }
 
-/// Whether the folder's host is running, that is, holds the lock. `folder` must not be the host's own handle.
+/// Returns whether the folder's host is running, that is, holds the lock. `folder` must not be the host's own
+/// handle.
 pub(crate) fn is_locked(folder: impl AsFd) -> bool {
     match flock(folder.as_fd(), FlockOperation::NonBlockingLockShared) {
         Ok(()) => {
-            // Nobody waits for it, and closing the handle would release it anyway.
+            // No process waits for it, and closing the handle would release it anyway.
             let _ = flock(folder, FlockOperation::Unlock);
             false
         }
@@ -154,12 +160,12 @@ pub(crate) fn is_locked(folder: impl AsFd) -> bool {
     }
 }
 
-/// Whether the host of the session in this folder is running.
+/// Returns whether the host of the session in this folder is running.
 pub fn host_is_alive(folder: &Path) -> bool {
     open(folder).is_ok_and(is_locked)
 }
 
-/// Folders of this user's running sessions: those with this name, or all.
+/// Lists the folders of this user's running sessions: those with this name, or all.
 pub fn running_sessions(name: Option<&str>) -> Vec<PathBuf> {
     let mut found = Vec::new();
     for place in places() {
@@ -174,10 +180,10 @@ pub fn running_sessions(name: Option<&str>) -> Vec<PathBuf> {
     found
 }
 
-/// This user's only announced session, for a program that names none; `None` if none is running.
+/// Returns this user's only announced session, for a program that names none; `None` if none is running.
 ///
 /// # Errors
-/// [`SessionError::SeveralSessions`]: which one is meant is open.
+/// [`SessionError::SeveralSessions`] if the choice is ambiguous.
 pub fn only_session() -> Result<Option<PathBuf>, SessionError> {
     let mut running = announced_sessions();
     match running.len() {
@@ -186,17 +192,17 @@ pub fn only_session() -> Result<Option<PathBuf>, SessionError> {
     }
 }
 
-/// Folders of this user's sessions that can be joined.
+/// Lists the folders of this user's sessions that can be joined.
 pub fn announced_sessions() -> Vec<PathBuf> {
     let mut running = running_sessions(None);
     running.retain(|folder| folder.join(super::ANNOUNCEMENT_FILE).exists());
     running
 }
 
-/// File in which the physics says why it ends a run.
+/// File in which the physics stores why it ends a run.
 const BLAME_FILE: &str = "blame";
 
-/// Leaves why the physics ends a run in the session's folder, before the end is announced.
+/// Stores why the physics ends a run in the session's folder, before the end is announced.
 ///
 /// # Errors
 /// Any system error.
@@ -206,7 +212,7 @@ pub(crate) fn write_blame(folder: impl AsFd, blame: &Blame) -> io::Result<()> {
     create_file(folder, BLAME_FILE, content.as_bytes())
 }
 
-/// The blame in the session's folder, if any.
+/// Reads the stored reason from the session's folder, if any.
 pub(crate) fn read_blame(folder: impl AsFd) -> Option<Blame> {
     let content = read_file(folder, BLAME_FILE).ok()?;
     let (code, rest) = content.split_once('\n')?;
@@ -217,7 +223,8 @@ pub(crate) fn read_blame(folder: impl AsFd) -> Option<Blame> {
     Some(Blame { code, controller, text: foreign_line(text).to_string() })
 }
 
-/// Removes the sessions of hosts that are no longer running, in all of this user's places. Returns how many.
+/// Removes the sessions of hosts that are no longer running, in all of this user's places. Returns their
+/// number.
 pub fn wipe_dead_sessions() -> usize {
     places().iter().filter_map(|place| place.open().ok()).map(|sessions| wipe_dead_in(&sessions)).sum()
 }
@@ -226,9 +233,10 @@ fn wipe_dead_in(sessions: &OwnedFd) -> usize {
     session_names(sessions).map(|id| wipe_if_dead(sessions, &id)).filter(|wiped| *wiped).count()
 }
 
-/// Removes a session's folder and memory if it is safe to: a real folder of this user, closed to others, whose lock is free and whose marker
-/// holds its own name; or an empty one, left by a host killed before it wrote the marker. A session whose memory this program does not see is
-/// left to a host that does: without the folder nobody would ever remove the memory.
+/// Removes a session's folder and memory if it is safe to: a real folder of this user, closed to others,
+/// whose lock is free and whose marker holds its own name; or an empty one, left by a host killed before it
+/// wrote the marker. A session whose memory this program does not see is left to a host that does: without
+/// the folder the memory would never be removed.
 fn wipe_if_dead(sessions: &OwnedFd, id: &SessionId) -> bool {
     let name = id.to_string();
     let Ok(folder) = open_private(sessions, Path::new(&name)) else { return false };
@@ -245,8 +253,8 @@ fn wipe_if_dead(sessions: &OwnedFd, id: &SessionId) -> bool {
     }
 }
 
-/// Whether a session's memory is in the `/dev/shm` that this program sees, or is no more: its host was killed before it made any, or in the
-/// middle of its removal.
+/// Returns whether a session's memory is in the `/dev/shm` that this program sees, or no longer exists: its
+/// host was killed before it created any, or during its removal.
 fn has_its_memory_here(folder: &OwnedFd) -> bool {
     match (read_file(folder, MEMORY), Identity::here()) {
         (Ok(there), Ok(here)) => here.holds_what_remains_of(&there),
@@ -255,8 +263,8 @@ fn has_its_memory_here(folder: &OwnedFd) -> bool {
     }
 }
 
-/// Removes a folder in which there is nothing, or nothing but an empty folder of nodes, as a killed client leaves it ([`Remains`]). The system
-/// refuses to remove a folder that is not empty.
+/// Removes a folder that is empty or contains only an empty folder of nodes, as left by a killed client
+/// ([`Remains`]). The system refuses to remove a folder that is not empty.
 fn remove_empty(sessions: &OwnedFd, id: &SessionId, folder: &OwnedFd) -> bool {
     let _ = unlinkat(folder, NODES, AtFlags::REMOVEDIR);
     let is_removed = unlinkat(sessions, id.to_string(), AtFlags::REMOVEDIR).is_ok();
@@ -266,8 +274,9 @@ fn remove_empty(sessions: &OwnedFd, id: &SessionId, folder: &OwnedFd) -> bool {
     is_removed
 }
 
-/// Locks a session's folder unless its host is alive. A host's lock is exclusive, one of a program that only looks ([`is_locked`]) is
-/// shared and gone within microseconds: next to that one the folder is still dead, and the lock is asked for again.
+/// Locks a session's folder unless its host is alive. A host's lock is exclusive; that of a program that only
+/// checks ([`is_locked`]) is shared and released within microseconds, so the session is still dead and the
+/// lock is retried.
 fn lock_if_dead(folder: &OwnedFd) -> bool {
     const TRIES: u32 = 50;
     const PAUSE: Duration = Duration::from_millis(1);
@@ -294,8 +303,8 @@ fn names(folder: impl AsFd) -> Vec<(Box<CStr>, FileType)> {
     others.map(|entry| (entry.file_name().into(), entry.file_type())).collect()
 }
 
-/// Removes a session's shared memory and folder, the marker last, so that the next host can finish an interrupted removal. What is already
-/// gone is no error.
+/// Removes a session's shared memory and folder, the marker last, so that the next host can finish an
+/// interrupted removal. Anything already gone is not an error.
 fn remove(sessions: &OwnedFd, id: &SessionId, folder: &OwnedFd) {
     SharedMemory::remove_all(&id.shared_memory_prefix());
     remove_content(folder, Some(MARKER));
@@ -303,13 +312,14 @@ fn remove(sessions: &OwnedFd, id: &SessionId, folder: &OwnedFd) {
     remove_empty(sessions, id, folder);
 }
 
-/// What a client that joins a session in the moment of its removal creates anew: the folder of nodes, and a segment for all nodes. Removed on
-/// drop, after the client's node, if the session is gone and no other client is left in it.
+/// What a client that joins a session during its removal recreates: the folder of nodes, and a segment for
+/// all nodes. Removed on drop, after the client's node, if the session is gone and no other client is left in
+/// it.
 #[derive(Debug)]
 pub(crate) struct Remains {
     path: PathBuf,
     id: SessionId,
-    /// Tells whether the session is gone.
+    /// Shows whether the session is gone.
     handle: OwnedFd,
 }
 
@@ -325,17 +335,17 @@ impl Drop for Remains {
         if !is_gone {
             return;
         }
-        // The system refuses to remove folders with anything in them.
+        // The system refuses to remove folders that are not empty.
         let _ = unlinkat(CWD, self.path.join(NODES), AtFlags::REMOVEDIR);
         let is_last = !matches!(unlinkat(CWD, &self.path, AtFlags::REMOVEDIR), Err(Errno::NOTEMPTY));
-        // A host whose folder somebody else has removed goes on.
+        // A host continues even if another program has removed its folder.
         if is_last && !is_locked(&self.handle) {
             SharedMemory::remove_all(&self.id.shared_memory_prefix());
         }
     }
 }
 
-/// Removes the content of an open folder, but follows no link.
+/// Removes the content of an open folder without following links.
 fn remove_content(folder: &OwnedFd, kept: Option<&str>) {
     for (name, kind) in names(folder) {
         if kept.is_some_and(|kept| name.to_bytes() == kept.as_bytes()) {

@@ -1,4 +1,5 @@
-//! The host's side of a session: it creates every service before it announces the session, and removes everything at the end.
+//! The host's side of a session: creates every service before announcing the session, and removes everything
+//! at the end.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -30,13 +31,13 @@ pub struct SessionHost {
     pub session: Session,
     _byte_services: Vec<ByteService>,
     _event_services: Vec<EventService>,
-    /// Dropped after everything above: dropping those opens segments, which may be half made.
+    /// Dropped after everything above, because dropping those opens segments, which may be incomplete.
     _sweeper: HalfMadeSweeper,
     /// Removed last.
     folder: HostFolder,
 }
 
-/// What the host needs to know to create a scene's services.
+/// Settings with which the host creates a scene's services.
 #[derive(Debug, Clone)]
 pub struct SessionPlan {
     /// Controllers in the scene's order.
@@ -56,7 +57,8 @@ pub struct SessionPlan {
 }
 
 impl SessionHost {
-    /// Creates a session with all its services. An unusable place is an error before any dead host's session is removed.
+    /// Creates a session with all its services. An unusable place is reported before any dead host's session
+    /// is removed.
     ///
     /// # Errors
     /// Any [`SessionError`] except those of joining.
@@ -128,10 +130,11 @@ impl SessionHost {
         self.write(ANNOUNCEMENT_FILE, text.as_bytes())
     }
 
-    /// Writes a file of the session's folder atomically: who looks meanwhile finds none, the one before, or the whole of this one.
+    /// Writes a file of the session's folder atomically: a reader sees no file, the previous one, or the
+    /// complete new one.
     ///
     /// # Errors
-    /// The folder has been removed, or the disk is full.
+    /// If the folder has been removed or the disk is full.
     pub fn write(&self, name: &str, content: &[u8]) -> Result<(), SessionError> {
         self.folder.write(name, content)
     }

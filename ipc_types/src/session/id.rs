@@ -1,4 +1,4 @@
-//! Session names: random, so that nobody can create files under one in advance.
+//! Session names: random, so that other users cannot create files under one in advance.
 
 use std::fmt::{self, Display, Formatter};
 use std::path::Path;
@@ -10,8 +10,8 @@ use super::{ANNOUNCEMENT_FILE, SessionError};
 
 /// A session's name: [`SessionId::LENGTH`] letters and digits from the system's random number generator.
 ///
-/// Nobody can guess it and plant files under the names a session will use. It also differs between two hubs with the same process number,
-/// in two containers that share `/dev/shm`.
+/// It cannot be guessed, so nothing can be planted under the names a session will use. It also differs
+/// between two hubs with the same process number, in two containers that share `/dev/shm`.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct SessionId(String);
 
@@ -21,7 +21,7 @@ impl SessionId {
     /// 62^11 is more than 2^64.
     pub const LENGTH: usize = 11;
 
-    /// A new random name.
+    /// Draws a new random name.
     ///
     /// # Errors
     /// [`SessionError::NoRandomness`].
@@ -31,7 +31,8 @@ impl SessionId {
             let mut bytes = [0; 4 * SessionId::LENGTH];
             getrandom::fill(&mut bytes)
                 .map_err(|cause| SessionError::NoRandomness { cause: cause.to_string() })?;
-            // Six bits per digit. Values beyond the 62 digits are skipped, so that all digits are equally likely.
+            // Six bits per digit. Values beyond the 62 digits are skipped, so that all digits are equally
+            // likely.
             let digits = bytes.iter().filter_map(|byte| DIGITS.get(usize::from(byte & 63)));
             text.extend(digits.map(|digit| char::from(*digit)));
         }
@@ -39,21 +40,22 @@ impl SessionId {
         Ok(SessionId(text))
     }
 
-    /// Accepts only a well-formed session name.
+    /// Parses a session name; `None` if it is malformed.
     pub fn parse(name: &str) -> Option<SessionId> {
         let fits = name.len() == SessionId::LENGTH && name.bytes().all(|byte| byte.is_ascii_alphanumeric());
         fits.then(|| SessionId(name.to_owned()))
     }
 
-    /// The session that a folder belongs to, by its name.
+    /// Returns the session that a folder belongs to, by its name.
     pub fn of(folder: &Path) -> Option<SessionId> {
         last_name(folder).and_then(SessionId::parse)
     }
 
-    /// Whether a name or folder could ever be a session's; if not, waiting for it is pointless.
+    /// Checks whether a name or folder could ever be a session's; if not, waiting for it is pointless.
     ///
     /// # Errors
-    /// [`SessionError::NotASession`]: no hub gives such a name, and no other version has announced itself there.
+    /// [`SessionError::NotASession`] if no hub gives such a name and no other version has announced itself
+    /// there.
     pub fn can_be(folder: &Path) -> Result<(), SessionError> {
         match SessionId::of(folder).is_some() || folder.join(ANNOUNCEMENT_FILE).exists() {
             true => Ok(()),
@@ -61,18 +63,18 @@ impl SessionId {
         }
     }
 
-    /// Prefix of its shared-memory names; it contains the transport's version.
+    /// Returns the prefix of its shared-memory names; it contains the transport's version.
     pub fn shared_memory_prefix(&self) -> String {
         prefix_of(&self.0)
     }
 }
 
-/// The prefix for any name; the message reference uses a placeholder.
+/// Returns the prefix for any name; the message reference uses a placeholder.
 pub(crate) fn prefix_of(name: &str) -> String {
     format!("trabecula010_{name}_")
 }
 
-/// Bytes of [`SessionId::shared_memory_prefix`].
+/// Length of [`SessionId::shared_memory_prefix`], bytes.
 pub(crate) const PREFIX_LENGTH: usize = "trabecula010_".len() + SessionId::LENGTH + "_".len();
 
 impl Display for SessionId {

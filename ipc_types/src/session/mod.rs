@@ -1,8 +1,9 @@
 //! A session: one hub's services in shared memory, isolated from those of every other hub on the machine.
 //!
-//! The launcher is the host. It creates every service before it announces the session in `session.json`, because a process killed while
-//! creating a service makes the name unusable for good (measured with iceoryx2 0.10). Clients only open services. The host removes the
-//! session's folder and shared memory when it ends; if it was killed, the next host to start removes them.
+//! The launcher is the host. It creates every service before it announces the session in
+//! `session.json`, because a process killed while creating a service makes the name unusable for good
+//! (measured with iceoryx2 0.10). Clients only open services. The host removes the session's folder
+//! and shared memory when it ends; if it was killed, the next host to start removes them.
 
 mod announcement;
 mod error;
@@ -40,9 +41,9 @@ pub use places::{Place, Searched, Unfit, open_private, passed_over, places};
 
 /// The hub's iceoryx2 version; programs with another version cannot join.
 pub const ICEORYX2_VERSION: &str = "0.10.0";
-/// Environment variable: the folder of the session to join.
+/// Environment variable with the folder of the session to join.
 pub const SESSION_VARIABLE: &str = "TRABECULA_SESSION";
-/// Environment variable: the controller that a program is.
+/// Environment variable with the name of the controller that a program connects as.
 pub const CONTROLLER_VARIABLE: &str = "TRABECULA_CONTROLLER";
 
 /// The file of the shared page in a session's folder.
@@ -55,7 +56,7 @@ pub(crate) type EventService = Own<event::PortFactory<ipc::Service>>;
 #[derive(Debug)]
 pub struct Session {
     pub(crate) folder: PathBuf,
-    /// The open folder: tells whether the host is alive even after the folder's name is gone.
+    /// The open folder: shows whether the host is alive even after the folder's name is gone.
     pub(crate) handle: OwnedFd,
     pub(crate) id: SessionId,
     pub(crate) announcement: Announcement,
@@ -103,7 +104,7 @@ impl Reader {
     }
 }
 
-/// Name of the event service that wakes a part.
+/// Returns the name of the event service that wakes a part.
 fn wake_of(part: Part) -> String {
     format!("wake/{}", part.name())
 }

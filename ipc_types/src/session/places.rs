@@ -1,7 +1,8 @@
-//! Where this user's sessions are: in one folder of their own below the user's run-time folder, or below `/tmp`.
+//! Where this user's sessions are: in a dedicated folder below the user's run-time folder, or below `/tmp`.
 //!
-//! A host takes the first usable place, and reports which one it skipped and why; a problem with the sessions folder itself is an error. A
-//! client searches all places, because programs of one user (a desktop, an ssh connection, cron) do not all have the same environment.
+//! A host takes the first usable place, and reports which one it skipped and why; a problem with the sessions
+//! folder itself is an error. A client searches all places, because one user's programs (a desktop, an ssh
+//! connection, cron) do not all have the same environment.
 
 use std::ffi::{OsStr, OsString};
 use std::fmt::{self, Display, Formatter};
@@ -16,14 +17,15 @@ use super::SessionError;
 use super::folder::MAX_ROOT_PATH;
 use super::id::SessionId;
 
-/// Name of the folder that holds only sessions. No clone of this repository and no user's folder is called that.
+/// Name of the folder that holds only sessions; chosen so that no clone of this repository and no user's
+/// folder has it.
 const NAME: &str = "trabecula-hubs";
 const VARIABLE: &str = "XDG_RUNTIME_DIR";
 /// Default run-time folder, for programs started without the environment variable.
 const RUN_USER: &str = "/run/user";
 const TEMPORARY: &str = "/tmp";
 
-/// Why a folder may not hold sessions.
+/// Why a folder cannot hold sessions.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 pub enum Unfit {
     /// The variable is empty.
@@ -42,7 +44,7 @@ pub enum Unfit {
     #[error("it is not a folder")]
     NotAFolder,
     /// It belongs to another user, who could change its content.
-    #[error("it belongs to user {owner}, this program runs this user ({user})")]
+    #[error("it belongs to user {owner}, but this program runs as user {user}")]
     NotOwn {
         /// Its owner.
         owner: u32,
@@ -62,7 +64,7 @@ pub enum Unfit {
         mode: u32,
     },
     /// The path is too long: the transport's socket names have at most 108 bytes.
-    #[error("it has {bytes} bytes; above {limit} bytes the socket paths inside it get too long")]
+    #[error("its path has {bytes} bytes; beyond {limit} bytes the socket paths inside it are too long")]
     TooLong {
         /// Length of the path, bytes.
         bytes: usize,
@@ -74,7 +76,7 @@ pub enum Unfit {
     System(Errno),
 }
 
-/// A place that may hold sessions.
+/// A place that can hold sessions.
 #[derive(Debug, Clone)]
 pub struct Place {
     /// The sessions folder.
@@ -126,7 +128,7 @@ fn open_folder(above: impl AsFd, path: &Path) -> Result<OwnedFd, Unfit> {
 /// Opens a folder if it belongs to this user, is not a link, and is closed to others.
 ///
 /// # Errors
-/// What is wrong with it.
+/// [`Unfit`], the reason for refusing it.
 pub fn open_private(above: impl AsFd, path: &Path) -> Result<OwnedFd, Unfit> {
     let folder = open_folder(above, path)?;
     private(&rustix::fs::fstat(&folder).map_err(Unfit::System)?)?;
@@ -142,7 +144,7 @@ impl Place {
         place
     }
 
-    /// The sessions folder.
+    /// Returns the sessions folder.
     pub fn path(&self) -> &Path {
         &self.sessions
     }
@@ -180,7 +182,7 @@ impl Place {
     /// Opens the sessions folder.
     ///
     /// # Errors
-    /// What is wrong with it, or that it does not exist.
+    /// The reason for refusing it, or [`Unfit::Missing`].
     pub(crate) fn open(&self) -> Result<OwnedFd, Unfit> {
         let name = self.sessions.file_name().unwrap_or(OsStr::new(NAME));
         open_private(self.open_above()?, Path::new(name))
@@ -203,7 +205,7 @@ impl Display for Place {
     fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
         match (&self.unfit, self.open()) {
             (Some(cause), _) => write!(f, "{} (not used: {cause})", self.above_as_named()),
-            (None, Err(Unfit::Missing)) => write!(f, "{} (not there)", self.sessions.display()),
+            (None, Err(Unfit::Missing)) => write!(f, "{} (does not exist)", self.sessions.display()),
             (None, Err(cause)) => write!(f, "{} (not used: {cause})", self.sessions.display()),
             (None, Ok(_)) => write!(f, "{}", self.sessions.display()),
         }
@@ -219,7 +221,7 @@ impl Place {
     }
 }
 
-/// Every place, in the order a host tries them.
+/// Lists every place, in the order in which a host tries them.
 pub fn places() -> Vec<Place> {
     places_of(std::env::var_os(VARIABLE), rustix::process::geteuid().as_raw())
 }
@@ -237,9 +239,10 @@ fn places_of(variable: Option<OsString>, user: u32) -> Vec<Place> {
     all
 }
 
-/// The place that a host takes, and a note about the one it skipped.
+/// Returns the place that a host takes, and a note about the one it skipped.
 ///
-/// Never takes a folder that the environment does not name: a run started by cron would lose it when the user's last login ends.
+/// Never takes a folder that the environment does not name: a run started by cron would lose it when the
+/// user's last login ends.
 pub(crate) fn choose(all: &[Place]) -> Option<(&Place, Option<String>)> {
     let chosen = all.iter().find(|place| place.kind != Kind::Usual && place.unfit.is_none())?;
     let passed = all.iter().find(|place| place.kind == Kind::Named).and_then(|place| {
@@ -250,12 +253,12 @@ pub(crate) fn choose(all: &[Place]) -> Option<(&Place, Option<String>)> {
     Some((chosen, passed))
 }
 
-/// A note about a run-time folder that the environment names but that holds no sessions.
+/// Returns a note about a run-time folder that the environment names but that cannot hold sessions.
 pub fn passed_over() -> Option<String> {
     choose(&places()).and_then(|(_, passed)| passed)
 }
 
-/// Where a session was searched for, and what was found there.
+/// The places searched for a session, and their states.
 #[derive(Debug, Clone)]
 pub struct Searched {
     name: Option<String>,
@@ -263,12 +266,12 @@ pub struct Searched {
 }
 
 impl Searched {
-    /// All places of this user; `name` is the session's, if given.
+    /// Lists all places of this user; `name` is the session's, if given.
     pub fn places(name: Option<&str>) -> Searched {
         Searched { name: name.map(str::to_owned), places: places() }
     }
 
-    /// A single folder.
+    /// Lists a single folder.
     pub fn folder(folder: &Path) -> Searched {
         Searched { name: Some(folder.display().to_string()), places: Vec::new() }
     }
@@ -285,13 +288,13 @@ impl Display for Searched {
         let user = rustix::process::geteuid().as_raw();
         write!(
             f,
-            "; start one with `trabecula run SCENE` as this user ({user}): sessions of other users, and those \
-             whose folder was removed, cannot be joined"
+            "; start one with `trabecula run SCENE` as this user ({user}): sessions of other users, and \
+             those whose folder was removed, cannot be joined"
         )
     }
 }
 
-/// The path's last component, if it is a plain name.
+/// Returns the path's last component, if it is a plain name.
 pub(crate) fn last_name(path: &Path) -> Option<&str> {
     match path.components().next_back()? {
         Component::Normal(name) => name.to_str(),
@@ -342,17 +345,18 @@ mod tests {
                 Path::new("/tmp"),
                 if rustix::process::geteuid().is_root() { "mode is 1777" } else { "belongs to user" },
             ),
-            (&long, "the socket paths inside it get too long"),
+            (&long, "the socket paths inside it are too long"),
         ] {
             let (place, said) = chosen(Some(given.as_os_str()));
             assert_eq!(place, temporary, "{}", given.display());
             let said = said.unwrap();
             assert!(said.contains(reason) && said.contains(VARIABLE), "{}: {said}", given.display());
         }
-        assert!(!own.join("n").exists(), "nothing is made on the way");
+        assert!(!own.join("n").exists(), "nothing is created on the way");
     }
 
-    /// A run from cron, `sudo` or ssh lacks the variable that a desktop has: each must be found where the other would create it.
+    /// A run from cron, `sudo` or ssh lacks the variable that a desktop has: each must be found where the
+    /// other would create it.
     #[test]
     fn every_place_is_looked_in_and_named() {
         let user = rustix::process::geteuid().as_raw();

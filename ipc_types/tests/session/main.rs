@@ -159,8 +159,8 @@ fn a_sleeping_reader_is_woken() {
     assert_eq!(reader.join().unwrap(), (0..200).collect::<Vec<_>>());
 }
 
-/// A wait shorter than a microsecond must end: passed to the kernel as 0 µs it would mean no limit, and on a loaded machine the recorder
-/// would sleep through whole runs.
+/// A wait shorter than a microsecond must end: passed to the kernel as 0 µs it would mean no limit, and on a
+/// loaded machine the recorder would sleep through whole runs.
 #[test]
 fn a_wait_ends_however_near_its_deadline_is() {
     let host = SessionHost::create(&plan(&[])).unwrap();
@@ -180,7 +180,7 @@ fn a_wait_ends_however_near_its_deadline_is() {
     is_done.recv_timeout(Duration::from_secs(60)).expect("every wait ends");
 }
 
-/// The hub must not be reported gone when only its folder's name is.
+/// The hub must not be reported gone when only its folder's name is gone.
 #[test]
 fn a_host_whose_folder_was_removed_is_alive_to_its_clients_and_cannot_be_joined() {
     let host = SessionHost::create(&plan(&["left"])).unwrap();
@@ -236,7 +236,7 @@ fn a_port_asks_for_the_memory_that_it_reserves() {
     reckoned(services::EVENT, before);
 }
 
-/// Another program must not be able to take the port of an absent part and have its messages believed.
+/// Another program must not be able to take the port of an absent part and have its messages accepted.
 #[test]
 fn a_port_of_a_part_is_refused_to_others_and_what_they_send_is_passed_over() {
     let host = SessionHost::create(&plan(&["left"])).unwrap();
@@ -247,7 +247,7 @@ fn a_port_of_a_part_is_refused_to_others_and_what_they_send_is_passed_over() {
     let taken = stranger.claim(Part::Physics).unwrap_err();
     assert!(matches!(taken, SessionError::PartTaken { part: Part::Physics }), "{taken}");
     let refusal = stranger.publisher::<Keyframe>(&services::KEYFRAME).unwrap_err();
-    assert!(refusal.to_string().contains("only the physics may write service `keyframe`"), "{refusal}");
+    assert!(refusal.to_string().contains("only the physics may write to service `keyframe`"), "{refusal}");
     // With the transport alone, bypassing our library.
     let service =
         stranger.node().service_builder(&"keyframe".try_into().unwrap()).publish_subscribe::<[u8]>();
@@ -296,15 +296,15 @@ fn a_killed_sleeping_reader_costs_its_writers_nothing() {
     sleeper.kill().unwrap();
     sleeper.wait().unwrap();
     let calls = (0..1000).filter(|_| waker.try_to_wake()).count();
-    assert!(calls <= 1000 / 64 + 2, "{calls} system calls for 1000 messages to nobody");
-    // A reader that comes back is woken at once.
+    assert!(calls <= 1000 / 64 + 2, "{calls} system calls for 1000 messages to no reader");
+    // A reader that reconnects is woken immediately.
     let back = Session::join(host.session.folder()).unwrap();
     let _waiter = back.waiter(Reader::Controller(ControllerIndex(0))).unwrap();
     assert!(waker.try_to_wake());
 }
 
-/// The launcher wrote where a run is recorded in two steps, and why it ended likewise: a viewer that looked in between waited for a log of no
-/// name, and a recorder could call a stopped run complete.
+/// Regression: the launcher wrote a run's log path, and the reason for its end, in two steps. A viewer that
+/// looked in between waited for a log without a name, and a recorder could report a stopped run as complete.
 #[test]
 fn a_file_of_the_host_is_seen_whole_or_not_at_all() {
     const FILES: usize = 500;

@@ -1,4 +1,4 @@
-//! What remains of sessions: who removes it, and what is never removed.
+//! Remains of sessions: which are removed, by which host, and which never.
 
 use std::fs::{self, File, Permissions};
 use std::os::unix::fs::PermissionsExt;
@@ -17,8 +17,9 @@ fn sessions() -> (PathBuf, SessionHost) {
     (host.session.folder().parent().unwrap().to_owned(), host)
 }
 
-/// A private folder with a session's name, as a killed host leaves it, but changed by `change` before any host can see it: until then its
-/// name is none of a session's. The hosts of other tests, which run at the same time, would remove it.
+/// A private folder with a session's name, as a killed host leaves it, but changed by `change` before any
+/// host can see it: until then it does not have a session's name. The hosts of other tests, which run at the
+/// same time, would otherwise remove it.
 fn changed(sessions: &Path, change: impl FnOnce(&Path, &str)) -> Placed {
     let hidden = tempfile::Builder::new().prefix("hidden-").rand_bytes(11).tempdir_in(sessions).unwrap();
     let name = name_of(hidden.path()).replace("hidden-", "");
@@ -39,7 +40,8 @@ impl Drop for Placed {
     }
 }
 
-/// A private folder with a session's name and its lock: once the lock is dropped it is as a killed host leaves it.
+/// A private folder with a session's name and its lock: once the lock is dropped, it is as a killed host
+/// leaves it.
 fn locked(sessions: &Path) -> (TempDir, File) {
     let folder = tempfile::Builder::new().prefix("").rand_bytes(11).tempdir_in(sessions).unwrap();
     let lock =
@@ -86,8 +88,8 @@ fn the_session_of_a_dead_host_is_wiped_by_the_next_host() {
     assert!(first.session.host_is_alive() && host_is_alive(first.session.folder()));
 }
 
-/// Whoever looks whether a host is alive holds a shared lock for a moment. A host that looked for dead sessions in that moment left this one
-/// behind.
+/// Regression: a program that checks whether a host is alive briefly holds a shared lock. A host that
+/// searched for dead sessions in that moment left this one behind.
 #[test]
 fn a_dead_session_that_somebody_looks_at_is_wiped_all_the_same() {
     let (sessions, _host) = sessions();
@@ -103,7 +105,7 @@ fn a_dead_session_that_somebody_looks_at_is_wiped_all_the_same() {
             });
             ipc_types::session::wipe_dead_sessions();
         });
-        // The host of another test may have begun to remove it, and not finished.
+        // The host of another test may have started to remove it without finishing.
         let limit = Instant::now() + Duration::from_secs(5);
         while dead.path().exists() && Instant::now() < limit {
             std::thread::sleep(Duration::from_millis(1));
@@ -112,7 +114,7 @@ fn a_dead_session_that_somebody_looks_at_is_wiped_all_the_same() {
     }
 }
 
-/// Only dead sessions may be removed, never other folders beside them: sources, homes behind links.
+/// Only dead sessions may be removed, never other folders beside them, such as sources or homes behind links.
 #[test]
 fn a_folder_of_the_users_is_never_wiped() {
     let (sessions, first) = sessions();
@@ -151,7 +153,7 @@ fn a_folder_of_the_users_is_never_wiped() {
         });
         all.push(&foreign.0);
     } else {
-        println!("\n*** SKIPPED in part: only root can make another user's folder ***\n");
+        println!("\n*** SKIPPED in part: only root can create another user's folder ***\n");
     }
     // A link with a session's name, to a folder with everything that a session has.
     let home = tempfile::tempdir().unwrap();
@@ -203,8 +205,8 @@ fn a_session_in_the_making_is_not_taken_for_a_dead_one() {
     });
 }
 
-/// A hub in a container with a `/dev/shm` of its own, and this one's `/tmp`, removed the folder of a killed hub's session. Nobody knew of its
-/// memory any more, and 130 MB stayed for good.
+/// Regression: a hub in a container with its own `/dev/shm` but this machine's `/tmp` removed the folder of a
+/// killed hub's session. Its memory, 130 MB, was then never removed.
 #[test]
 fn a_dead_session_is_left_to_a_host_that_sees_its_memory() {
     let (sessions, host) = sessions();
@@ -226,7 +228,8 @@ fn a_dead_session_is_left_to_a_host_that_sees_its_memory() {
     }
 }
 
-/// Whether it goes: the host of another test may have begun to remove it, and not finished.
+/// Returns whether the path disappears: the host of another test may have started to remove it without
+/// finishing.
 fn gone(path: &Path) -> bool {
     let limit = Instant::now() + Duration::from_millis(200);
     while path.exists() && Instant::now() < limit {
@@ -235,7 +238,8 @@ fn gone(path: &Path) -> bool {
     !path.exists()
 }
 
-/// A client's node creates the folder of nodes and a segment. Where that was in the moment of the session's removal, they stayed for good.
+/// Regression: a client's node creates the folder of nodes and a segment. If that happened during the
+/// session's removal, they were never removed.
 #[test]
 fn clients_that_join_while_a_session_is_removed_leave_nothing() {
     const CLIENTS: u64 = 3;

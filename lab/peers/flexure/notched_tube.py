@@ -1,17 +1,21 @@
-"""Finite elements of the notched tube of `trabecula-lab chart flexure`: one flexure, and the middle one of three.
+"""Finite elements of the notched tube of `trabecula-lab chart flexure`: one flexure, and the middle one of
+three.
 
-Input: a folder with flexure.json (geometry in mm, Poisson's ratio, mesh sizes, number of flexures). Prints one line per flexure count
-and mesh: `stiffness FLEXURES SIZE_MM UNKNOWNS AXIAL SHEAR_TOWARD SHEAR_ACROSS BENDING LATERAL TORSION`, for a modulus of 1 Pa, in
-N/m and N m/rad; then `chain ...` with the same figures from the compliance of the whole sample, three flexures less one (shear: nan).
+Input: a folder with flexure.json (geometry in mm, Poisson's ratio, mesh sizes, number of flexures). Prints
+one line per number of flexures and mesh: `stiffness FLEXURES SIZE_MM UNKNOWNS AXIAL SHEAR_TOWARD SHEAR_ACROSS
+BENDING LATERAL TORSION`, for a modulus of 1 Pa, in N/m and N m/rad; then `chain ...` with the same figures
+from the compliance of the whole sample: three flexures minus one (shear: nan).
 
-The tube is cut by slots with round ends, alternately from -x and +x, past the axis. What is left between two slots are two webs at
-y = +-(mean radius). The lower end is clamped, the upper end a rigid plate that carries a force or moment. Quadratic tetrahedra (gmsh), the
-half y >= 0 with symmetric or antisymmetric conditions, linear elasticity and the solution by scikit-fem and SciPy.
+The tube is cut by slots with round ends, alternately from -x and +x, past the axis. Between two slots remain
+two webs at y = +-(mean radius). The lower end is clamped; the upper end is a rigid plate loaded by a force or
+moment. Quadratic tetrahedra (gmsh), the half y >= 0 with symmetric or antisymmetric conditions, linear
+elasticity and the solution by scikit-fem and SciPy.
 
-A flexure's stiffness is force over the relative motion of the two half rings beside it, at the middle of the web. The motion of a half
-ring is the rigid motion nearest to that of its nodes, in the sense of least squares, half a tube radius and more away from the webs.
-Shear in the bending plane is a hundredth of what the same force bends over a pitch: it is measured with a pair of forces along x at the
-height of the web, on the half rings just behind the slots' ends, which bends nothing.
+A flexure's stiffness is force over the relative motion of the two adjacent half rings, at the middle of the
+web. The motion of a half ring is the rigid motion that fits its nodes best in the least-squares sense, half a
+tube radius or more away from the webs. Shear in the bending plane is a hundredth of the bending by the same
+force over a pitch, so it is measured with a pair of forces along x at the height of the web, on the half
+rings just behind the slots' ends, which causes no bending.
 """
 import json
 import sys
@@ -36,7 +40,7 @@ ORDER = ["axial", "shear_toward", "shear_across", "bending", "lateral", "torsion
 
 
 def slots(flexures):
-    """Height and side of each slot; the flexures lie midway between them, the first below."""
+    """Returns height and side of each slot; the flexures are midway between them, the first one below."""
     first = -0.5 * flexures * PITCH
     return [(first + k * PITCH, -1 if k % 2 == 0 else 1) for k in range(flexures + 1)]
 
@@ -59,11 +63,12 @@ def mesh(flexures, size):
     occ.cut([(3, tube)], cut)
     occ.synchronize()
     field = gmsh.model.mesh.field
-    # Fine about the webs, coarse elsewhere.
+    # Fine around the webs, coarse elsewhere.
     near = field.add("Box")
     for name, value in {
-            "VIn": size, "VOut": 4 * size, "XMin": -1.2 * PAST - 0.3, "XMax": 1.2 * PAST + 0.3, "YMin": 0, "YMax": OUTER,
-            "ZMin": -0.5 * flexures * PITCH - 0.2, "ZMax": 0.5 * flexures * PITCH + 0.2, "Thickness": 1.5}.items():
+            "VIn": size, "VOut": 4 * size, "XMin": -1.2 * PAST - 0.3, "XMax": 1.2 * PAST + 0.3,
+            "YMin": 0, "YMax": OUTER, "ZMin": -0.5 * flexures * PITCH - 0.2,
+            "ZMax": 0.5 * flexures * PITCH + 0.2, "Thickness": 1.5}.items():
         field.setNumber(near, name, value)
     field.setAsBackgroundMesh(near)
     for option in ["MeshSizeExtendFromBoundary", "MeshSizeFromPoints", "MeshSizeFromCurvature"]:
@@ -77,7 +82,8 @@ def mesh(flexures, size):
     gmsh.finalize()
     points, corners = points.reshape(-1, 3).T, place[corners.astype(int)].reshape(-1, 4).T
     used, corners = np.unique(corners, return_inverse=True)
-    return skfem.MeshTet(np.ascontiguousarray(points[:, used]), np.ascontiguousarray(corners.reshape(4, -1))), top
+    return skfem.MeshTet(
+        np.ascontiguousarray(points[:, used]), np.ascontiguousarray(corners.reshape(4, -1))), top
 
 
 @skfem.BilinearForm
@@ -88,7 +94,9 @@ def elasticity(u, v, _):
 
 
 def rigid(points, about):
-    """Displacements of points for unit (ux, uy, uz, turns about x, y, z) at `about`: 3 x points x 6."""
+    """Returns displacements of points for unit (ux, uy, uz, rotations about x, y, z) at `about`: 3 x points x
+    6.
+    """
     d = points - np.asarray(about)[:, None]
     out = np.zeros((3, points.shape[1], 6))
     for a in range(3):
@@ -117,7 +125,9 @@ class Sample:
         return component
 
     def solve(self, loads, symmetric):
-        """Displacements (unknowns x loads) and the plate's motion for unit loads at the middle of the sample."""
+        """Returns displacements (unknowns x loads) and the plate's motion for unit loads at the middle of the
+        sample.
+        """
         component, x = self.component(), self.x
         plane = np.abs(x[1]) < 1e-9
         fixed = plane & (component == 1) if symmetric else plane & (component != 1)
@@ -139,17 +149,22 @@ class Sample:
         if symmetric:
             apart = self.apart()
             right = np.hstack([right, 0.5 * (t.T @ apart)[:, None]])
-        solved = linalg.splu(k, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True}, diag_pivot_thresh=0.01).solve(right)
+        solved = linalg.splu(
+            k, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True},
+            diag_pivot_thresh=0.01).solve(right)
         if symmetric:
             self.stretch = apart @ (t @ solved[:, -1])
         return t @ solved, solved[len(free):]
 
     def apart(self):
-        """The functional that gives how far the half rings move apart along x just behind the ends of the middle web."""
+        """Returns the functional for the separation of the half rings along x just behind the ends of the
+        middle web.
+        """
         @skfem.LinearForm
         def on_side(v, w):
             x, _, z = w.x
-            return v[0] * ((w.side * x > PAST) & (w.side * x < 2 * PAST) & (np.abs(z) < 0.5 * (PITCH - WIDTH)))
+            return v[0] * (
+                (w.side * x > PAST) & (w.side * x < 2 * PAST) & (np.abs(z) < 0.5 * (PITCH - WIDTH)))
 
         along, component = [], self.component()
         for side in (1, -1):
@@ -158,8 +173,11 @@ class Sample:
         return along[0] - along[1]
 
     def body(self, u, z, side, modes, about):
-        """Rigid motion of the half ring at height z on a side (modes only, the others vanish by symmetry)."""
-        return self.nearest(u, (side * self.x[0] > 0.5 * OUTER) & (np.abs(self.x[2] - z) < 0.5 * PITCH), modes, about)
+        """Returns the rigid motion of the half ring at height z on a side (`modes` only, the others vanish by
+        symmetry).
+        """
+        return self.nearest(
+            u, (side * self.x[0] > 0.5 * OUTER) & (np.abs(self.x[2] - z) < 0.5 * PITCH), modes, about)
 
     def nearest(self, u, where, modes, about):
         x, component = self.x, self.component()
@@ -169,7 +187,7 @@ class Sample:
         return np.linalg.lstsq(a, u[inside], rcond=None)[0]
 
     def middle(self):
-        """Compliance of the middle flexure by name, and the whole sample's."""
+        """Returns the compliance of the middle flexure by name, and the whole sample's."""
         own, whole = {}, {}
         at = slots(self.flexures)
         below, above = at[self.flexures // 2], at[self.flexures // 2 + 1]
@@ -191,7 +209,7 @@ def line(word, flexures, size, unknowns, stiffness):
 
 
 def metres(name, compliance_mm):
-    """Stiffness for 1 Pa in N/m or N m/rad from a compliance in mm/N or rad/(N mm) at 1 MPa."""
+    """Returns the stiffness for 1 Pa in N/m or N m/rad from a compliance in mm/N or rad/(N mm) at 1 MPa."""
     return 1e-6 * (1e3 if name in ("axial", "shear_toward", "shear_across") else 1e-3) / compliance_mm
 
 
@@ -204,6 +222,7 @@ for size in given["sizes_mm"]:
     few, many = min(whole), max(whole)
     if many > few:
         per = {name: (whole[many][name] - whole[few][name]) / (many - few) for name in ORDER}
-        # A shear force bends the flexures away from the middle: no shear stiffness follows from the whole sample.
+        # A shear force bends the flexures away from the middle: no shear stiffness follows from the whole
+        # sample.
         per["shear_toward"] = per["shear_across"] = np.nan
         line("chain", many, size, 0, {name: metres(name, per[name]) for name in ORDER})

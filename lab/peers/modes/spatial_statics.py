@@ -1,14 +1,18 @@
-"""Statics of the 27 flexures in space, and of a few moment modes in their place: how far the burr and the farthest link come to rest apart.
+"""Statics of the 27 flexures in space and of a few moment modes replacing them: distance between the rest
+positions of the burr and of the farthest link.
 
-Usage: python spatial_statics.py [PROBLEM]  (from the repository's root, with numpy; all problems whose name contains PROBLEM)
+Usage: python spatial_statics.py [PROBLEM] (from the repository's root, with numpy; all problems whose name
+contains PROBLEM)
 
-The chain is that of the rung `spatial`: each flexure turns by bending (about y), lateral bending (about x) and torsion (about z) on springs;
-the standard tool's places and bending stiffnesses are read from `crates/simulation/src/manipulator/parameters.rs`, the ratios of the other two are
-those of docs/accuracy-physics.md at the first, the middle and the last flexure, linear between them. The mount is rigid, tendons have no
-friction. A tunnel is round: its wall presses on the middle of each link, and on the burr, with 1 N/um beyond the clearance.
+The chain is that of the rung `spatial`: each flexure rotates by bending (about y), lateral bending (about x)
+and torsion (about z) on springs; the standard tool's flexure positions and bending stiffnesses are read from
+`crates/simulation/src/manipulator/parameters.rs`, the ratios of the other two are those of
+docs/accuracy-physics.md at the first, the middle and the last flexure, linear between them. The mount is
+rigid, tendons have no friction. A tunnel is round: its wall presses on the middle of each link, and on the
+burr, with 1 N/um beyond the clearance.
 
-Modes: moments that are polynomials along the tool, orthonormal under the compliance, of each kind of bend by itself. The energy is minimised
-by Newton's method, the load or the wall coming in steps.
+Modes: moments that are polynomials along the tool, orthonormal under the compliance, separately for each kind
+of bend. The energy is minimised by Newton's method, with the load or the wall applied in steps.
 """
 import re
 import sys
@@ -24,7 +28,8 @@ STEPS = 8
 
 
 def table(name):
-    return np.array([float(x) for x in re.search(name + r"[^=]*=\s*\[([^\]]*)\]", SOURCE)[1].split(",") if x.strip()])
+    return np.array([
+        float(x) for x in re.search(name + r"[^=]*=\s*\[([^\]]*)\]", SOURCE)[1].split(",") if x.strip()])
 
 
 PLACE = table("JHU_JOINTS_MM") * 1e-3
@@ -41,13 +46,15 @@ TURNS = ((1, 2, 0), (0, 1, 2), (2, 0, 1))
 
 
 class Tunnel:
-    """Straight for `straight` m, then an arc toward +x of radius `radius` m in a plane turned about z by `turn` degrees."""
+    """A tunnel, straight for `straight` m, then an arc toward +x of radius `radius` m in a plane rotated
+    about z by `turn` degrees.
+    """
 
     def __init__(self, radius, straight, turn=0.0, clearance=0.35e-3):
         self.radius, self.straight, self.turn, self.clearance = radius, straight, np.radians(turn), clearance
 
     def off(self, points):
-        """Vectors from the middle line to the points."""
+        """Returns the vectors from the centre line to the points."""
         x_axis = np.array([np.cos(self.turn), np.sin(self.turn), 0.0])
         y_axis = np.array([-x_axis[1], x_axis[0], 0.0])
         x, y, z = points @ x_axis, points @ y_axis, points[:, 2] - PLACE[0] - self.straight
@@ -59,7 +66,7 @@ class Tunnel:
 
 
 def pose(q):
-    """Flexures, axes of their turns, middles of the links (of the last one the burr), burr."""
+    """Returns flexures, their rotation axes, middles of the links (for the last one the burr), and burr."""
     turn, place = np.eye(3), np.array([0.0, 0.0, PLACE[0]])
     origin, axis, middle = np.zeros((COUNT, 3)), np.zeros((COUNT, 3, 3)), np.zeros((COUNT, 3))
     for i in range(COUNT):
@@ -75,7 +82,7 @@ def pose(q):
 
 
 def energy(q, tendons, force, tunnel, wider):
-    """Energy and its gradient. `tendons`: tension and channel (x, y) of each."""
+    """Returns the energy and its gradient. `tendons`: tension and channel (x, y) of each."""
     origin, axis, middle, burr = pose(q)
     gradient, total = STIFFNESS * q, 0.5 * np.sum(STIFFNESS * q * q) - force @ burr
     for tension, (x, y) in tendons:
@@ -96,7 +103,7 @@ def energy(q, tendons, force, tunnel, wider):
 
 
 def modes(counts):
-    """Angles per unit of each mode, by kind, orthonormal under the stiffness."""
+    """Returns the angles per unit of each mode, by kind, orthonormal under the stiffness."""
     columns = []
     for kind, count in enumerate(counts):
         for degree in range(count):
@@ -108,7 +115,7 @@ def modes(counts):
 
 
 def rest(basis, tendons, force=(0.0, 0.0, 0.0), tunnel=None):
-    """Angles at rest."""
+    """Returns the angles at rest."""
     c = np.zeros(basis.shape[1])
     for share in np.arange(1, STEPS + 1) / STEPS:
         part = [(share * tension, channel) for tension, channel in tendons]
@@ -126,7 +133,8 @@ def rest(basis, tendons, force=(0.0, 0.0, 0.0), tunnel=None):
             matrix = np.stack([(at(c + unit)[1] - at(c - unit)[1]) / 2e-7 for unit in units], 1)
             values, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
             way, length = -vectors @ (vectors.T @ gradient / np.maximum(np.abs(values), 1e-3)), 1.0
-            while length > 1e-6 and at(c + length * way)[0] > total + 1e-4 * length * (gradient @ way) + 1e-15:
+            while (length > 1e-6
+                   and at(c + length * way)[0] > total + 1e-4 * length * (gradient @ way) + 1e-15):
                 length *= 0.5
             if length <= 1e-6:
                 break

@@ -1,7 +1,8 @@
-"""Drake on the beam of `trabecula-lab chart physics`: a chain of hinges with spring force elements, stepped by its discrete solver.
+"""Drake on the beam of `trabecula-lab chart physics`: a chain of hinges with spring force elements, stepped
+by its discrete solver.
 
-Input: a folder with beam.json; output lines as lab/charts/physics/peers.rs says. Springs are explicit in Drake and joint
-dampers implicit: with little damping its step is bounded, which is what the vibration shows.
+Input: a folder with beam.json; for the output lines see lab/charts/physics/peers.rs. Springs are explicit in
+Drake and joint dampers implicit: with little damping its step is bounded, as the vibration shows.
 """
 import json
 import math
@@ -13,19 +14,20 @@ import numpy as np
 from pydrake.math import RigidTransform
 from pydrake.multibody.math import SpatialForce
 from pydrake.multibody.plant import ExternallyAppliedSpatialForce, MultibodyPlant
-from pydrake.multibody.tree import FixedOffsetFrame, RevoluteJoint, RevoluteSpring, SpatialInertia, UnitInertia
+from pydrake.multibody.tree import (
+    FixedOffsetFrame, RevoluteJoint, RevoluteSpring, SpatialInertia, UnitInertia)
 from pydrake.systems.analysis import Simulator
 
 beam = json.loads((Path(sys.argv[1]) / "beam.json").read_text())
 L, EI, RHO = beam["length_m"], beam["rigidity_nm2"], beam["density_kg_per_m"]
-# Outer and inner radius of the tool's tube, squared and added, for the links' own inertia.
+# Sum of the squared outer and inner radius of the tool's tube, for the links' own inertia.
 TUBE_M2 = 3e-3 ** 2 + 2e-3 ** 2
 RATIO = 0.05
 OMEGA = 1.875104068711961 ** 2 * math.sqrt(EI / RHO) / L ** 2
 
 
 class Chain:
-    """Half a link, hinges at the flexures' centres, half a link: as our chains."""
+    """Half a link, hinges at the flexures' centres, half a link, like our chains."""
 
     def __init__(self, links, dt_s, ratio, tube_m2=TUBE_M2):
         self.dt_s, self.plant = dt_s, MultibodyPlant(time_step=dt_s)
@@ -42,9 +44,11 @@ class Chain:
                 m, np.array([0.0, 0.0, 0.5 * length]),
                 UnitInertia(across, across, along).ShiftFromCenterOfMass(np.array([0.0, 0.0, -0.5 * length])))
             body = plant.AddRigidBody(f"link{i}", inertia)
-            near = plant.AddFrame(FixedOffsetFrame(f"near{i}", frame, RigidTransform(np.array([0.0, 0.0, offset]))))
+            near = plant.AddFrame(
+                FixedOffsetFrame(f"near{i}", frame, RigidTransform(np.array([0.0, 0.0, offset]))))
             joint = plant.AddJoint(RevoluteJoint(
-                f"joint{i}", near, body.body_frame(), np.array([0.0, 1.0, 0.0]), damping=2.0 * ratio / OMEGA * k))
+                f"joint{i}", near, body.body_frame(), np.array([0.0, 1.0, 0.0]),
+                damping=2.0 * ratio / OMEGA * k))
             plant.AddForceElement(RevoluteSpring(joint, nominal_angle=0.0, stiffness=k))
             self.joints.append(joint)
             frame, offset, self.tip = body.body_frame(), h, body
@@ -65,7 +69,9 @@ class Chain:
         return x, z
 
     def run(self, seconds):
-        """Steps on; the median time of a simulated millisecond. What the solver refuses is no place."""
+        """Continues stepping; returns the median time of a simulated millisecond. If the solver refuses,
+        there is no position.
+        """
         times, begin = [], self.context.get_time()
         each = max(self.dt_s, 1e-3)
         try:
@@ -79,7 +85,9 @@ class Chain:
 
 
 def frequency(links, dt_s):
-    """Let go from a small force's shape: the time between the first and the last of ten downward zero crossings."""
+    """Releases the chain from the shape under a small force; returns the time between the first and the last
+    of ten downward zero crossings.
+    """
     still = Chain(links, 1e-3, 1.0)
     still.load(0.01, 0.0)
     still.run(0.6)
@@ -104,7 +112,7 @@ def frequency(links, dt_s):
     us = float(np.median(times)) if times else float("nan")
     if len(crossings) < 11:
         return us, float("nan")
-    # The damped frequency, freed of its damping.
+    # The damped frequency, corrected for its damping.
     return us, 10.0 / (crossings[-1] - crossings[0]) / math.sqrt(1.0 - RATIO ** 2)
 
 

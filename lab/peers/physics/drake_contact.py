@@ -1,8 +1,9 @@
-"""Drake in the contact problem of `trabecula-lab chart physics --peers`: its discrete SAP solver with compliant point contact.
+"""Drake in the contact problem of `trabecula-lab chart physics --peers`: its discrete SAP solver with
+compliant point contact.
 
-Input: a folder with contact.json; output lines as lab/charts/physics/contact.rs says. `drake` has the stated stiffness: half of it
-in series on either side, and no near-rigid regularisation, which would soften contacts that are stiffer than a step resolves.
-`drake_near_rigid` keeps that regularisation, which is Drake's default.
+Input: a folder with contact.json; for the output lines see lab/charts/physics/contact.rs. `drake` has the
+stated stiffness, as two springs in series, and no near-rigid regularisation, which would soften contacts that
+are stiffer than a step resolves. `drake_near_rigid` keeps that regularisation, which is Drake's default.
 """
 import json
 import math
@@ -17,7 +18,8 @@ from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.math import SpatialForce
 from pydrake.multibody.plant import (
     AddMultibodyPlant, CoulombFriction, ExternallyAppliedSpatialForce, MultibodyPlantConfig)
-from pydrake.multibody.tree import FixedOffsetFrame, RevoluteJoint, RevoluteSpring, SpatialInertia, UnitInertia
+from pydrake.multibody.tree import (
+    FixedOffsetFrame, RevoluteJoint, RevoluteSpring, SpatialInertia, UnitInertia)
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
@@ -28,10 +30,11 @@ BLOCK_M = (0.1, 0.1, 0.02)
 
 
 def material():
-    """Two equal springs in series have the stated stiffness; no friction."""
+    """Two equal springs in series give the stated stiffness; no friction."""
     properties = ProximityProperties()
     AddContactMaterial(
-        dissipation=None, point_stiffness=2.0 * problem["contact_stiffness_n_per_m"], friction=CoulombFriction(0.0, 0.0),
+        dissipation=None, point_stiffness=2.0 * problem["contact_stiffness_n_per_m"],
+        friction=CoulombFriction(0.0, 0.0),
         properties=properties)
     properties.AddProperty("material", "relaxation_time", 0.0)
     return properties
@@ -42,7 +45,8 @@ class Chain:
 
     def __init__(self, walls, ratio, dt_s, near_rigid):
         builder = DiagramBuilder()
-        config = MultibodyPlantConfig(time_step=dt_s, discrete_contact_approximation="sap", contact_model="point")
+        config = MultibodyPlantConfig(
+            time_step=dt_s, discrete_contact_approximation="sap", contact_model="point")
         config.sap_near_rigid_threshold = near_rigid
         self.plant, self.scene = AddMultibodyPlant(config, builder)
         self.plant.mutable_gravity_field().set_gravity_vector(np.zeros(3))
@@ -61,17 +65,20 @@ class Chain:
         offset = length[i - 1] if self.bodies else problem["first_hinge_m"]
         share = problem["inertia_kg_m2"][i] / mass
         centre = np.array([0.0, 0.0, 0.5 * length[i]])
-        inertia = SpatialInertia(mass, centre, UnitInertia(share, share, share).ShiftFromCenterOfMass(-centre))
+        inertia = SpatialInertia(
+            mass, centre, UnitInertia(share, share, share).ShiftFromCenterOfMass(-centre))
         body = plant.AddRigidBody(f"link{i}", inertia)
-        near = plant.AddFrame(FixedOffsetFrame(f"near{i}", parent, RigidTransform(np.array([0.0, 0.0, offset]))))
+        near = plant.AddFrame(
+            FixedOffsetFrame(f"near{i}", parent, RigidTransform(np.array([0.0, 0.0, offset]))))
         joint = plant.AddJoint(RevoluteJoint(
-            f"joint{i}", near, body.body_frame(), np.array([0.0, 1.0, 0.0]), damping=ratio * problem["damping_s"] * k))
+            f"joint{i}", near, body.body_frame(), np.array([0.0, 1.0, 0.0]),
+            damping=ratio * problem["damping_s"] * k))
         plant.AddForceElement(RevoluteSpring(joint, nominal_angle=0.0, stiffness=k))
         self.joints.append(joint)
         self.bodies.append(body)
 
     def add_walls(self, walls):
-        """A sphere meets its own two planes only."""
+        """A sphere touches only its own two planes."""
         balls, planes = {}, []
         for i, wall in enumerate(walls):
             link = wall["link"]
@@ -80,7 +87,7 @@ class Chain:
                 balls[link] = self.plant.RegisterCollisionGeometry(
                     self.bodies[link], place, Sphere(problem["sphere_radius_m"]), f"ball{link}", material())
             (x, z), (nx, nz) = wall["point_m"], wall["normal"]
-            # A broad block's front face: with 30 half-spaces Drake 1.51.1 crashes, with 10 it does not.
+            # The front face of a wide block: with 30 half-spaces Drake 1.51.1 crashes, with 10 it does not.
             turn = RotationMatrix.MakeYRotation(math.atan2(nx, nz))
             pose = RigidTransform(turn, np.array([x, 0.0, z]) - 0.5 * BLOCK_M[2] * np.array([nx, 0.0, nz]))
             planes.append((link, self.plant.RegisterCollisionGeometry(
@@ -100,7 +107,7 @@ class Chain:
 
 
 def rest(walls, ratio, dt_s, near_rigid):
-    """Median time of a simulated millisecond, and the angles at the end; what the solver refuses is no place."""
+    """Returns the median time of a simulated millisecond and the final angles; none if the solver refuses."""
     chain, times = Chain(walls, ratio, dt_s, near_rigid), []
     try:
         for k in range(round(problem["seconds"] * 1e3)):

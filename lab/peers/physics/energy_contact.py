@@ -1,7 +1,9 @@
-"""The contact problem of `trabecula-lab chart physics --peers` without time: the chain's energy at its least, by SciPy.
+"""The contact problem of `trabecula-lab chart physics --peers` without time: minimises the chain's energy
+with SciPy.
 
-Input: a folder with contact.json; output lines as lab/charts/physics/contact.rs says. It checks the reference that judges the
-others, so it shares no code with them; its cost is no simulated time and reads 0.
+Input: a folder with contact.json; for the output lines see lab/charts/physics/contact.rs. It checks the
+reference against which the others are compared, so it shares no code with them; its cost is not a time and is
+given as 0.
 """
 import json
 import sys
@@ -18,7 +20,9 @@ radius, stiff = problem["sphere_radius_m"], problem["contact_stiffness_n_per_m"]
 
 
 def place(angle, link, distance):
-    """A point of a link in the plane, and its derivative by every angle; a positive angle bends z toward x."""
+    """Returns a point of a link in the plane, and its derivative by every angle; a positive angle bends z
+    toward x.
+    """
     turned = np.cumsum(angle)
     ends = np.concatenate([[[0.0, problem["first_hinge_m"]]], np.zeros((link, 2))])
     for i in range(link):
@@ -31,7 +35,9 @@ def place(angle, link, distance):
 
 
 def energy(angle, walls, force):
-    """With its gradient and what the curvature of the contacts and springs gives of its second derivative."""
+    """Returns the energy, its gradient, and the part of its second derivative from the curvature of contacts
+    and springs.
+    """
     tip, slope = place(angle, len(angle) - 1, length[-1])
     value = 0.5 * k @ angle**2 - force * tip[0]
     gradient, second = k * angle - force * slope[:, 0], np.diag(k)

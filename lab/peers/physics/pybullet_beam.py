@@ -1,7 +1,8 @@
 """PyBullet on the beam of `trabecula-lab chart physics`: its reduced-coordinate chain of hinges.
 
-Input: a folder with beam.json; output lines as lab/charts/physics/peers.rs says. Its API has no joint spring: the springs are
-torques set before every step, so that the step is bounded as in any explicit method. Damped by its own damping of bodies.
+Input: a folder with beam.json; for the output lines see lab/charts/physics/peers.rs. Its API has no joint
+springs: the springs are torques set before every step, so the step is bounded as in any explicit method.
+Damped by PyBullet's own damping of bodies.
 """
 import json
 import math
@@ -17,14 +18,14 @@ beam = json.loads((Path(sys.argv[1]) / "beam.json").read_text())
 L, EI, RHO = beam["length_m"], beam["rigidity_nm2"], beam["density_kg_per_m"]
 TUBE_M2 = 3e-3 ** 2 + 2e-3 ** 2
 OMEGA = 1.875104068711961 ** 2 * math.sqrt(EI / RHO) / L ** 2
-# What stands still needs an inertia, too.
+# Fixed bodies also need an inertia.
 MASSLESS = '<inertial><mass value="0"/><inertia ixx="0" iyy="0" izz="0" ixy="0" ixz="0" iyz="0"/></inertial>'
-# Critically damped: at rest to a millionth after 0.1 s.
+# Critically damped: at rest to within a millionth after 0.1 s.
 SECONDS, RAMP_S = 0.1, 0.03
 
 
 def urdf(links):
-    """Half a link, hinges at the flexures' centres, half a link: as our chains."""
+    """Half a link, hinges at the flexures' centres, half a link, like our chains."""
     h, mass = L / links, RHO * L / links
     text = '<robot name="beam"><link name="l0">' + MASSLESS + '</link>'
     for i in range(links):
@@ -33,14 +34,16 @@ def urdf(links):
         across, along = m * (length ** 2 / 12.0 + TUBE_M2 / 4.0), m * TUBE_M2 / 2.0
         text += (
             f'<link name="l{i + 1}"><inertial><origin xyz="0 0 {0.5 * length!r}"/><mass value="{m!r}"/>'
-            f'<inertia ixx="{across!r}" iyy="{across!r}" izz="{along!r}" ixy="0" ixz="0" iyz="0"/></inertial></link>'
-            f'<joint name="j{i + 1}" type="continuous"><parent link="l{i}"/><child link="l{i + 1}"/><axis xyz="0 1 0"/>'
+            f'<inertia ixx="{across!r}" iyy="{across!r}" izz="{along!r}"'
+            f' ixy="0" ixz="0" iyz="0"/></inertial></link>'
+            f'<joint name="j{i + 1}" type="continuous"><parent link="l{i}"/>'
+            f'<child link="l{i + 1}"/><axis xyz="0 1 0"/>'
             f'<origin xyz="0 0 {0.5 * h if i == 0 else h!r}"/></joint>')
     return text + "</robot>"
 
 
 def rest(links, dt_s, force_n, moment_nm):
-    """Cost of a simulated millisecond, and where the tip is after so long."""
+    """Returns the cost of a simulated millisecond, and the tip position after a duration."""
     h = L / links
     k = EI / h
     bullet.resetSimulation()
@@ -54,7 +57,8 @@ def rest(links, dt_s, force_n, moment_nm):
     bullet.setJointMotorControlArray(body, joints, bullet.VELOCITY_CONTROL, forces=[0.0] * links)
     for joint in joints:
         bullet.changeDynamics(
-            body, joint, linearDamping=2.0 * OMEGA, angularDamping=2.0 * OMEGA, jointDamping=0.0, maxJointVelocity=1e9)
+            body, joint, linearDamping=2.0 * OMEGA, angularDamping=2.0 * OMEGA, jointDamping=0.0,
+            maxJointVelocity=1e9)
     angle, times = np.zeros(links), []
     for step in range(round(SECONDS / dt_s)):
         share = min(1.0, step * dt_s / RAMP_S)
@@ -76,14 +80,14 @@ def rest(links, dt_s, force_n, moment_nm):
 
 
 def place(body, links):
-    """Tip, world: half a link beyond the last hinge."""
+    """Returns the tip in the world: half a link beyond the last hinge."""
     state = bullet.getLinkState(body, links - 1, computeForwardKinematics=True)
     turned = bullet.multiplyTransforms(state[4], state[5], [0.0, 0.0, 0.5 * L / links], [0.0, 0.0, 0.0, 1.0])
     return turned[0]
 
 
 bullet.connect(bullet.DIRECT)
-# A millisecond, and steps that torques as springs allow.
+# One millisecond, and step sizes that springs as torques allow.
 for links, dt_ms in ((4, 1.0), (4, 0.02), (8, 0.01), (26, 0.005)):
     us, tip = rest(links, dt_ms * 1e-3, 0.0, beam["end_moment_nm"])
     print("end_moment pybullet", links, dt_ms, us, 0, *tip, flush=True)

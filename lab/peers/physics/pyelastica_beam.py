@@ -1,7 +1,7 @@
 """PyElastica's Cosserat rod on the beam of `trabecula-lab chart physics`.
 
-Input: a folder with beam.json; output lines as lab/charts/physics/peers.rs says. The step is what the stretch of the rod
-allows, so every problem runs for as short as it settles.
+Input: a folder with beam.json; for the output lines see lab/charts/physics/peers.rs. The step is limited by
+the stretch of the rod, so every problem runs only until it settles.
 """
 import json
 import math
@@ -15,17 +15,18 @@ import numpy as np
 beam = json.loads((Path(sys.argv[1]) / "beam.json").read_text())
 L, EI, RHO = beam["length_m"], beam["rigidity_nm2"], beam["density_kg_per_m"]
 OMEGA = 1.875104068711961 ** 2 * math.sqrt(EI / RHO) / L ** 2
-# A section of EA = 2e4 N: it stretches by 20 um under the largest load, and its shear wave allows 2 us at most.
+# A section with EA = 2e4 N: it stretches by 20 um under the largest load, and its shear wave limits the step
+# to 2 us.
 RADIUS = 2.0 * math.sqrt(EI / 2e4)
 YOUNG, DENSITY = 2e4 / (math.pi * RADIUS ** 2), RHO / (math.pi * RADIUS ** 2)
 
 
 class World(ea.BaseSystemCollection, ea.Constraints, ea.Forcing, ea.Damping):
-    """One clamped rod."""
+    """A clamped rod."""
 
 
 class EndMoment(ea.NoForces):
-    """A moment about the world's y on the last element, grown within 30 ms."""
+    """A moment about the world's y on the last element, ramped up within 30 ms."""
 
     def __init__(self, moment_nm):
         self.moment = np.array([0.0, moment_nm, 0.0])
@@ -47,13 +48,14 @@ def world(elements, dt_s, force_n, moment_nm, ratio):
             ea.EndpointForces, np.zeros(3), np.array([force_n, 0.0, 0.0]), ramp_up_time=0.03)
     if moment_nm:
         scene.add_forcing_to(rod).using(EndMoment, moment_nm)
-    scene.dampen(rod).using(ea.AnalyticalLinearDamper, uniform_damping_constant=2.0 * ratio * OMEGA, time_step=dt_s)
+    scene.dampen(rod).using(
+        ea.AnalyticalLinearDamper, uniform_damping_constant=2.0 * ratio * OMEGA, time_step=dt_s)
     scene.finalize()
     return scene, rod
 
 
 def run(scene, dt_s, seconds, begin=0.0):
-    """Steps on; the mean processor time of a simulated millisecond."""
+    """Continues stepping; returns the mean processor time of a simulated millisecond."""
     stepper, steps = ea.PositionVerlet(), round(seconds / dt_s)
     now, began = np.float64(begin), time.process_time()
     for _ in range(steps):
@@ -67,7 +69,7 @@ def tip(rod):
 
 elements = 13
 dt_s = 1e-6
-# What numba compiles is not timed.
+# Compilation by numba is not timed.
 run(world(elements, dt_s, 1e-3, 1e-6, 1.0)[0], dt_s, 1e-4)
 scene, rod = world(elements, dt_s, 0.0, beam["end_moment_nm"], 1.0)
 us, _ = run(scene, dt_s, 0.1)
@@ -77,7 +79,7 @@ scene, rod = world(elements, dt_s, load * EI / L ** 2, 0.0, 1.0)
 us, _ = run(scene, dt_s, 0.1)
 print("tip_force", "pyelastica", elements, dt_s * 1e3, us, load, *tip(rod), flush=True)
 
-# Bent by a small force, let go: four downward zero crossings.
+# Bent by a small force and released: four downward zero crossings.
 ratio = 0.02
 scene, rod = world(elements, dt_s, 0.01, 0.0, 1.0)
 us, _ = run(scene, dt_s, 0.08)

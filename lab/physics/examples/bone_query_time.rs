@@ -1,6 +1,6 @@
-//! Time of the contact query: 34 spheres of 3 mm in 0.5 mm voxels, in a tunnel, buried and in air; searched afresh, and
-//! tracked while they move on by 1.5 um a tick; in a small volume and in one of 512 x 512 x 400 voxels; with voxels as parts of
-//! a surface and as balls. And the time of a tick of drilling.
+//! Times the contact query: 34 spheres of 3 mm in 0.5 mm voxels, in a tunnel, buried and in air; with a fresh
+//! search, and tracked while they move by 1.5 um per tick; in a small volume and in one of 512 x 512 x 400
+//! voxels; with voxels as parts of a surface and as balls. Also times a tick of drilling.
 //!
 //! `cargo run --release -p physics_lab --example bone_query_time [-- SCENE fresh|tracked]`
 
@@ -12,7 +12,7 @@ use simulation::bone::{BoneField, BoneParameters, BurrState, ContactBuffer, Cont
 const SPHERES: usize = 34;
 const RADIUS_M: f64 = 3.0e-3;
 const REPEATS: usize = 2000;
-/// A tick of a scene looks 0.1 mm ahead and what a sphere travels.
+/// A tick of a scene looks ahead by 0.1 mm plus the travel of a sphere.
 const MARGIN_M: f64 = 0.2e-3;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
@@ -54,7 +54,8 @@ fn time_volume(dims: [usize; 3], contact: ContactKind) -> Result<(), Box<dyn std
         ("buried 5 mm", along(Vector3::new(30e-3, 64e-3, 24.75e-3), Vector3::x() * 1.31e-3)),
         ("buried 30 mm", along(Vector3::new(30e-3, 64e-3, 50e-3), Vector3::x() * 1.31e-3)),
     ];
-    // Arguments: only the scenes whose name contains the first, only fresh or tracked queries, no drilling (for a profiler).
+    // Arguments: only the scenes whose name contains the first, only fresh or tracked queries, no drilling
+    // (for a profiler).
     let wanted: Vec<String> = std::env::args().skip(1).collect();
     let is_wanted =
         |place: usize, name: &str| wanted.get(place).is_none_or(|wanted| name.contains(wanted.as_str()));
@@ -98,7 +99,7 @@ fn time_queries(field: &mut BoneField, (name, way): (&str, &str), centres: &[Vec
     );
 }
 
-/// A burr that is held still half in the bone's face: the cost of one tick of drilling.
+/// Times one tick of drilling with a burr held half inside the bone's surface.
 fn time_grind(field: &mut BoneField, hu: &[i16]) -> Result<(), Box<dyn std::error::Error>> {
     let burr = BurrState {
         centre_m: Vector3::new(90e-3, 90e-3, 20e-3),

@@ -1,8 +1,8 @@
-//! A straight feed into a block of 600 HU at several voxel sizes, coarsest first: where it ends, how far its path is from that of the
-//! first size, forces, volume, steps a second, memory.
+//! A straight feed into a block of 600 HU at several voxel sizes, coarsest first: final depth, distance of
+//! the path from that of the first size, forces, volume, steps per second, memory.
 //!
-//! `cargo run --release -p physics_lab --example fine_voxels [-- INSERTION_MM VOXEL_MM...]`; 36 mm and 0.25, 0.12, 0.06, 0.03 mm if
-//! absent. The finest takes minutes and 2 GB.
+//! `cargo run --release -p physics_lab --example fine_voxels [-- INSERTION_MM VOXEL_MM...]`; 36 mm
+//! and 0.25, 0.12, 0.06, 0.03 mm if absent. The finest takes minutes and 2 GB.
 
 use std::time::Instant;
 
@@ -20,7 +20,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         _ => (given.first().copied().unwrap_or(36.0), &[0.25, 0.12, 0.06, 0.03][..]),
     };
     println!(
-        "| voxel, mm | depth, mm | path apart, mm | force, N: mean, max | drilled, mm³ | voxels in a tick | steps a second | partly cut, MB | keyframe, kB | process, MB |"
+        "| voxel, mm | depth, mm | path apart, mm | force, N: mean, max | drilled, mm³ | voxels in a tick | \
+         steps a second | partly cut, MB | keyframe, kB | process, MB |"
     );
     println!("|---|---|---|---|---|---|---|---|---|---|");
     let mut first = None;
@@ -36,7 +37,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let mut buffer = vec![0; 64 * MAX_KEYFRAME_BYTES];
         let keyframe_kb = simulation.write_keyframe(&mut buffer)? as f64 * 1e-3;
         println!(
-            "| {voxel_mm} | {depth_mm:.3} | {apart_mm:.3} | {:.2}, {:.2} | {drilled_mm3:.1} | {} | {steps_per_s:.0} | {:.1} | {keyframe_kb:.0} | {:.0} |",
+            "| {voxel_mm} | {depth_mm:.3} | {apart_mm:.3} | {:.2}, {:.2} | {drilled_mm3:.1} | {} | \
+             {steps_per_s:.0} | {:.1} | {keyframe_kb:.0} | {:.0} |",
             fed.mean_force_n,
             fed.most_force_n,
             fed.most_removed,
@@ -48,7 +50,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-/// Peak memory of this process so far, 10⁶ bytes.
+/// Returns the peak memory of this process so far, 10⁶ bytes.
 fn peak_memory_mb() -> Option<f64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;

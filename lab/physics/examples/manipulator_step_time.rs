@@ -1,13 +1,14 @@
 //! Prints the time of one manipulator step in free motion and with contacts.
 //!
-//! `cargo run --release -p physics_lab --example manipulator_step_time [-- CASE [STEPS]]` runs all cases, or those whose name
-//! contains CASE.
+//! `cargo run --release -p physics_lab --example manipulator_step_time [-- CASE [STEPS]]` runs all cases, or
+//! those whose name contains CASE.
 //!
-//! `... manipulator_step_time -- --instructions [CASE]` also counts the instructions of a step, which no other program's load
-//! changes: every case runs again under `valgrind --tool=callgrind --toggle-collect='*one_step*'`.
+//! `... manipulator_step_time -- --instructions [CASE]` also counts the instructions of a step, which other
+//! load does not affect: every case runs again under `valgrind --tool=callgrind
+//! --toggle-collect='*one_step*'`.
 //!
-//! The 27-flexure tool under a tendon that changes every 200 ms between 6 and 8 N swings freely, is pressed on a winding
-//! wall, or lies in a winding tunnel.
+//! The 27-flexure tool, with a tendon tension that alternates between 6 and 8 N every 200 ms, swings freely,
+//! is pressed onto a winding wall, or is in a winding tunnel.
 
 use std::hint::black_box;
 use std::process::Command;
@@ -22,14 +23,14 @@ use simulation::manipulator::{
 
 const STEPS: usize = 4000;
 
-/// What is timed, and what a profiler counts.
+/// The timed code, which a profiler counts.
 #[inline(never)]
 fn one_step(m: &mut AnyManipulator, input: &StepInput) -> Result<StepReport, ManipulatorError> {
     m.step(1e-3, input)
 }
 
-/// A tunnel of `clearance_m` on both sides that winds with an amplitude of 0.3 mm and a wave length of 12 mm: each of
-/// the `spheres` nearest the tip is offered the walls on `sides`.
+/// A tunnel with `clearance_m` on both sides that winds with an amplitude of 0.3 mm and a wavelength of 12
+/// mm: each of the `spheres` nearest the tip gets the walls on `sides`.
 fn tunnel(m: &AnyManipulator, spheres: usize, sides: &[f64], clearance_m: f64, out: &mut Vec<ContactPlane>) {
     let wave = 2.0 * std::f64::consts::PI / 12.0e-3;
     for (sphere_index, sphere) in m.proxy_spheres().iter().enumerate().rev().take(spheres) {
@@ -62,7 +63,7 @@ impl Options {
     }
 }
 
-/// Mean number of instructions of a step, by this program under callgrind with the one case.
+/// Returns the mean number of instructions of a step, from this program under callgrind with one case.
 fn instructions(name: &str) -> Result<u64, Box<dyn std::error::Error>> {
     const COUNTED_STEPS: u64 = 1000;
     let output = Command::new("valgrind")
@@ -116,7 +117,8 @@ fn run(
     let counted =
         if options.instructions { format!(", {} instructions", instructions(name)?) } else { String::new() };
     println!(
-        "{name:<34} {:>2} contacts ({:>4.1} active): median {:6.2} us, p99 {:6.2} us, {:4.1} iterations, late residual {:7.1e} m/s, {:5.1} % ROS2{counted}",
+        "{name:<34} {:>2} contacts ({:>4.1} active): median {:6.2} us, p99 {:6.2} us, {:4.1} iterations, \
+         late residual {:7.1e} m/s, {:5.1} % ROS2{counted}",
         contacts.len(),
         active as f64 / steps as f64,
         micros[steps / 2],

@@ -1,11 +1,11 @@
 //! Published methods applied to the same tool: for charts and the stability map only.
 //!
-//! | method | what it is |
+//! | method | description |
 //! |---|---|
 //! | [`explicit_chain`] | the chain with springs and dampers as explicit forces: semi-implicit Euler |
-//! | [`RapierChain`] of [`RapierJoints::Multibody`] | Rapier's multibody of hinges with implicit joint springs |
-//! | [`RapierChain`] of [`RapierJoints::Springs`] | rigid bodies held by six-axis spring joints, solved by impulses |
-//! | [`ProxyTool`] | a proxy of the burr stays outside the walls; the burr is set to it ([`ProxyDrive::Position`]) or pulled |
+//! | [`RapierChain`] of [`RapierJoints::Multibody`] | Rapier's multibody of hinges with implicit springs |
+//! | [`RapierChain`] of [`RapierJoints::Springs`] | rigid bodies with six-axis spring joints, by impulses |
+//! | [`ProxyTool`] | a proxy of the burr stays outside the walls; the burr is set to it or pulled |
 
 mod proxy;
 pub mod published;

@@ -1,4 +1,5 @@
-//! The haptic method: a proxy (god object) stays outside the walls, and the burr is set to it or pulled toward it.
+//! The haptic method: a proxy (god object) stays outside the walls, and the burr is set to it or pulled
+//! toward it.
 
 use nalgebra::{Matrix2, Vector2, Vector3};
 
@@ -14,13 +15,15 @@ const ROUNDS: usize = 8;
 /// How the proxy acts on the burr.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ProxyDrive {
-    /// The burr's position is set to the proxy's and its velocity left unchanged, as in the published drilling simulators.
+    /// The burr's position is set to the proxy's and its velocity left unchanged, as in the published
+    /// drilling simulators.
     Position,
     /// A spring from the burr to the proxy exerts a force in the next step, as in haptic rendering.
     Force,
 }
 
-/// Position of a sphere's proxy: the point nearest to the sphere's centre at which it penetrates no wall. World, m.
+/// Returns the position of a sphere's proxy: the point nearest to the sphere's centre at which it penetrates
+/// no wall. World, m.
 pub fn proxy_of(walls: &[Wall], centre_m: &Vector3<f64>, radius_m: f64) -> Vector3<f64> {
     let mut proxy = *centre_m;
     for _ in 0..ROUNDS {
@@ -41,7 +44,8 @@ pub struct ProxyTool {
 }
 
 impl ProxyTool {
-    /// A straight tool at rest in front of walls. The spring of [`ProxyDrive::Force`] has the stiffness of the simulation's own contacts.
+    /// Creates a straight tool at rest in front of walls. The spring of [`ProxyDrive::Force`] has the
+    /// stiffness of the simulation's own contacts.
     ///
     /// # Errors
     /// A parameter is out of range; the error names it.
@@ -88,7 +92,8 @@ impl ProxyTool {
         Ok(report)
     }
 
-    /// Moves the burr to its proxy by the smallest change of the joint angles; leaves every velocity unchanged.
+    /// Moves the burr to its proxy by the smallest change of the joint angles; leaves every velocity
+    /// unchanged.
     fn set_to_proxy(&mut self) {
         let offset = self.tool.base().t_world_base.rotation.inverse() * self.offset_m();
         if offset.norm() < 1e-12 {
@@ -99,7 +104,7 @@ impl ProxyTool {
             base.inverse_transform_point(&point.into()).coords
         };
         let burr = place(self.tool.t_world_tip().translation.vector);
-        // A joint turns about +y, so the burr moves by y x arm.
+        // A joint rotates about +y, so the burr moves by y x arm.
         let columns: Vec<Vector2<f64>> = (0..self.tool.joint_count())
             .map(|i| burr - place(self.tool.t_world_link(i + 1).translation.vector))
             .map(|arm| Vector2::new(arm.z, -arm.x))
@@ -108,7 +113,7 @@ impl ProxyTool {
         let Some(inverse) = mobility.try_inverse() else { return };
         let push = inverse * Vector2::new(offset.x, offset.z);
         let mut state = self.tool.snapshot();
-        // Behind the mount's three.
+        // After the mount's three.
         for (angle, column) in state.position[3..].iter_mut().zip(&columns) {
             *angle += column.dot(&push);
         }

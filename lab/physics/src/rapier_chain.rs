@@ -25,7 +25,7 @@ enum Joint {
     Motors(ImpulseJointHandle),
 }
 
-/// The tool in Rapier. Its burr is a ball: of a longer cutter, the one at its front.
+/// The tool in Rapier. Its burr is a ball; for a longer cutter, the ball at its front.
 pub struct RapierChain {
     world: PhysicsWorld,
     parameters: ManipulatorParameters,
@@ -42,7 +42,9 @@ const TOOL: Group = Group::GROUP_1;
 const WALLS: Group = Group::GROUP_2;
 
 impl RapierChain {
-    /// A straight tool on `t_world_base` in front of walls. `frequency_hz`, its first bending mode, sets the dampers.
+    /// Creates a straight tool on `t_world_base` in front of walls. `frequency_hz`, its first bending mode,
+    /// sets the
+    /// dampers.
     pub fn new(
         joints: RapierJoints,
         parameters: &ManipulatorParameters,
@@ -55,7 +57,7 @@ impl RapierChain {
         let settings = &mut world.integration_parameters;
         settings.length_unit = 0.01;
         settings.num_solver_iterations = if joints == RapierJoints::Multibody { 1 } else { 4 };
-        // The stiffest setting that Rapier offers: with the default, 10 N press millimetres into a wall.
+        // Rapier's stiffest setting: with the default, 10 N penetrate a wall by millimetres.
         settings.contact_softness = SpringCoefficients::new(1e5, 1.0);
         settings.static_contact_softness = SpringCoefficients::new(1e5, 1.0);
         let root = world.bodies.insert(RigidBodyBuilder::kinematic_position_based().pose(pose(t_world_base)));
@@ -179,7 +181,8 @@ impl RapierChain {
 
     fn set_hinge_dampings(&mut self) {
         self.set_targets(&[0.0; 2]);
-        // Until the first step the root has six degrees of freedom; only afterwards do the damping entries belong to the hinges.
+        // Until the first step the root has six degrees of freedom; only afterwards do the damping entries
+        // belong to the hinges.
         self.world.integration_parameters.dt = 1e-7;
         self.world.step();
         if let Some(Joint::Hinge(handle)) = self.joints.first()
@@ -207,8 +210,8 @@ impl RapierChain {
         angles
     }
 
-    /// Applies the tendons as rest angles of the springs, which is exact at equilibrium: `T(d cos(q/2) + g/2 sin(q/2)) / k`, with the
-    /// tension reduced by the wrap of a tendon that slides inward.
+    /// Applies the tendons as rest angles of the springs, which is exact at equilibrium: `T(d cos(q/2) + g/2
+    /// sin(q/2)) / k`, with the tension reduced by the wrap of a tendon that slides inward.
     fn set_targets(&mut self, tension_n: &[f64; 2]) {
         let (tendon, angles) = (self.parameters.tendon, self.joint_positions_rad());
         let mut wrap = 0.0;
@@ -227,7 +230,7 @@ impl RapierChain {
                     if let Some((multibody, id)) = self.world.multibody_joints.get_mut(*handle)
                         && let Some(link) = multibody.link_mut(id)
                     {
-                        // Axis 3 is the first angular axis, about which a revolute joint turns.
+                        // Axis 3 is the first angular axis, about which a revolute joint rotates.
                         link.joint.set_spring(3, self.stiffness[i], target);
                     }
                 }
@@ -242,7 +245,8 @@ impl RapierChain {
         }
     }
 
-    /// Advances by `dt_s`. Uses Rapier's own contacts. Supports tendon tensions only (a displacement counts as 0).
+    /// Advances by `dt_s` with Rapier's own contacts. Supports tendon tensions only (a displacement counts
+    /// as 0).
     pub fn step(&mut self, dt_s: f64, input: &StepInput) {
         let tension = match input.tendon {
             TendonCommand::Force(tension_n) => tension_n,

@@ -1,4 +1,4 @@
-//! Half-spaces: the obstacles that every method supports.
+//! Half-spaces: the obstacles supported by every method.
 
 use nalgebra::{Isometry3, Unit, Vector3};
 use simulation::contact_plane::ContactPlane;
@@ -19,7 +19,7 @@ impl Wall {
         Self { normal, point_m }
     }
 
-    /// The same wall, moved with a frame.
+    /// Returns the same wall, moved with a frame.
     pub fn moved(&self, by: &Isometry3<f64>) -> Self {
         Self { normal: by * self.normal, point_m: by.transform_point(&self.point_m.into()).coords }
     }

@@ -1,4 +1,5 @@
-//! What a bridge costs the physics: the same real-time run with and without it, alternating; with it, a peer takes all that it sends.
+//! Cost of a bridge for the physics: the same real-time run without and with it, alternating; with it, a peer
+//! receives everything it sends.
 
 use std::io::{self, BufRead, BufReader, Read};
 use std::net::TcpStream;
@@ -21,27 +22,28 @@ use crate::sheet::Sheet;
 use trabecula::failure::Failure;
 use trabecula::scenes::SceneSource;
 
-/// Longest wait for a bridge to be ready, and to end once its session has.
+/// Timeout for a bridge to be ready, and to end after its session.
 const LIMIT: Duration = Duration::from_secs(60);
-/// DDS domain of the measurement: one that people's own programs rarely use.
+/// DDS domain of the measurement, rarely used by other programs.
 const DOMAIN_ID: &str = "231";
-/// States a second of `bridge ros2` unless it is told otherwise.
+/// Default rate of states in `bridge ros2`.
 const ROS2_RATE_HZ: f64 = 100.0;
-/// How often a peer looks for messages.
+/// Poll interval of a peer.
 const LOOK_PERIOD: Duration = Duration::from_millis(2);
 
 /// A bridge that can be measured.
 #[derive(Debug)]
 struct Kind {
-    /// Name of its command below `trabecula bridge`.
+    /// Name of its command under `trabecula bridge`.
     name: &'static str,
     /// Its arguments besides `--session`.
     arguments: &'static [&'static str],
-    /// Takes what it sends until the flag is set, and returns the number of bytes; gets the bridge's first line.
+    /// Receives what the bridge sends until the flag is set, and returns the number of bytes; gets the
+    /// bridge's first output line.
     peer: fn(&str, &AtomicBool) -> io::Result<u64>,
 }
 
-/// One line for each.
+/// The bridges that can be measured.
 const KINDS: [Kind; 2] = [
     Kind { name: "igtl", arguments: &["--port", "0"], peer: take_from_port },
     Kind {
@@ -59,7 +61,7 @@ pub fn names() -> [&'static str; KINDS.len()] {
 /// Runs the scene in real time for `seconds`, `rounds` times, alternately without and with a bridge.
 ///
 /// # Errors
-/// An invalid scene, no such bridge (2); a run or a bridge that fails.
+/// An invalid scene, or an unknown bridge (2); a run or a bridge that fails.
 pub fn run(
     name: &str,
     scene: &SceneSource,
@@ -68,7 +70,7 @@ pub fn run(
     sheet: &mut Sheet,
 ) -> Result<(), Failure> {
     let kind = KINDS.into_iter().find(|kind| kind.name == name);
-    let kind = kind.ok_or_else(|| Failure::bad_input(format!("no bridge is called {name}")))?;
+    let kind = kind.ok_or_else(|| Failure::bad_input(format!("unknown bridge {name}")))?;
     let bridged = |scene: &Scene, end: &EndRequest, with: &mut Physics| {
         let mut bridge: Option<Result<Bridge, Failure>> = None;
         one_seen(scene, None, None, end, with, |snapshot| {
@@ -76,17 +78,17 @@ pub fn run(
                 bridge = Some(Bridge::start(&kind, snapshot.session));
             }
         })?;
-        bridge.ok_or_else(|| Failure::failed("the run ended before a state was seen"))??.end()
+        bridge.ok_or_else(|| Failure::failed("the run ended before its first state"))??.end()
     };
     let scene = scene.load()?;
     let what = format!("`trabecula bridge {name}`");
     let bytes = in_turn(&what, [scene.clone(), scene], seconds, rounds, bridged, sheet)?;
-    let text = format!("{:.2} MB a run, {:.2} MB/s", bytes * 1e-6, bytes * 1e-6 / seconds);
-    sheet.row("taken by the bridge's peer", &text, "peer_bytes", json!(bytes));
+    let text = format!("{:.2} MB per run, {:.2} MB/s", bytes * 1e-6, bytes * 1e-6 / seconds);
+    sheet.row("received by the bridge's peer", &text, "peer_bytes", json!(bytes));
     Ok(())
 }
 
-/// A bridge in a process of its own and its peer in a thread.
+/// A bridge in a separate process, and its peer in a thread.
 #[derive(Debug)]
 struct Bridge {
     process: Child,
@@ -108,14 +110,15 @@ impl Bridge {
             let mut line = String::new();
             said.read_line(&mut line)?;
             let taken = take(&line, &is_over);
-            // So that its last line does not block it.
+            // Drained, so that its last line does not block the bridge.
             said.read_to_string(&mut line)?;
             taken
         });
         Ok(Bridge { process, over, peer })
     }
 
-    /// Waits for both. The bridge ends with its session, and its peer with the bridge; one that does not is killed.
+    /// Waits for both. The bridge ends with its session, and its peer with the bridge; a bridge that does not
+    /// end is killed.
     fn end(mut self) -> Result<u64, Failure> {
         let begin = Instant::now();
         let status = loop {
@@ -136,7 +139,7 @@ impl Bridge {
     }
 }
 
-/// A peer of a bridge that listens: its first line ends with its address.
+/// Peer of a bridge that listens; the bridge's first line ends with its address.
 fn take_from_port(line: &str, over: &AtomicBool) -> io::Result<u64> {
     let address = line.split_whitespace().last().unwrap_or_default();
     let mut stream = TcpStream::connect(address)?;
@@ -151,7 +154,7 @@ fn take_from_port(line: &str, over: &AtomicBool) -> io::Result<u64> {
     Ok(taken)
 }
 
-/// A peer that subscribes to every topic.
+/// Peer that subscribes to every topic.
 fn take_from_domain(_: &str, over: &AtomicBool) -> io::Result<u64> {
     let domain_id = DOMAIN_ID.parse().map_err(io::Error::other)?;
     let mut listener =

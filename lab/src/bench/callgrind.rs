@@ -1,4 +1,5 @@
-//! Runs one of this program's measurements under valgrind, which counts instructions: a figure that other load does not change.
+//! Runs one of this program's measurements under valgrind, which counts instructions: a figure unaffected by
+//! other load.
 
 use std::ffi::OsStr;
 use std::path::Path;
@@ -9,18 +10,19 @@ use super::failed;
 use super::outside::{self, Said};
 use trabecula::failure::Failure;
 
-/// How long a measurement may take; under valgrind one takes minutes on a busy machine.
+/// Time limit of a measurement; under valgrind one takes minutes on a busy machine.
 const LIMIT: Duration = Duration::from_secs(1800);
 
-/// The failure of a run under valgrind that did not give what it should.
+/// Returns the failure of an unsuccessful run under valgrind.
 pub fn failure(said: &Said) -> Failure {
     Failure::failed(format!("valgrind ended with {}: {}", said.status, said.report.trim()))
 }
 
-/// Runs this program with `arguments`; callgrind gets `options`, and writes `callgrind.out` and what it dumps into the folder.
+/// Runs this program with `arguments` under callgrind with `options`; writes `callgrind.out` and its dumps to
+/// the folder.
 ///
 /// # Errors
-/// valgrind is not on the path, or has not ended within the limit.
+/// valgrind is not in the PATH, or did not end within the limit.
 pub fn run(
     folder: &Path,
     options: &[&str],

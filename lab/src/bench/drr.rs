@@ -20,10 +20,10 @@ use trabecula::machine::Machine;
 
 /// Poses by primary and secondary angle, degrees.
 const POSES: [(&str, f64, f64); 3] = [("ap", 0.0, 0.0), ("oblique", 37.0, 18.0), ("lateral", 90.0, 5.0)];
-/// The error is sampled at every this many pixels in both directions, because Siddon's method is slow.
+/// Sampling stride of the error in both directions, because Siddon's method is slow.
 const ERROR_STRIDE: u32 = 8;
-/// Voxel size up to 512 voxels along an edge; larger volumes get smaller voxels, so that the C-arm still fits around
-/// them.
+/// Voxel size up to 512 voxels along an edge; larger volumes get smaller voxels, so that the C-arm still fits
+/// around them.
 const SPACING_M: f64 = 0.5e-3;
 /// Field of view of the detector, m.
 const FIELD_M: f64 = 0.307;
@@ -46,7 +46,7 @@ impl Times {
         self.0.iter().copied().fold(f64::INFINITY, f64::min)
     }
 
-    /// Median ratio of these times to those of another, taken in turn.
+    /// Returns the median ratio of these times to those of another, taken alternately.
     pub(super) fn ratio_to(&self, other: &Times) -> f64 {
         let ratios: Vec<f64> = self.0.iter().zip(&other.0).map(|(mine, other)| mine / other).collect();
         super::samples::median(&ratios)
@@ -71,7 +71,8 @@ pub(super) fn pose(primary: f64, secondary: f64, side: u32) -> Result<CArm, DrrE
     CArm::from_positioner_angles([0.0; 3], angles, 0.7, 1.0, format)
 }
 
-/// A thigh as wide as the volume: at size 1 it fills 240 x 200 x 320 mm; it extends beyond the ends of a shorter volume.
+/// Returns a thigh as wide as the volume: at size 1 it fills 240 x 200 x 320 mm; it extends beyond the ends
+/// of a shorter volume.
 pub(super) fn thigh(grid: &Grid, dimensions: [usize; 3], spacing_m: f64) -> Vec<i16> {
     let size = dimensions[0].min(dimensions[1]) as f64 * spacing_m / 0.24;
     let solids = reference::thigh(size).into_iter().map(Solid::Ellipsoid).collect();
@@ -90,7 +91,7 @@ pub fn run(dimensions: [usize; 3], rounds: usize, sheet: &mut Sheet) -> Result<(
     let view = VolumeView::new(grid, &hu).map_err(failed)?;
     let machine = Machine::watch();
     sheet.line(&format!(
-        "volume {dimensions:?}, {spacing_m} m; ms as least (median) of {rounds} interleaved rounds\n"
+        "volume {dimensions:?}, {spacing_m} m; ms as minimum (median) of {rounds} interleaved rounds\n"
     ));
     let bandwidth = bandwidth(&hu, rounds, sheet)?;
     for instructions in Instructions::available() {
@@ -105,7 +106,7 @@ pub fn run(dimensions: [usize; 3], rounds: usize, sheet: &mut Sheet) -> Result<(
     Ok(())
 }
 
-/// Sequential read bandwidth of one and two threads, bytes per second.
+/// Returns the sequential read bandwidth of one and two threads, bytes per second.
 fn bandwidth(hu: &[i16], rounds: usize, sheet: &mut Sheet) -> Result<[f64; 2], Failure> {
     let mut rates = [0.0; 2];
     for (rate, threads) in rates.iter_mut().zip([1, 2]) {
@@ -145,8 +146,8 @@ fn frames(
         let c_arm = pose(primary, secondary, 64).map_err(failed)?;
         pool(2)?.install(|| slices.prepare(view, &removed, &c_arm)).map_err(failed)?;
     }
-    // Times by pose, number of threads, side of the detector. The pose changes between frames, so each frame is a full
-    // one.
+    // Times by pose, number of threads, and detector size. The pose changes between frames, so each frame is
+    // rendered in full.
     let cases = [(1, 512), (2, 512), (1, 1024), (2, 1024)];
     let mut times = vec![Times::default(); POSES.len() * cases.len()];
     let pools = [pool(1)?, pool(2)?];
@@ -170,18 +171,13 @@ fn frames(
     let name = instructions.name();
     let figures = json!({"total_bytes": memory.total(), "copies_bytes": memory.copies});
     let text = format!("{:.1} MB", memory.total() as f64 * 1e-6);
-    sheet.row(
-        &format!("{name}: memory with the intermediate image"),
-        &text,
-        &format!("memory_{name}"),
-        figures,
-    );
+    sheet.row(&format!("{name}: memory incl. intermediate image"), &text, &format!("memory_{name}"), figures);
     let copies = memory.copies.map(|bytes| format!("{:.1}", bytes as f64 * 1e-6)).join(" + ");
     sheet.line(&format!("{:<46} {copies}", format!("{name}: copies across x, y, z, MB")));
     let shares = slices.cell_shares().map(Option::unwrap_or_default);
     let text =
         shares.map(|share| format!("{:.0}/{:.0}", 100.0 * share.occupied, 100.0 * share.mixed)).join(" ");
-    sheet.line(&format!("{:<46} {text}", format!("{name}: cells not air / of several values, %")));
+    sheet.line(&format!("{:<46} {text}", format!("{name}: cells not air / with several values, %")));
     for ((pose, ..), times) in POSES.iter().zip(times.chunks(4)) {
         let [one, two, one_large, two_large] = times else { continue };
         // Across x from the side, otherwise across y.
@@ -192,7 +188,7 @@ fn frames(
         sheet.line(&format!("{:<46} {text}", format!("{name} {pose}: 512, 1 and 2 threads; 1024")));
         let shares = [share(one, bandwidth[0]), share(two, bandwidth[1])];
         let text = format!("{:.0} %, {:.0} % (512)", shares[0], shares[1]);
-        sheet.line(&format!("{:<46} {text}", "  of the streaming rate over what is not air"));
+        sheet.line(&format!("{:<46} {text}", "  of the streaming rate over non-air voxels"));
         sheet.push(
             "frames",
             json!({
@@ -260,7 +256,7 @@ fn errors(view: &VolumeView<'_>, sheet: &mut Sheet) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Times updates after removals around the middle of the bone, and scattered over the volume.
+/// Times updates after removals around the centre of the bone, and scattered over the volume.
 fn removals(view: &VolumeView<'_>, sheet: &mut Sheet) -> Result<(), Failure> {
     let (pool, c_arm) = (pool(2)?, pose(37.0, 18.0, 512).map_err(failed)?);
     let mut image = vec![0.0; c_arm.pixels()];
@@ -299,7 +295,7 @@ fn removals(view: &VolumeView<'_>, sheet: &mut Sheet) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Attenuating voxels, sorted by their distance from a voxel.
+/// Returns attenuating voxels, sorted by their distance from a voxel.
 fn by_distance(view: &VolumeView<'_>, centre: [usize; 3]) -> Vec<usize> {
     const REACH: i64 = 60;
     let grid = view.grid();

@@ -1,4 +1,4 @@
-//! Times many poses of one volume: frames one after the other, and as one batch, in turn.
+//! Times many poses of one volume, alternating: frames one by one, and as one batch.
 
 use std::path::Path;
 use std::time::Instant;
@@ -17,7 +17,7 @@ use crate::sheet::Sheet;
 use trabecula::failure::Failure;
 use trabecula::machine::Machine;
 
-/// The real CT, and the folder in which it is looked for; it is no part of the project.
+/// The real CT, and the folder in which it is searched; it is not part of the project.
 const REAL_CT: &str = "totalsegmentator_example/example_ct.nii.gz";
 const SHARED_DATA: &str = "../shared/data";
 /// Pixels of the detector along an edge, and their pitch: those of `trabecula drr`.
@@ -27,21 +27,24 @@ const THREADS: usize = 2;
 /// Voxel size of the thigh.
 const SPACING_M: f64 = 0.5e-3;
 
-/// Poses about a point.
+/// Poses around a point.
 struct Poses {
     name: &'static str,
     key: &'static str,
     c_arms: Vec<CArm>,
 }
 
-/// Renders `count` poses of a sweep and of a registration, in the thigh of these dimensions and in the real CT if it is there.
+/// Renders `count` poses of a sweep and of a registration, in the thigh with these dimensions and in the real
+/// CT if available.
 ///
 /// # Errors
-/// A volume that cannot be read or is too large for memory; a frame of a batch that is not the frame alone, bit by bit.
+/// A volume that cannot be read or is too large for memory; a frame of a batch that is not bit-identical to
+/// the single frame.
 pub fn run(dimensions: [usize; 3], count: usize, rounds: usize, sheet: &mut Sheet) -> Result<(), Failure> {
     let machine = Machine::watch();
     sheet.line(&format!(
-        "{count} poses, {SIDE} x {SIDE} pixels, {THREADS} threads; frames a second as best (median) of {rounds} rounds in turn, \
+        "{count} poses, {SIDE} x {SIDE} pixels, {THREADS} threads; frames per second as best \
+         (median) of {rounds} alternating rounds, \
          ratio as median of the rounds\n"
     ));
     let grid = Grid::centred(dimensions, [SPACING_M; 3]).map_err(Failure::bad_input)?;
@@ -59,13 +62,14 @@ pub fn run(dimensions: [usize; 3], count: usize, rounds: usize, sheet: &mut Shee
         sheet.within("abdomen", |sheet| in_turn(&view, centre_m, count, rounds, sheet))?;
     } else {
         let path = path.display();
-        sheet.line(&format!("\n*** SKIPPED: {path} is absent; set TRABECULA_SHARED_DATA ***"));
+        sheet.line(&format!("\n*** SKIPPED: {path} not found; set TRABECULA_SHARED_DATA ***"));
     }
     sheet.machine(&machine);
     Ok(())
 }
 
-/// A C-arm turned through 180 degrees, and poses within 5 degrees and 10 mm of an oblique one, as a registration tries them.
+/// Poses of a C-arm rotated through 180 degrees, and poses within 5 degrees and 10 mm of an oblique one, as
+/// tried by a registration.
 fn poses(centre_m: [f64; 3], count: usize) -> Result<[Poses; 2], Failure> {
     let format = DetectorFormat { columns: SIDE, rows: SIDE, pixel_pitch_m: [PITCH_M; 2] };
     let c_arm = |degrees: (f64, f64), shift_m: [f64; 3]| {
@@ -108,12 +112,12 @@ fn in_turn(
     let mut renders = Renders { renderer, view, tool: Tool::default() };
     for Poses { name, key, c_arms } in poses(centre_m, count)? {
         let (mut single, mut batch) = (Vec::new(), Vec::new());
-        // The first round finds its memory written to.
+        // The first round uses memory that has been written to.
         for round in 0..=rounds {
             let (one, alone) = timed(c_arms.len(), |images| renders.one_by_one(&c_arms, images))?;
             let (many, together) = timed(c_arms.len(), |images| renders.at_once(&c_arms, images))?;
             if alone != together {
-                return Err(Failure::failed("a frame of a batch differs from the frame alone"));
+                return Err(Failure::failed("a frame of a batch differs from the single frame"));
             }
             if round > 0 {
                 single.push(one);
@@ -124,20 +128,21 @@ fn in_turn(
         let best = |rates: &[f64]| rates.iter().copied().fold(0.0, f64::max);
         let text = |rates: &[f64]| format!("{:.1} ({:.1})", best(rates), median(rates));
         let figures = json!({
-            "single_per_s": median(&single), "batch_per_s": median(&batch), "ratio": ratio, "poses": c_arms.len(),
+            "single_per_s": median(&single), "batch_per_s": median(&batch),
+            "ratio": ratio, "poses": c_arms.len(),
         });
-        let text = format!("{} alone, {} as a batch: {ratio:.2} times", text(&single), text(&batch));
+        let text = format!("{} single, {} as a batch: {ratio:.2} times", text(&single), text(&batch));
         sheet.row(name, &text, key, figures);
     }
     Ok(())
 }
 
-/// Frames a second, and the frames.
+/// Returns frames per second, and the frames.
 fn timed(
     count: usize,
     render: impl FnOnce(&mut [Vec<u16>]) -> Result<(), Failure>,
 ) -> Result<(f64, Vec<Vec<u16>>), Failure> {
-    // Written to before, as in a program that goes on.
+    // Written to before, as in a long-running program.
     let mut images = vec![vec![1; (SIDE * SIDE) as usize]; count];
     let began = Instant::now();
     render(&mut images)?;

@@ -16,12 +16,12 @@ use trabecula::failure::Failure;
 /// Number of links of the tool.
 const LINKS: usize = 27;
 
-/// How two links of the tool meet.
+/// How two links of the tool are joined.
 #[derive(Clone, Copy)]
 enum Ends {
-    /// Across each link's axis, with a gap outside the bend: the least that can be computed.
+    /// Perpendicular to each link's axis, with a gap outside the bend: cheapest to compute.
     Flat,
-    /// In the plane that halves the bend, as the X-ray of a run draws them.
+    /// In the plane that bisects the bend, as in the X-ray of a run.
     Mitred,
 }
 
@@ -33,7 +33,7 @@ fn tool(ends: Ends) -> Tool {
         let angle = n as f64 * step_rad;
         [0.07 * (1.0 - angle.cos()), -0.02, 0.07 * angle.sin() - 0.03]
     };
-    // The chords on both sides of a joint are equal: the arc's tangent halves their angle.
+    // The chords on both sides of a joint are equal: the arc's tangent bisects their angle.
     let tangent = |n: usize| [(n as f64 * step_rad).sin(), 0.0, (n as f64 * step_rad).cos()];
     let link = |n: usize| {
         let normals = match ends {
@@ -58,8 +58,8 @@ fn tool(ends: Ends) -> Tool {
     Tool { parts, arm: None }
 }
 
-/// Renders frames from a stationary C-arm with cached anatomy: alone, with the tool, with noise, and with a window
-/// computed from the image's own grey values.
+/// Renders frames from a stationary C-arm with cached anatomy: alone, with the tool, with noise, and with a
+/// window computed from the image's own grey values.
 pub(super) fn run(view: &VolumeView<'_>, rounds: usize, sheet: &mut Sheet) -> Result<(), Failure> {
     let c_arm = pose(37.0, 18.0, 512).map_err(failed)?;
     let (nothing, flat, mitred) = (Tool::default(), tool(Ends::Flat), tool(Ends::Mitred));
@@ -93,15 +93,15 @@ pub(super) fn run(view: &VolumeView<'_>, rounds: usize, sheet: &mut Sheet) -> Re
             let report = if frame == 0 { render() } else { times.add(render) };
             covered = report.map_err(failed)?.tool_pixels;
         }
-        let text = format!("{}; {covered} pixels of tool", times.text());
+        let text = format!("{}; {covered} tool pixels", times.text());
         sheet.line(&format!("{:<46} {text}", format!("{name}, ms (512, 2 threads)")));
         sheet.push("layers", json!({"what": name, "times": times.figures(), "tool_pixels": covered}));
         all.push(times.least());
     }
     if let [alone, flat, mitred, ..] = all.as_slice() {
         for (name, key, least) in [
-            ("  of that the tool of 29 parts", "tool_ms", flat),
-            ("  of that the tool with mitred links", "mitred_tool_ms", mitred),
+            ("  of which the tool of 29 parts", "tool_ms", flat),
+            ("  of which the tool with mitred links", "mitred_tool_ms", mitred),
         ] {
             let tool_ms = least - alone;
             sheet.row(name, &format!("{tool_ms:8.3}"), key, json!(tool_ms));
@@ -110,7 +110,8 @@ pub(super) fn run(view: &VolumeView<'_>, rounds: usize, sheet: &mut Sheet) -> Re
     labels(view, rounds.min(5), sheet)
 }
 
-/// Labels of a frame against the frame by Siddon's walk, which goes through the same voxels; both on one thread, in turn.
+/// Times labels of a frame against the frame by Siddon's method, which visits the same voxels; both on one
+/// thread, alternating.
 fn labels(view: &VolumeView<'_>, rounds: usize, sheet: &mut Sheet) -> Result<(), Failure> {
     let c_arm = pose(37.0, 18.0, 256).map_err(failed)?;
     let parameters = DrrParameters { projector: Projector::Siddon, threads: 1, ..DrrParameters::default() };
@@ -127,7 +128,7 @@ fn labels(view: &VolumeView<'_>, rounds: usize, sheet: &mut Sheet) -> Result<(),
         labels.add(|| renderer.labels(view, &c_arm, &request)).map_err(failed)?;
     }
     let ratio = labels.ratio_to(&frames);
-    let text = format!("{}; {ratio:.3} of a frame by Siddon's walk", labels.text());
+    let text = format!("{}; {ratio:.3} of a frame by Siddon's method", labels.text());
     sheet.line(&format!("{:<46} {text}", "labels, ms (256, 1 thread)"));
     sheet.push("labels", json!({"times": labels.figures(), "siddon": frames.figures(), "ratio": ratio}));
     Ok(())

@@ -1,5 +1,6 @@
-//! Times (ms) of X-ray line integrals from all sides, as multiples of the frontal frame's: a C-arm about a field of 500 mm, with the
-//! detector behind, in and before corners of the volume, and with the source inside its box.
+//! Times (ms) of X-ray line integrals from all sides, as multiples of the frontal frame's: a C-arm around a
+//! field of 500 mm, with the detector behind, inside and in front of corners of the volume, and with the
+//! source inside its box.
 
 use drr_proc::ThisMachine;
 use rayon::prelude::*;
@@ -29,15 +30,15 @@ const PITCH_M: f64 = 0.6e-3;
 const ENERGY_KEV: f64 = 60.0;
 const THREADS: usize = 2;
 
-/// A pose and the times measured there.
+/// A pose and its times.
 struct Pose {
     c_arm: CArm,
     distances_m: (f64, f64),
     degrees: (f64, f64),
     times: Times,
-    /// Those of the frontal frame just before each.
+    /// Times of the frontal frame just before each.
     frontal: Times,
-    /// Intermediate images, and their samples.
+    /// Number of intermediate images, and of their samples.
     images: (usize, usize),
 }
 
@@ -47,7 +48,8 @@ impl Pose {
     }
 }
 
-/// Times `count` poses in turn with the frontal one, in a volume of these dimensions, filled with tissue and with a thigh.
+/// Times `count` poses, alternating with the frontal one, in a volume of these dimensions, filled with tissue
+/// and with a thigh.
 ///
 /// # Errors
 /// A volume too large for memory.
@@ -58,7 +60,8 @@ pub fn run(dimensions: [usize; 3], count: usize, rounds: usize, sheet: &mut Shee
     let thigh = reference::thigh(FIELD_M / 0.24).into_iter().map(Solid::Ellipsoid).collect();
     let machine = Machine::watch();
     sheet.line(&format!(
-        "volume {dimensions:?}, {FIELD_M} m; {SIDE} x {SIDE} pixels, {THREADS} threads; ms as least (median) of {rounds} rounds, ratios to the frontal frame just before"
+        "volume {dimensions:?}, {FIELD_M} m; {SIDE} x {SIDE} pixels, {THREADS} threads; ms as minimum \
+         (median) of {rounds} rounds, ratios to the frontal frame just before"
     ));
     for (name, key, hu) in [
         ("tissue in every voxel", "tissue", vec![100; grid.voxels()]),
@@ -78,7 +81,8 @@ fn c_arm(degrees: (f64, f64), distances_m: (f64, f64)) -> Result<CArm, DrrError>
     CArm::from_positioner_angles([0.0; 3], angles, distances_m.0, distances_m.1, format)
 }
 
-/// Directions spread evenly over the sphere (Fibonacci lattice), by turns at the distances of each C-arm.
+/// Returns directions spread evenly over the sphere (Fibonacci lattice), cycling through the distances of the
+/// C-arms.
 fn poses(count: usize) -> Result<Vec<Pose>, DrrError> {
     let golden = 0.5 * (5.0_f64.sqrt() - 1.0);
     let pose = |n: usize| {
@@ -144,7 +148,7 @@ fn tell_ratios(poses: &[Pose], distances_m: (f64, f64), sheet: &mut Sheet) {
     let (primary, secondary) = worst.degrees;
     let median = of[of.len() / 2].ratio();
     let text = format!(
-        "{:.2} least, {median:.2} median, {:.2} worst (at {primary:.0}, {secondary:.0} degrees: {}; {})",
+        "{:.2} minimum, {median:.2} median, {:.2} worst (at {primary:.0}, {secondary:.0} degrees: {}; {})",
         least.ratio(),
         worst.ratio(),
         worst.times.text(),
@@ -166,7 +170,7 @@ fn images_text((images, samples): (usize, usize)) -> String {
     format!("{images} images, {:.2} M samples", samples as f64 * 1e-6)
 }
 
-/// The same frame by the projector `joseph`.
+/// Renders the same frame with the projector `joseph`.
 fn ray_by_ray(
     view: &VolumeView<'_>,
     table: &MuTable,

@@ -1,4 +1,4 @@
-//! Memory of each process over a long run: at its start, in its middle, at its end, and how fast it grows.
+//! Memory of each process over a long run: at its start, in its middle, at its end, and its growth rate.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -19,18 +19,18 @@ pub struct Growth(BTreeMap<String, Curve>);
 pub struct GrowthSummary {
     /// After a tenth of the run, in its middle, at its end; bytes.
     pub bytes: [u64; 3],
-    /// Median of the slopes between any two samples (Theil and Sen). A queue that once ran full, or one bad sample,
-    /// hardly moves it; steady growth shows in full.
+    /// Median of the slopes between any two samples (Theil and Sen). Hardly affected by a queue that filled
+    /// once or by one bad sample; steady growth shows fully.
     pub bytes_per_minute: f64,
-    /// The smallest of this slope and those of the first and second half: a single step, wherever it is, leaves one
-    /// half flat.
+    /// The minimum of this slope and those of the first and second half: a single step, wherever it occurs,
+    /// leaves one half flat.
     pub steady_bytes_per_minute: f64,
     /// Time between the first and the last sample.
     pub minutes: f64,
 }
 
 impl GrowthSummary {
-    /// What steady growth amounts to between the first and the last sample.
+    /// Returns the steady growth between the first and the last sample.
     pub fn growth_bytes(&self) -> f64 {
         self.steady_bytes_per_minute * self.minutes
     }
@@ -42,7 +42,7 @@ impl Growth {
         self.0.entry(name.to_owned()).or_default().0.push((at.as_secs_f64() / 60.0, bytes));
     }
 
-    /// The processes, by name, that have lived longer than a tenth of the run.
+    /// Returns the processes, by name, that have lived longer than a tenth of the run.
     pub fn curves(&self) -> impl Iterator<Item = (&str, GrowthSummary)> {
         self.0.iter().filter_map(|(name, curve)| Some((name.as_str(), curve.summary()?)))
     }
@@ -63,7 +63,7 @@ impl Curve {
     }
 }
 
-/// Bytes per minute; 0 with fewer than two distinct times.
+/// Returns bytes per minute; 0 with fewer than two distinct times.
 fn median_slope(samples: &[(f64, u64)]) -> f64 {
     let pairs = samples.iter().enumerate().flat_map(|(index, from)| {
         let later = samples[index + 1..].iter().filter(|to| to.0 > from.0);

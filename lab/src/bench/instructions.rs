@@ -1,4 +1,4 @@
-//! Counts the instructions of a physics step with valgrind: a figure that other load on the machine does not change.
+//! Counts the instructions of a physics step with valgrind: a figure unaffected by other load on the machine.
 
 use std::ffi::OsString;
 
@@ -15,7 +15,7 @@ const COUNTED: &str = "*one_step*";
 /// Runs `bench step SCENE --in-process` again under callgrind, and prints the mean over its ticks.
 ///
 /// # Errors
-/// valgrind is not on the path, or fails.
+/// valgrind is not in the PATH, or fails.
 pub fn run(scene: &SceneSource, ticks: Option<u64>, sheet: &mut Sheet) -> Result<(), Failure> {
     let folder = tempfile::tempdir().map_err(failed)?;
     let mut arguments: Vec<OsString> = ["bench", "step"].map(OsString::from).into();
@@ -32,7 +32,7 @@ pub fn run(scene: &SceneSource, ticks: Option<u64>, sheet: &mut Sheet) -> Result
             let mean = counted / steps;
             let figures = json!({"mean": mean, "steps": steps});
             sheet.row(
-                "instructions a step, mean",
+                "instructions per step, mean",
                 &format!("{mean} ({steps} steps)"),
                 "instructions",
                 figures,
@@ -43,7 +43,8 @@ pub fn run(scene: &SceneSource, ticks: Option<u64>, sheet: &mut Sheet) -> Result
     }
 }
 
-/// The first whole number after a word; in the table of [`super::step`] the first bracket holds the number of steps.
+/// Returns the first integer after a word; in the table of [`super::step`] the first bracket contains the
+/// number of steps.
 fn number_after(text: &str, word: &str) -> Option<u64> {
     let behind = text.split_once(word)?.1;
     behind.split(|c: char| !c.is_ascii_digit()).find(|digits| !digits.is_empty())?.parse().ok()

@@ -1,8 +1,10 @@
-//! How late a real-time tick starts, beside `cyclictest` of the same period and priority on the same cores, in turn.
+//! How late a real-time tick starts, alternating with `cyclictest` at the same period and priority on the
+//! same cores.
 //!
-//! `cyclictest` (Debian package `rt-tests`) is the usual measure of what a machine gives: a thread that sleeps until a time and notes how late
-//! it wakes. It does not compute, read or publish anything, so what the hub is later than it is the hub's. Waiting `event` sleeps as it does;
-//! `hybrid` wakes early and looks at the clock.
+//! `cyclictest` (Debian package `rt-tests`) is the usual measure of a machine's timing: a thread that sleeps
+//! until a deadline and records how late it wakes. It does not compute, read or publish anything, so any
+//! additional lateness is the hub's. The wait strategy `event` sleeps in the same way; `hybrid` wakes early
+//! and polls the clock.
 
 use std::path::Path;
 use std::process::Command;
@@ -23,36 +25,36 @@ use trabecula::scenes::SceneSource;
 use trabecula::stress::load::Loads;
 use trabecula::stress::plan::{Load, policy_name, wait_name};
 
-/// Longer than `cyclictest` takes to start and end on a busy machine.
+/// Allowance for `cyclictest` to start and end on a busy machine.
 const GRACE: Duration = Duration::from_secs(60);
-/// Longer than a run takes to start and end, for the neighbours.
+/// Allowance for a run to start and end, for the competing load.
 const RUN_GRACE: Duration = Duration::from_secs(120);
 const QUANTILES: [(&str, f64); 3] = [("p50", 0.5), ("p99", 0.99), ("p99.9", 0.999)];
 const WAITS: [Wait; 2] = [Wait::Event, Wait::Hybrid];
 
-/// What is measured.
+/// Settings of the measurement.
 #[derive(Debug)]
 pub struct Plan {
-    /// The scene of the runs; unrecorded and in real time.
+    /// Scene of the runs; unrecorded and in real time.
     pub scene: SceneSource,
     /// Numbers of cores.
     pub cores: Vec<usize>,
-    /// Neighbours on them.
+    /// Competing load on them.
     pub loads: Vec<Load>,
-    /// How physics and `cyclictest` are scheduled.
+    /// Scheduling policy of physics and `cyclictest`.
     pub policy: Policy,
     /// Length of a run.
     pub seconds: f64,
     /// Number of rounds.
     pub rounds: usize,
-    /// Of the neighbours' work.
+    /// Seed of the competing load.
     pub seed: u64,
 }
 
 /// Measures every number of cores with every load.
 ///
 /// # Errors
-/// An invalid scene (2); no `cyclictest`, a priority that is not permitted, a run that fails (1).
+/// An invalid scene (2); no `cyclictest`, a priority that is not permitted, or a run that fails (1).
 pub fn run(plan: &Plan, sheet: &mut Sheet) -> Result<(), Failure> {
     let mut scene = plan.scene.load()?;
     scene.run.mode = Mode::Realtime;
@@ -62,7 +64,8 @@ pub fn run(plan: &Plan, sheet: &mut Sheet) -> Result<(), Failure> {
     let machine = Machine::watch();
     let (name, policy) = (&scene.name, policy_name(plan.policy));
     sheet.line(&format!(
-        "scene {name}, {policy}, {} rounds of {} s each, in turn with cyclictest; how late a tick of {} ms starts\n",
+        "scene {name}, {policy}, {} rounds of {} s each, alternating with cyclictest; \
+         lateness of a tick of {} ms\n",
         plan.rounds,
         plan.seconds,
         scene.dt_s() * 1e3
@@ -87,7 +90,7 @@ pub fn run(plan: &Plan, sheet: &mut Sheet) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Lateness on some cores beside some load: of each round, and of all together.
+/// Lateness on some cores with some load: per round, and of all rounds.
 #[derive(Debug, Default)]
 struct Setting {
     bare: Rounds,
@@ -106,7 +109,7 @@ impl Rounds {
         self.each.push(samples);
     }
 
-    /// The median over the rounds of this one's quantile over the other's.
+    /// Returns the median over the rounds of the ratio of this quantile to the other's.
     fn ratio_to(&self, other: &Rounds, fraction: f64) -> f64 {
         let of = |(mine, other): (&Samples, &Samples)| {
             mine.quantile_us(fraction) / other.quantile_us(fraction).max(1e-3)
@@ -144,7 +147,7 @@ impl Setting {
     }
 }
 
-/// Lateness of every tick of a run.
+/// Returns the lateness of every tick of a run.
 fn ticks(scene: &Scene, end: &EndRequest) -> Result<Samples, Failure> {
     let volume_files = VolumeFiles::default();
     let plan = RunPlan { scene: scene.clone(), output: None, view: None, volume_files };
@@ -155,10 +158,10 @@ fn ticks(scene: &Scene, end: &EndRequest) -> Result<Samples, Failure> {
     Ok(late)
 }
 
-/// Lateness of as many wake-ups of `cyclictest`.
+/// Returns the lateness of as many wake-ups of `cyclictest`.
 fn cyclictest(scene: &Scene, folder: &Path) -> Result<Samples, Failure> {
     let priority = Role::Physics.priority(scene.run.policy);
-    // `--default-system`: without a request for the processor to stay awake, which the hub does not make either.
+    // `--default-system`: without a request to keep the processor awake, which the hub does not make either.
     let mut command = Command::new("nice");
     command.args(["-n", &priority.nice.to_string(), "cyclictest", "--default-system", "--mlockall"]);
     command.args(["--nsecs", "--verbose", "--interval", &(scene.dt_ns() / 1000).to_string()]);
@@ -168,11 +171,12 @@ fn cyclictest(scene: &Scene, folder: &Path) -> Result<Samples, Failure> {
         None => command.arg("--policy=other"),
     };
     let limit = Duration::from_secs_f64(scene.run.duration_s) + GRACE;
-    let said = outside::run(&mut command, folder, limit, "`bench lateness` starts `cyclictest` with it")?;
+    let said = outside::run(&mut command, folder, limit, "`bench lateness` needs it to start `cyclictest`")?;
     let late = parse(&said.out);
     if !said.status.success() || late.count() == 0 {
         return Err(Failure::failed(format!(
-            "cyclictest ({}): {}; it is in the Debian package `rt-tests`, and a policy of fifo needs the right to it (`trabecula doctor`)",
+            "cyclictest ({}): {}; it is in the Debian package `rt-tests`, and a policy of fifo needs the \
+             right to it (`trabecula doctor`)",
             said.status,
             said.report.trim()
         )));
@@ -180,7 +184,7 @@ fn cyclictest(scene: &Scene, folder: &Path) -> Result<Samples, Failure> {
     Ok(late)
 }
 
-/// The values of lines `thread: number: nanoseconds`.
+/// Returns the values of lines `thread: number: nanoseconds`.
 fn parse(text: &str) -> Samples {
     let mut late = Samples::default();
     for line in text.lines() {
@@ -199,7 +203,7 @@ fn parse(text: &str) -> Samples {
 mod tests {
     use super::*;
 
-    /// What `cyclictest` 2.40 prints.
+    /// Output of `cyclictest` 2.40.
     #[test]
     fn values_are_read_and_other_lines_are_not() {
         let late = parse(

@@ -64,10 +64,11 @@ pub fn run(scene: &SceneSource, ticks: Option<u64>, sheet: &mut Sheet) -> Result
     Ok(())
 }
 
-/// Time of a replay as `trabecula replay` makes it, in seconds, with one thread per core; the final hash must match the log's.
+/// Returns the time of a replay as in `trabecula replay`, in seconds, with one thread per core; the final
+/// hash must match the log's.
 ///
 /// # Errors
-/// A log that cannot be read, or another hash at its end.
+/// A log that cannot be read, or a different hash at its end.
 fn replay(log: &Path) -> Result<(f64, usize), Failure> {
     let opened = OpenedLog::open(log, &Overrides::default())?;
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
@@ -77,7 +78,7 @@ fn replay(log: &Path) -> Result<(f64, usize), Failure> {
     let found = report.replay;
     if verdict.ending.marker.is_none_or(|marker| marker.hash != Some(found.hash)) {
         return Err(Failure::failed(format!(
-            "the replay ends at tick {} with another hash",
+            "the replay ends at tick {} with a different hash",
             found.last_tick
         )));
     }

@@ -1,5 +1,5 @@
-//! Measures the memory of each process with a large volume, to show that there is one CT in shared memory, not one per
-//! process.
+//! Measures the memory of each process with a large volume, to show that there is one CT in shared memory
+//! rather than one per process.
 
 use std::fs::File;
 use std::io::{BufWriter, Write};
@@ -28,7 +28,7 @@ const MEBIBYTE: f64 = 1_048_576.0;
 /// Parses three sizes separated by `x`.
 ///
 /// # Errors
-/// What is wrong with the text.
+/// An error text for the user.
 pub fn parse_dimensions(text: &str) -> Result<[usize; 3], String> {
     let sizes: Vec<usize> = text.split('x').map_while(|size| size.parse().ok()).collect();
     match sizes[..] {
@@ -37,7 +37,8 @@ pub fn parse_dimensions(text: &str) -> Result<[usize; 3], String> {
     }
 }
 
-/// Runs the scene for `ticks` with its volume resampled to `dimensions`, and prints the memory of each process.
+/// Runs the scene for `ticks` with its volume resampled to `dimensions`, and prints the memory of each
+/// process.
 ///
 /// # Errors
 /// An invalid scene, or one without a volume (2); a run that fails.
@@ -82,7 +83,7 @@ pub fn run(
     ));
     sheet.set("ct_bytes", json!(ct_bytes));
     let columns = |name: &str, resident: &str, own: &str| format!("{name:<46} {resident:>14} {own:>14}");
-    sheet.line(&columns("process", "peak resident", "its own"));
+    sheet.line(&columns("process", "peak resident", "private"));
     for (name, memory) in &result.memory {
         let (resident_bytes, own_bytes) = (memory.peak_resident, memory.peak_private);
         sheet.line(&columns(name, &mebibytes(resident_bytes), &mebibytes(own_bytes)));
@@ -91,8 +92,8 @@ pub fn run(
             json!({"name": name, "peak_resident_bytes": resident_bytes, "peak_own_bytes": own_bytes}),
         );
     }
-    // At its peak the launcher holds both the volume that it read and the one that it shares.
-    sheet.line(&columns("launcher, once the parts run", "", &mebibytes(running.peak_private)));
+    // At its peak the launcher holds both the volume it read and the shared one.
+    sheet.line(&columns("launcher, while the parts run", "", &mebibytes(running.peak_private)));
     sheet.set("launcher_running_own_bytes", json!(running.peak_private));
     let sizes: Vec<String> = segments.iter().map(|bytes| mebibytes(*bytes)).collect();
     let text = format!("{} ({})", segments.len(), sizes.join(", "));
@@ -116,12 +117,12 @@ fn shared_segments(session: &Path, ct_bytes: u64) -> Vec<u64> {
         .collect()
 }
 
-/// Writes the volume, resampled to other dimensions over the same space with the nearest voxel, as an uncompressed
-/// NRRD file.
+/// Writes the volume as an uncompressed NRRD file, resampled to other dimensions over the same space with the
+/// nearest voxel.
 fn write_resampled(volume: &Volume, dims: [usize; 3], path: &Path) -> std::io::Result<()> {
     let (grid, had) = (&volume.grid, volume.grid.dims());
     let ratio = [0, 1, 2].map(|axis| had[axis] as f64 / dims[axis] as f64);
-    // The first voxel's centre lies half a new voxel inside the corner, not half an old one.
+    // The first voxel's centre is half a new voxel inside the corner, not half an old one.
     let origin_mm = grid.world_m(ratio.map(|ratio| 0.5 * ratio - 0.5)).map(|metres| metres * 1e3);
     let vector = |v: [f64; 3]| format!("({:?},{:?},{:?})", v[0], v[1], v[2]);
     let axes = [0, 1, 2].map(|axis| {
@@ -132,7 +133,8 @@ fn write_resampled(volume: &Volume, dims: [usize; 3], path: &Path) -> std::io::R
     write!(
         file,
         "NRRD0005\ntype: int16\ndimension: 3\nspace: left-posterior-superior\nsizes: {} {} {}\n\
-         space directions: {} {} {}\nendian: little\nencoding: raw\nspace units: \"mm\" \"mm\" \"mm\"\nspace origin: {}\n\n",
+         space directions: {} {} {}\nendian: little\nencoding: raw\nspace units: \"mm\" \"mm\" \
+         \"mm\"\nspace origin: {}\n\n",
         dims[0],
         dims[1],
         dims[2],
@@ -181,7 +183,8 @@ mod tests {
         for (i, j, k) in [(0, 0, 0), (7, 8, 1), (3, 4, 0)] {
             assert_eq!(finer.at([i, j, k]), volume.at([i / 2, j / 3, k]));
         }
-        // The outer corner of the first voxel stays; printing millimetres as text rounds at 1e-16 relative.
+        // The outer corner of the first voxel is unchanged; printing millimetres as text rounds at 1e-16
+        // relative.
         let corner = |volume: &Volume| volume.grid.world_m([-0.5; 3]);
         for (a, b) in corner(&volume).iter().zip(corner(&finer)) {
             assert!((a - b).abs() < 1e-12, "{a} {b}");

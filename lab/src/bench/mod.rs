@@ -1,4 +1,5 @@
-//! What the hub costs: measurements, printed as tables or figures. Times depend on the machine, so nothing here asserts one.
+//! Benchmarks of the hub, printed as tables or figures. Times depend on the machine, so nothing here asserts
+//! one.
 
 pub mod bridge;
 mod callgrind;

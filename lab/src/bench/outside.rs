@@ -1,4 +1,4 @@
-//! Runs a program that is not ours, such as valgrind or `cyclictest`, to its end or its limit.
+//! Runs an external program, such as valgrind or `cyclictest`, until its end or a time limit.
 
 use std::fs::File;
 use std::path::Path;
@@ -11,24 +11,24 @@ use super::failed;
 use trabecula::failure::Failure;
 
 const POLL: Duration = Duration::from_millis(20);
-/// How long a killed program may take to be gone.
+/// Time limit for a killed program to end.
 const KILL_LIMIT: Duration = Duration::from_secs(10);
 
-/// How it ended, and what it said.
+/// Exit status and output of a program.
 pub struct Said {
-    /// How it ended.
+    /// Exit status.
     pub status: ExitStatus,
-    /// Its standard output.
+    /// Standard output.
     pub out: String,
-    /// Its standard error.
+    /// Standard error.
     pub report: String,
 }
 
-/// Runs a program, which ends with this one; what it says goes through files in the folder, however much it is. `missing` follows the cause
-/// if it cannot be started.
+/// Runs a program, which ends with this one; its output goes through files in the folder, so its size does
+/// not matter. `missing` is appended to the cause if it cannot be started.
 ///
 /// # Errors
-/// It cannot be started, or has not ended within the limit and was killed.
+/// It cannot be started, or did not end within the limit and was killed.
 pub fn run(command: &mut Command, folder: &Path, limit: Duration, missing: &str) -> Result<Said, Failure> {
     let name = command.get_program().to_string_lossy().into_owned();
     let [out, report] = ["out.txt", "report.txt"].map(|name| folder.join(name));
@@ -41,16 +41,14 @@ pub fn run(command: &mut Command, folder: &Path, limit: Duration, missing: &str)
         let is_gone = ends_within(&mut child, KILL_LIMIT)?.is_some();
         let (seconds, kill_seconds) = (limit.as_secs(), KILL_LIMIT.as_secs());
         let still =
-            if is_gone { String::new() } else { format!("; it is still there {kill_seconds} s later") };
-        return Err(Failure::failed(format!(
-            "{name} has not ended within {seconds} s and was killed{still}"
-        )));
+            if is_gone { String::new() } else { format!("; it is still running {kill_seconds} s later") };
+        return Err(Failure::failed(format!("{name} did not end within {seconds} s and was killed{still}")));
     };
     let text = |path: &Path| std::fs::read(path).map(|bytes| String::from_utf8_lossy(&bytes).into_owned());
     Ok(Said { status, out: text(&out).map_err(failed)?, report: text(&report).map_err(failed)? })
 }
 
-/// How a program has ended; `None` if it runs on after the limit.
+/// Returns a program's exit status, or `None` if it is still running at the limit.
 fn ends_within(child: &mut Child, limit: Duration) -> Result<Option<ExitStatus>, Failure> {
     let began = Instant::now();
     loop {

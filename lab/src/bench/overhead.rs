@@ -1,4 +1,5 @@
-//! The hub's own overhead: a multi-process lockstep tick minus its physics step, alternating with a bare ping-pong.
+//! The hub's own overhead: a multi-process lockstep tick minus its physics step, alternating with a bare
+//! ping-pong.
 
 use ipc_types::messages::TickTiming;
 use ipc_types::process::EndRequest;
@@ -16,7 +17,7 @@ use trabecula::launcher::volume_source::VolumeFiles;
 use trabecula::machine::Machine;
 use trabecula::scenes::SceneSource;
 
-/// How the time of lockstep ticks is spent.
+/// Breakdown of the time of lockstep ticks.
 #[derive(Debug, Default)]
 struct Ticks {
     whole: Samples,
@@ -55,7 +56,8 @@ impl Ticks {
     }
 }
 
-/// Measures `rounds` times, alternating: `ticks` ticks of the scene, and as many round trips with each wait strategy.
+/// Measures `rounds` times, alternating: `ticks` ticks of the scene, and as many round trips with each wait
+/// strategy.
 ///
 /// # Errors
 /// An invalid scene (2); a run that fails.
@@ -79,7 +81,7 @@ pub fn run(scene: &SceneSource, ticks: u64, rounds: usize, sheet: &mut Sheet) ->
         yielding.append(&bare_yield);
     }
     sheet.line(&format!(
-        "scene {}, {rounds} rounds of {ticks} ticks in lockstep, each followed by bare ping-pongs\n",
+        "scene {}, {rounds} rounds of {ticks} ticks in lockstep, each followed by plain ping-pongs\n",
         scene.name
     ));
     sheet.set("scene", json!(scene.name));
@@ -88,12 +90,12 @@ pub fn run(scene: &SceneSource, ticks: u64, rounds: usize, sheet: &mut Sheet) ->
     sheet.samples("  physics step", "step", &all.step);
     sheet.samples("  publish x_k+1", "publish", &all.publish);
     sheet.samples("  state published to command received", "answer", &all.answer);
-    sheet.samples("overhead: tick less physics step", "overhead", &all.overhead);
-    sheet.samples("bare ping-pong, waiting as the hub does", "ping_pong_hybrid", &hybrid);
-    sheet.samples("bare ping-pong, yielding for ever", "ping_pong_yield", &yielding);
-    let name = "overhead / ping-pong waiting as the hub does";
+    sheet.samples("overhead: tick minus physics step", "overhead", &all.overhead);
+    sheet.samples("plain ping-pong, waiting like the hub", "ping_pong_hybrid", &hybrid);
+    sheet.samples("plain ping-pong, always yielding", "ping_pong_yield", &yielding);
+    let name = "overhead / ping-pong waiting like the hub";
     sheet.row(name, &ratio_line(&to_hybrid), "overhead_to_hybrid_by_round", json!(to_hybrid));
-    let name = "overhead / ping-pong yielding for ever";
+    let name = "overhead / ping-pong always yielding";
     sheet.row(name, &ratio_line(&to_yield), "overhead_to_yield_by_round", json!(to_yield));
     sheet.machine(&machine);
     Ok(())

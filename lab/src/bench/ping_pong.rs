@@ -1,5 +1,6 @@
-//! Bare iceoryx2 between two processes: a message of a state's size out, one of a command's size back. No layout
-//! check, no sequence numbers, no validation: the lower bound for a multi-process lockstep tick on this machine.
+//! Plain iceoryx2 between two processes: a message of a state's size out, one of a command's size back. No
+//! layout check, no sequence numbers, no validation: the lower bound for a multi-process lockstep tick on
+//! this machine.
 
 use std::path::Path;
 use std::process::{Child, Command as Program};
@@ -25,11 +26,11 @@ use trabecula::failure::Failure;
 /// How both sides wait.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Wait {
-    /// As the hub does: yield for 20 µs, then sleep on the event.
+    /// Like the hub: yield for 20 µs, then sleep on the event.
     Hybrid,
-    /// Yield for ever.
+    /// Always yield.
     Yield,
-    /// Look without a pause.
+    /// Spin.
     Spin,
 }
 
@@ -37,7 +38,7 @@ pub enum Wait {
 const PONG: &str = "pong";
 const PING_SERVICE: &str = "bench/ping";
 const PONG_SERVICE: &str = "bench/pong";
-/// How long to wait for the other side.
+/// Timeout for the other side.
 const LIMIT: Duration = Duration::from_secs(10);
 
 type Service = PortFactory<ipc::Service, [u8], ()>;
@@ -134,7 +135,7 @@ pub fn measure(wait: Wait, rounds: usize) -> Result<Samples, Failure> {
 /// Like [`measure`]; `place` starts the other side on its core.
 ///
 /// # Errors
-/// As [`measure`].
+/// Same as [`measure`].
 pub fn measure_on(
     wait: Wait,
     rounds: usize,

@@ -1,4 +1,4 @@
-//! What it costs to sample the counters that explain late ticks.
+//! Cost of sampling the counters that explain late ticks.
 
 use std::time::{Duration, Instant};
 
@@ -9,7 +9,7 @@ use super::samples::Samples;
 use crate::sheet::Sheet;
 use trabecula::machine::Machine;
 
-/// Samples the counters of `ticks` ticks, each after a short sleep, as in a run, and without one.
+/// Samples the counters of `ticks` ticks each, both after a short sleep, as in a run, and without one.
 pub fn run(ticks: u64, sheet: &mut Sheet) {
     let machine = Machine::watch();
     let (mut slept, mut awake, mut late) = (Samples::default(), Samples::default(), Samples::default());
@@ -19,14 +19,14 @@ pub fn run(ticks: u64, sheet: &mut Sheet) {
         awake.add(one(&mut readings, Duration::ZERO, Sample::InTime));
         late.add(one(&mut readings, Duration::from_micros(20), Sample::Late));
     }
-    sheet.line(&format!("readings of {ticks} ticks of each kind, both looks of a tick together\n"));
-    sheet.samples("a tick in time, after a sleep", "slept", &slept);
-    sheet.samples("a tick in time, never off its core", "awake", &awake);
+    sheet.line(&format!("readings of {ticks} ticks of each kind, both samples of a tick added\n"));
+    sheet.samples("a tick on time, after a sleep", "slept", &slept);
+    sheet.samples("a tick on time, never off its core", "awake", &awake);
     sheet.samples("a late tick, with the machine's steal", "late", &late);
     sheet.machine(&machine);
 }
 
-/// Nanoseconds of both samples of a tick.
+/// Returns the nanoseconds of both samples of a tick.
 fn one(readings: &mut Disturbances, sleep: Duration, sample: Sample) -> u64 {
     let mut timing = TickTiming::zeroed();
     let began = Instant::now();

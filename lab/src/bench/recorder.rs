@@ -1,4 +1,4 @@
-//! What the recorder costs the physics: the same real-time run with and without it, alternating.
+//! Cost of the recorder for the physics: the same real-time run with and without it, alternating.
 
 use std::path::Path;
 
@@ -40,7 +40,7 @@ impl Physics {
         self.missed += u64::from(timing.missed);
     }
 
-    /// `name` is `with` or `without`, and begins the keys.
+    /// `name` is `with` or `without`, and is the prefix of the keys.
     fn tell(&self, name: &str, sheet: &mut Sheet) {
         let key = |of: &str| format!("{name}_{of}");
         sheet.samples(&format!("{name}: physics step"), &key("step"), &self.step);
@@ -65,13 +65,13 @@ pub fn run(scene: &SceneSource, seconds: f64, rounds: usize, sheet: &mut Sheet) 
     let scene = scene.load()?;
     let bytes = in_turn("a recorder", [scene.clone(), scene], seconds, rounds, recorded, sheet)?;
     let megabytes = bytes * 1e-6;
-    let text = format!("{megabytes:.1} MB a run, {:.2} MB/s", megabytes / seconds);
+    let text = format!("{megabytes:.1} MB per run, {:.2} MB/s", megabytes / seconds);
     sheet.row("run.mcap", &text, "run_mcap_bytes", json!(bytes));
     Ok(())
 }
 
-/// Runs two scenes in real time, alternating, without and with something, and prints both and their ratios. `run_with`
-/// makes one run of the second and returns a count; returns the mean count of a run.
+/// Runs two scenes in real time, alternating, without and with a part, and prints both and their ratios.
+/// `run_with` performs one run of the second and returns a count; returns the mean count per run.
 ///
 /// # Errors
 /// A run that fails.
@@ -115,7 +115,7 @@ pub(super) fn in_turn(
     Ok(count as f64 / rounds.max(1) as f64)
 }
 
-/// One run, optionally recorded into a folder and shown at a port; returns the number of X-ray frames.
+/// Performs one run, optionally recorded to a folder and shown at a port; returns the number of X-ray frames.
 pub(super) fn one(
     scene: &Scene,
     output: Option<&Path>,
@@ -126,7 +126,7 @@ pub(super) fn one(
     one_seen(scene, output, view, end, all, |_| {})
 }
 
-/// The same; `see` is shown the run at every update.
+/// Same; `see` is called with the run at every update.
 pub(super) fn one_seen(
     scene: &Scene,
     output: Option<&Path>,

@@ -15,7 +15,7 @@ impl Samples {
         self.0.extend_from_slice(&other.0);
     }
 
-    /// Keeps, sample by sample, the smaller of this and the other: the same things timed again.
+    /// Keeps, sample by sample, the minimum of both series, for repeated measurements of the same work.
     pub fn keep_least(&mut self, again: &Samples) {
         for (mine, other) in self.0.iter_mut().zip(&again.0) {
             *mine = (*mine).min(*other);
@@ -48,7 +48,7 @@ impl Samples {
     }
 }
 
-/// The median of some numbers; 0 without any.
+/// Returns the median of some numbers; 0 if empty.
 pub fn median(numbers: &[f64]) -> f64 {
     let mut sorted = numbers.to_vec();
     sorted.sort_unstable_by(f64::total_cmp);

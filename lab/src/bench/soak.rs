@@ -1,4 +1,4 @@
-//! A long real-time run with frames, and what it shows: misses, losses, log, memory, replay.
+//! A long real-time run with frames, and its checks: misses, losses, log, memory, replay.
 
 use std::path::Path;
 use std::time::Instant;
@@ -32,18 +32,18 @@ const SAMPLES: f64 = 120.0;
 const SAMPLES_PER_LINE: usize = 4;
 /// Fraction of the run that a slowed feed takes.
 const FEED_SHARE: f64 = 0.9;
-/// Slowest feed that a scene may have.
+/// Minimum feed of a scene.
 const SLOWEST_MM_PER_S: f64 = 0.01;
-/// Smallest growth over the whole run, from its slope, that counts as growth; an allocator returning and reclaiming
-/// memory moves less.
+/// Smallest growth over the whole run, from its slope, that counts as growth; an allocator that returns and
+/// reclaims memory causes less.
 const FLAT_BYTES: f64 = MEBIBYTE;
 
-/// Runs the scene in real time for `minutes`, with its feed slowed so that it drills throughout. Then reports whether
-/// the log is whole, no message was lost, every tick replays to the same hash, every frame is present, and no
-/// process's memory has grown. Ctrl-C ends the run early; the part that ran is still checked.
+/// Runs the scene in real time for `minutes`, with its feed slowed so that it drills throughout. Then checks
+/// that the log is complete, no message was lost, every tick replays to the same hash, every frame is
+/// present, and no process's memory has grown. Ctrl-C ends the run early; the part that ran is still checked.
 ///
 /// # Errors
-/// An invalid scene (2); a run that fails; a log that is not whole, lost messages, or replays differently; Ctrl-C
+/// An invalid scene (2); a run that fails; an incomplete log, lost messages, or a replay that differs; Ctrl-C
 /// (130).
 pub fn run(
     scene: &SceneSource,
@@ -64,7 +64,7 @@ pub fn run(
     let own = tempfile::tempdir().map_err(failed)?;
     let folder = output.unwrap_or(own.path());
     output_file::create_folder(folder).map_err(failed)?;
-    // Check now, so that a soak of hours does not end with its log refused.
+    // Checked now, so that a soak of hours does not end with its log refused.
     if let Some(there) = LANES.iter().map(|lane| folder.join(lane)).find(|path| path.exists()) {
         return Err(Failure::bad_input(format!(
             "{}: already exists; choose another folder",
@@ -101,7 +101,7 @@ pub fn run(
     }
 }
 
-/// Slows each feed that would end before most of the run is over; returns which.
+/// Slows each feed that would end before most of the run is over; returns a description of each.
 fn slow_down(scene: &mut Scene) -> Vec<String> {
     let feed_s = FEED_SHARE * scene.run.duration_s;
     let mut said = Vec::new();
@@ -152,7 +152,7 @@ impl Watch {
         if at.as_secs_f64() < due_s || snapshot.parts.is_empty() {
             return;
         }
-        // A process that has ended has no memory of its own to grow.
+        // A process that has ended has no private memory.
         for part in snapshot.parts.iter().filter(|part| part.is_running()) {
             self.growth.add(&part.name, at, part.memory.private);
         }
@@ -180,7 +180,7 @@ fn tell_run(result: &RunResult, summary: &Summary, sheet: &Sheet) {
     let misses = &summary.timing.misses;
     for (cause, count) in &misses.by_cause {
         let lost_ms = misses.lost_ms.get(cause).copied().unwrap_or(0.0);
-        row(&format!("  because of: {cause}"), &format!("{count} ({lost_ms:.1} ms lost)"));
+        row(&format!("  cause: {cause}"), &format!("{count} ({lost_ms:.1} ms lost)"));
     }
     if misses.not_recorded > 0 {
         row("  not recorded", &misses.not_recorded.to_string());
@@ -188,7 +188,7 @@ fn tell_run(result: &RunResult, summary: &Summary, sheet: &Sheet) {
     if let Some(confirmed) = misses.confirmed_share {
         let stolen_ms = misses.lost_ms.get("stolen").copied().unwrap_or(0.0);
         let counter_ms = misses.steal_counter_ms;
-        row("  with a cause that readings confirm", &format!("{:.1} % of the lost time", 100.0 * confirmed));
+        row("  with a cause confirmed by readings", &format!("{:.1} % of the lost time", 100.0 * confirmed));
         let text = format!("{stolen_ms:.1} ms; the machine's counter {counter_ms:.0} ms at these ticks");
         row("  stolen", &text);
     }
@@ -198,10 +198,10 @@ fn tell_run(result: &RunResult, summary: &Summary, sheet: &Sheet) {
             "p50 {:.1}  p99 {:.1}  p99.9 {:.1}  max {:.1} us",
             late.p50, late.p99, late.p99_9, late.max
         );
-        row("how late ticks began", &text);
+        row("lateness of ticks", &text);
     }
     if let Some(drr) = &summary.drr {
-        let rate = drr.frames_per_wall_s.map_or(String::new(), |rate| format!(", {rate:.2} a second"));
+        let rate = drr.frames_per_wall_s.map_or(String::new(), |rate| format!(", {rate:.2} per second"));
         row("frames", &format!("{}{rate}", drr.frames));
     }
     if let Some(drilling) = &summary.drilling {
@@ -213,17 +213,17 @@ fn tell_run(result: &RunResult, summary: &Summary, sheet: &Sheet) {
         row("drilled", &text);
     }
     let dropped: u64 = summary.logs.lost_messages.values().sum();
-    row("messages that somebody missed", &dropped.to_string());
+    row("messages missed by a reader", &dropped.to_string());
     for (name, memory) in &result.memory {
         let [resident, private] =
             [memory.peak_resident, memory.peak_private].map(|bytes| bytes as f64 / MEBIBYTE);
-        row(&format!("{name}: peak resident, its own"), &format!("{resident:.1} MiB, {private:.1} MiB"));
+        row(&format!("{name}: peak resident, private"), &format!("{resident:.1} MiB, {private:.1} MiB"));
     }
 }
 
-/// Tells the table of private memory; returns the processes that have grown.
+/// Prints the table of private memory; returns the processes that have grown.
 fn tell_memory(growth: &Growth, sheet: &mut Sheet) -> Vec<String> {
-    let head = ["own memory", "start", "middle", "end", "growth a minute"];
+    let head = ["private memory", "start", "middle", "end", "growth/min"];
     let columns = |cells: [&str; 5]| {
         let [name, start, middle, end, rate] = cells;
         format!("{name:<22} {start:>12} {middle:>12} {end:>12} {rate:>16}")
@@ -236,19 +236,19 @@ fn tell_memory(growth: &Growth, sheet: &mut Sheet) -> Vec<String> {
         sheet.line(&columns([name, &start, &middle, &end, &rate]));
         sheet.push(
             "own_memory",
-            json!({"name": name, "start_middle_end_bytes": curve.bytes, "growth_bytes_per_min": curve.bytes_per_minute}),
+            json!({"name": name, "start_middle_end_bytes": curve.bytes,
+                   "growth_bytes_per_min": curve.bytes_per_minute}),
         );
         if curve.growth_bytes() > FLAT_BYTES {
-            grown.push(format!("the memory of `{name}` grows by {rate} a minute, from {start} to {end}"));
+            grown.push(format!("the memory of `{name}` grows by {rate} per minute, from {start} to {end}"));
         }
     }
-    sheet.line(
-        "start: after a tenth of the run; growth: the median slope of all pairs of samples from there on\n",
-    );
+    sheet
+        .line("start: after a tenth of the run; growth: median slope of all pairs of samples from then on\n");
     grown
 }
 
-/// What is wrong with the logs; reads them to their ends and replays every tick.
+/// Checks the logs: reads them to their ends and replays every tick. Returns the defects found.
 fn check(
     scene: &Scene,
     folder: &Path,
@@ -299,8 +299,8 @@ fn check(
     Ok(problems)
 }
 
-/// Reads a lane to its end; returns its messages and the simulated time of the last. The lane must have its end marker
-/// and no losses; the error says what is wrong.
+/// Reads a lane to its end; returns its number of messages and the simulated time of the last one. The lane
+/// must have its end marker and no losses; the error states the defect.
 fn lane_end(path: &Path) -> Result<(u64, f64), String> {
     let wrong = |error: run_log::LogError| format!("{}: {error}", path.display());
     let mut stream = MessageStream::open(&LogFile::at(path), ReadOptions::default()).map_err(wrong)?;

@@ -1,4 +1,5 @@
-//! From `exec` to the first tick and from the last to the exit: runs of the program itself, phase by phase.
+//! From `exec` to the first tick and from the last tick to the exit: runs of the program itself, phase by
+//! phase.
 
 use std::io::{BufRead, BufReader};
 use std::path::Path;
@@ -18,7 +19,7 @@ const DURATION_S: &str = "0.2";
 /// Whether the program finds its volume in the cache.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum CacheState {
-    /// As it is: after the first round, the volume is there.
+    /// Unchanged: the volume is there after the first round.
     AsItIs,
     /// Empty in each round.
     Empty,
@@ -27,7 +28,7 @@ pub enum CacheState {
 /// Times of one run in seconds, with their names.
 type Phases = Vec<(&'static str, f64)>;
 
-/// Runs a scene in lockstep `rounds` times and prints each phase's least and median time.
+/// Runs a scene in lockstep `rounds` times and prints each phase's minimum and median time.
 ///
 /// # Errors
 /// A run that fails.
@@ -35,8 +36,7 @@ pub fn run(scene: Option<&Path>, rounds: usize, cache: CacheState, sheet: &mut S
     let machine = Machine::watch();
     let all: Vec<Phases> = (0..rounds).map(|_| one(scene, cache)).collect::<Result<_, _>>()?;
     let state = if cache == CacheState::Empty { ", empty cache" } else { "" };
-    sheet
-        .line(&format!("{rounds} runs of {DURATION_S} s in lockstep, recorded{state}; ms, least (median)\n"));
+    sheet.line(&format!("{rounds} runs of {DURATION_S} s in lockstep, recorded{state}; ms, min (median)\n"));
     let names: Vec<&'static str> = all.first().into_iter().flatten().map(|(name, _)| *name).collect();
     for (index, name) in names.iter().enumerate() {
         let times_ms: Vec<f64> = all.iter().map(|phases| phases[index].1 * 1e3).collect();
@@ -50,7 +50,7 @@ pub fn run(scene: Option<&Path>, rounds: usize, cache: CacheState, sheet: &mut S
 
 fn one(scene: Option<&Path>, cache: CacheState) -> Result<Phases, Failure> {
     let folder = tempfile::tempdir().map_err(failed)?;
-    // `trabecula` lies beside this program; the parts are processes of the program that was started.
+    // `trabecula` is next to this program; the parts are processes of the started program.
     let program = std::env::current_exe().map_err(failed)?.with_file_name("trabecula");
     let mut command = Command::new(program);
     command.arg("run").args(scene).args(["--mode", "lockstep", "--duration-s", DURATION_S, "--json", "-o"]);

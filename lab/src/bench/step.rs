@@ -1,5 +1,5 @@
-//! Runs physics step and DRR of a scene in one process, driven by the scene's own controllers: no other process, no
-//! log.
+//! Runs physics step and DRR of a scene in one process, driven by the scene's own controllers: no other
+//! process, no log.
 
 use std::time::Instant;
 
@@ -28,9 +28,9 @@ use trabecula::scenes::SceneSource;
 /// Number of final frames from a moved C-arm.
 const FULL_FRAMES: usize = 9;
 
-/// Runs the scene to its end, or for `ticks`, in lockstep in this process, then repeats the steps `rounds` times and
-/// keeps each tick's shortest time. The ticks are identical to the bit, so any difference comes from other load on the
-/// machine.
+/// Runs the scene to its end, or for `ticks`, in lockstep in this process, then repeats the steps `rounds`
+/// times and keeps each tick's minimum time. The ticks are bit-identical, so any difference comes from other
+/// load on the machine.
 ///
 /// # Errors
 /// An invalid scene, or one whose controllers are not built in (2).
@@ -71,7 +71,7 @@ pub fn run(scene: &SceneSource, ticks: Option<u64>, rounds: usize, sheet: &mut S
     sheet.set("ticks", json!(ticks));
     sheet.samples("physics step", "step", &bench.steps);
     if rounds > 1 {
-        let name = format!("physics step, each tick's least of {rounds} rounds");
+        let name = format!("physics step, each tick's minimum of {rounds} rounds");
         sheet.samples(&name, "step_least", &least);
     }
     sheet.set("keyframe_bytes", json!(bench.keyframe_bytes));
@@ -82,7 +82,7 @@ pub fn run(scene: &SceneSource, ticks: Option<u64>, rounds: usize, sheet: &mut S
         let what =
             format!("{} x {} pixels, {} threads", x_ray.c_arm.columns, x_ray.c_arm.rows, x_ray.threads);
         sheet.samples(&format!("DRR, full ({what})"), "drr_full", &x_ray.full);
-        sheet.samples("DRR, C-arm at rest: what has changed", "drr_changed", &x_ray.changed);
+        sheet.samples("DRR, C-arm at rest: incremental", "drr_changed", &x_ray.changed);
     }
     sheet.machine(&machine);
     Ok(())
@@ -123,7 +123,7 @@ impl Bench<'_> {
     }
 }
 
-/// The code that is timed, and that a profiler counts ([`super::instructions`]).
+/// The timed code, which a profiler counts ([`super::instructions`]).
 #[inline(never)]
 fn one_step(run: &mut InProcess<Simulation>, latched: &Latched) -> Result<(), Failure> {
     run.step(latched).map_err(failed)
@@ -133,12 +133,12 @@ fn controllers(scene: &Scene) -> Result<Vec<Box<dyn Controller>>, Failure> {
     let built_in = |entry: &ipc_types::scene::Controller| {
         built_in(scene, &entry.name, &ipc_types::text_file::read)
             .map_err(Failure::bad_input)?
-            .ok_or_else(|| Failure::bad_input(format!("controller `{}` is not a built-in one", entry.name)))
+            .ok_or_else(|| Failure::bad_input(format!("controller `{}` is not built in", entry.name)))
     };
     scene.controller.iter().map(built_in).collect()
 }
 
-/// The scene's X-ray, rendered frame by frame as its process would.
+/// The scene's X-ray, rendered frame by frame as in its process.
 struct XRay<'v> {
     view: VolumeView<'v>,
     renderer: DrrRenderer,
@@ -180,7 +180,7 @@ impl<'v> XRay<'v> {
         })
     }
 
-    /// Shows the newest frame to the controllers when it is due, and renders the frames due at this state.
+    /// Passes the newest frame to the controllers when it is due, and renders the frames due at this state.
     fn exchange_frames(
         &mut self,
         state: &State,
@@ -225,7 +225,7 @@ impl<'v> XRay<'v> {
         Ok(rendered)
     }
 
-    /// Renders frames in which every ray is traced, by moving the C-arm by a millimetre between them.
+    /// Renders frames in which every ray is traced, by moving the C-arm by 1 mm between them.
     fn render_from_elsewhere(&mut self, state: &State) -> Result<(), Failure> {
         for frame in 1..=FULL_FRAMES {
             let shift_m = frame as f64 * 1e-3;

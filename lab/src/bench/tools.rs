@@ -1,4 +1,5 @@
-//! What a step of each tool costs on each rung, at three step sizes: times in turn beside one reference, and instructions by valgrind.
+//! Cost of a step of each tool on each rung, at three step sizes: times alternating with a reference, and
+//! instructions by valgrind.
 
 use std::ffi::OsStr;
 use std::hint::black_box;
@@ -21,10 +22,11 @@ use crate::tools::tools;
 
 /// Steps, ms.
 const DT_MS: [f64; 3] = [0.5, 1.0, 2.0];
-/// Steps before those that are measured, and those.
+/// Steps before the measured ones, and measured steps.
 const WARM_UP: usize = 100;
 const STEPS: usize = 400;
-/// Tension on tendon 0, N, and force across the burr as a share of what bends the tool by a radian, both of which come and go.
+/// Tension on tendon 0, N, and force across the burr as a fraction of the force that bends the tool by one
+/// radian; both oscillate.
 const TENSION_N: f64 = 3.0;
 const ACROSS: f64 = 0.1;
 const PERIOD_S: f64 = 0.1;
@@ -37,7 +39,7 @@ struct Cell {
     parameters: ManipulatorParameters,
     /// Time of a step in each round, ns.
     step_ns: Vec<f64>,
-    /// Against the reference of the same round.
+    /// Ratio to the reference in the same round.
     ratios: Vec<f64>,
     refused: Option<String>,
     instructions: Option<u64>,
@@ -57,7 +59,7 @@ impl Cell {
         }
     }
 
-    /// Steps the tool from rest; the median time of a measured step, ns.
+    /// Steps the tool from rest; returns the median time of a measured step, ns.
     fn play(&self) -> Result<f64, String> {
         let mut tool = built(self.rung, &self.parameters)?;
         let dt_s = self.dt_ms * 1e-3;
@@ -102,7 +104,7 @@ impl Cell {
     }
 }
 
-/// The code that valgrind counts.
+/// The code counted by valgrind.
 #[inline(never)]
 fn counted_step(
     tool: &mut AnyManipulator,
@@ -112,13 +114,14 @@ fn counted_step(
     tool.step(dt_s, input)
 }
 
-/// When it returns, valgrind writes what it has counted, and begins anew.
+/// When it returns, valgrind dumps its counts and resets them.
 #[inline(never)]
 fn end_of_cell(dt_ms: f64) {
     black_box(dt_ms);
 }
 
-/// Force across the burr that bends the tool by about a radian, N: linear theory of a cantilever of hinges.
+/// Returns the force across the burr that bends the tool by about one radian, N: linear theory of a
+/// cantilever of hinges.
 fn across_of_a_radian_n(p: &ManipulatorParameters) -> f64 {
     let burr_m = p.joint_positions_m.last().map_or(0.0, |last| last + p.tip_offset_m);
     let joints = p.joint_positions_m.iter().zip(&p.joint_stiffness_nm_per_rad);
@@ -140,7 +143,7 @@ fn input(share: f64, across_n: f64) -> StepInput<'static> {
 /// Measures the tools of the files, or the shipped ones.
 ///
 /// # Errors
-/// A file that is no tool (2); valgrind is not on the path, or fails.
+/// A file that is not a tool (2); valgrind is not in the PATH, or fails.
 pub fn run(files: &[PathBuf], rounds: usize, instructions: bool, sheet: &mut Sheet) -> Result<(), Failure> {
     let mut cells = Vec::new();
     for tool in tools(files)? {
@@ -177,7 +180,7 @@ pub fn run(files: &[PathBuf], rounds: usize, instructions: bool, sheet: &mut She
     Ok(())
 }
 
-/// Instructions of all measured steps of each cell that is not refused, in order.
+/// Returns the instructions of all measured steps of each cell that is not refused, in order.
 fn count(files: &[PathBuf]) -> Result<Vec<u64>, Failure> {
     let folder = tempfile::tempdir().map_err(failed)?;
     let options = ["--toggle-collect=*counted_step*", "--dump-after=*end_of_cell*"];
@@ -200,7 +203,7 @@ fn count(files: &[PathBuf]) -> Result<Vec<u64>, Failure> {
     Err(Failure::failed(format!("valgrind counted {} of {cells} cells", counts.len())))
 }
 
-/// The number of instructions in a file of callgrind; none: no such file.
+/// Returns the number of instructions in a file of callgrind, or `None` without such a file.
 fn summary(file: &Path) -> Option<u64> {
     let text = std::fs::read_to_string(file).ok()?;
     let line =

@@ -1,5 +1,5 @@
-//! What the viewer costs the physics: the same real-time run with and without it, alternating; with it, a client
-//! receives every state, tick timing, frame and surface block.
+//! Cost of the viewer for the physics: the same real-time run with and without it, alternating; with it, a
+//! client receives every state, tick timing, frame and surface block.
 
 use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
@@ -36,12 +36,12 @@ pub fn run(scene: &SceneSource, seconds: f64, rounds: usize, sheet: &mut Sheet) 
     };
     let scene = scene.load()?;
     let bytes = in_turn("a viewer", [scene.clone(), scene], seconds, rounds, viewed, sheet)?;
-    let text = format!("{:.1} MB a run", bytes * 1e-6);
-    sheet.row("taken by the viewer's client", &text, "client_bytes", json!(bytes));
+    let text = format!("{:.1} MB per run", bytes * 1e-6);
+    sheet.row("received by the viewer's client", &text, "client_bytes", json!(bytes));
     Ok(())
 }
 
-/// At least the number of channels; the server refuses subscriptions to channels that do not exist.
+/// At least the number of channels; the server refuses subscriptions to nonexistent channels.
 const CHANNELS: u32 = 40;
 
 /// Subscribes to every channel and reads everything; returns the number of bytes.

@@ -1,4 +1,4 @@
-//! What X-ray frames cost the physics: the same real-time run with and without them, alternating.
+//! Cost of X-ray frames for the physics: the same real-time run with and without them, alternating.
 
 use std::sync::mpsc::channel;
 
@@ -14,18 +14,18 @@ use crate::sheet::Sheet;
 use trabecula::failure::Failure;
 use trabecula::scenes::SceneSource;
 
-/// What the C-arm does.
+/// Motion of the C-arm.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum CArmMoves {
-    /// It stands: after the first frame only what has changed is computed.
+    /// Stationary: after the first frame, updates are incremental.
     Stands,
-    /// It turns: every frame is of another angle, and computed whole.
+    /// Turning: every frame has a different angle and is computed in full.
     Turns,
 }
 
-/// Runs the scene in real time for `seconds`, `rounds` times, alternately without and with its X-ray, at `rate_hz`
-/// frames per second if given. A controller that steers by frames steers by the measured shape in all runs, because
-/// without frames it could not.
+/// Runs the scene in real time for `seconds`, `rounds` times, alternately without and with its X-ray, at
+/// `rate_hz` frames per second if given. A controller that steers by frames uses the measured shape in all
+/// runs, because it could not steer without frames.
 ///
 /// # Errors
 /// An invalid scene, or one without X-ray (2); a run that fails.
@@ -58,7 +58,7 @@ pub fn run(
             in_turn("X-ray", [without, with], seconds, rounds, x_rayed, sheet)?
         }
         CArmMoves::Turns => {
-            // Frames come on request only.
+            // Frames are rendered only on request.
             drr.rate_hz = 0.0;
             let turned = |scene: &Scene, end: &EndRequest, with: &mut Physics| {
                 let (frames, taken) = one_turned(scene, wanted_hz, end, with)?;
@@ -69,15 +69,16 @@ pub fn run(
         }
     };
     if waits.count() > 0 {
-        sheet.samples("from a request to its frame", "request_to_frame", &waits);
+        sheet.samples("request to frame", "request_to_frame", &waits);
     }
     let rate_hz = frames / seconds;
     let figures = json!({"frames_per_s": rate_hz, "wanted_hz": wanted_hz});
-    sheet.row("frames a second", &format!("{rate_hz:.1} of {wanted_hz} wanted"), "frames", figures);
+    sheet.row("frames per second", &format!("{rate_hz:.1} of {wanted_hz} wanted"), "frames", figures);
     Ok(())
 }
 
-/// One run in which a program turns the C-arm; the number of frames, and how long each took from its request on.
+/// Performs one run in which a program turns the C-arm; returns the number of frames, and the time from
+/// request to frame for each.
 fn one_turned(
     scene: &Scene,
     rate_hz: f64,
@@ -89,11 +90,11 @@ fn one_turned(
         let turning = scope.spawn(move || turn(&sessions, rate_hz));
         let mut found = Some(found);
         let made = one_seen(scene, None, None, end, with, |snapshot| {
-            // The first state says that all parts are there.
+            // The first state means that all parts have started.
             if snapshot.state.is_some()
                 && let Some(found) = found.take()
             {
-                // It ends with an error of its own if nobody listens.
+                // It fails on its own if the receiver is gone.
                 let _ = found.send(snapshot.session.to_owned());
             }
         });

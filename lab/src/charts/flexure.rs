@@ -1,4 +1,5 @@
-//! `trabecula-lab chart flexure`: the stiffness of a flexure by formula, beside finite elements of the notched tube.
+//! `trabecula-lab chart flexure`: stiffness of a flexure by formula, compared with finite elements of the
+//! notched tube.
 
 use std::path::Path;
 
@@ -9,13 +10,13 @@ use super::peers::{new_input, run as run_script, scripts};
 use crate::sheet::Sheet;
 use trabecula::failure::Failure;
 
-/// Flexures of the standard tool that are compared: the first, one in the middle and the last.
+/// Compared flexures of the standard tool: the first, a middle one and the last.
 const FLEXURES: [usize; 3] = [0, 13, 26];
-/// Largest difference of formula and finite elements.
+/// Maximum difference between formula and finite elements.
 const ALLOWED: f64 = 0.10;
 const NAMES: [&str; 6] = ["axial", "shear toward", "shear across", "bending", "lateral", "torsion"];
 
-/// One line of the script: the sample, and its six stiffnesses for 1 Pa.
+/// One output line of the script: the sample, and its six stiffnesses for 1 Pa.
 #[derive(Debug, PartialEq)]
 struct Sample {
     name: String,
@@ -25,10 +26,11 @@ struct Sample {
 /// Compares and prints.
 ///
 /// # Errors
-/// Bad input: a mesh size out of range, or no script. A script that cannot be run, or a formula that is off by more than 10 %.
+/// Bad input: a mesh size out of range, or no script. Failure: a script that cannot be run, or a formula that
+/// is off by more than 10 %.
 pub fn run(out: &Path, peers: &Path, size_mm: f64, sheet: &mut Sheet) -> Result<(), Failure> {
     if !(0.05..=0.5).contains(&size_mm) {
-        return Err(Failure::bad_input(format!("--size-mm is {size_mm}, allowed is 0.05 to 0.5")));
+        return Err(Failure::bad_input(format!("--size-mm is {size_mm}; allowed: 0.05 to 0.5")));
     }
     let work = std::path::absolute(out.join("peers-flexure"));
     let work = work.map_err(|cause| Failure::failed(format!("{}: {cause}", out.display())))?;
@@ -74,7 +76,7 @@ pub fn run(out: &Path, peers: &Path, size_mm: f64, sheet: &mut Sheet) -> Result<
     }
     if worst > ALLOWED {
         return Err(Failure::failed(format!(
-            "a formula is {:.0} % off the middle of three flexures; expected {:.0} % at most",
+            "a formula is {:.0} % off the middle of three flexures; allowed: {:.0} %",
             100.0 * worst,
             100.0 * ALLOWED
         )));
@@ -93,7 +95,7 @@ fn listed(stiffness: &UnitStiffness) -> [f64; 6] {
     ]
 }
 
-/// Tells the table for 1 GPa; returns the largest difference from the middle one of three flexures.
+/// Prints the table for 1 GPa; returns the largest difference from the middle one of three flexures.
 fn tell(own: &UnitStiffness, samples: &[Sample], sheet: &Sheet) -> f64 {
     let head: String = samples.iter().map(|sample| format!("{:>24}", sample.name)).collect();
     sheet.line(&format!("{:<14}{:>12}{head}", "for 1 GPa", "formula"));
@@ -112,7 +114,7 @@ fn tell(own: &UnitStiffness, samples: &[Sample], sheet: &Sheet) -> f64 {
     worst
 }
 
-/// A line `stiffness FLEXURES SIZE UNKNOWNS` or `chain …` with six numbers; others are none.
+/// Parses a line `stiffness FLEXURES SIZE UNKNOWNS` or `chain …` with six numbers; `None` for other lines.
 fn sample(line: &str) -> Option<Sample> {
     let words: Vec<&str> = line.split_whitespace().collect();
     let [word, flexures, _, _, rest @ ..] = words.as_slice() else { return None };

@@ -1,4 +1,4 @@
-//! The methods that charts compare: our rungs with their integrators, and the baselines.
+//! The methods compared by charts: the product's rungs with their integrators, and the baselines.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
@@ -9,13 +9,13 @@ use simulation::manipulator::{
     SpatialChain, StepInput, TendonCommand, Wrench,
 };
 
-/// Contact planes become active below this gap, m, plus what a sphere travels in a step.
+/// Contact planes become active below this gap, m, plus the distance that a sphere travels in a step.
 const MARGIN_M: f64 = 1e-3;
 
 /// A burr farther from the flange than this counts as lost, m: the tool is 71 mm long.
 const MAX_REACH_M: f64 = 10.0;
 
-/// A way to step the tool.
+/// A method of stepping the tool.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Method {
     /// A rung of the ladder.
@@ -29,7 +29,8 @@ pub enum Method {
 }
 
 impl Method {
-    /// Ours first. The arc has one integrator; the two are compared on planar and spatial.
+    /// The product's methods first. The arc has one integrator; both integrators are compared on planar and
+    /// spatial.
     pub const ALL: [Method; 11] = [
         Method::Rung(Rung::ConstantCurvature, Integrator::LinearlyImplicitEuler),
         Method::Rung(Rung::Modal, Integrator::LinearlyImplicitEuler),
@@ -51,7 +52,7 @@ impl Method {
         [a, b, c, d, e, f, g, h, i, j, k, position, force]
     };
 
-    /// The name in charts and tables.
+    /// Returns the name in charts and tables.
     pub fn name(self) -> String {
         match self {
             Method::Rung(Rung::ConstantCurvature, _) => Rung::ConstantCurvature.name().into(),
@@ -65,7 +66,7 @@ impl Method {
         }
     }
 
-    /// Whether the method is ours.
+    /// Whether the method is the product's.
     pub fn is_ours(self) -> bool {
         matches!(self, Method::Rung(..))
     }
@@ -98,14 +99,14 @@ pub struct Drive {
 }
 
 impl Drive {
-    /// A base at rest and no loads.
+    /// Returns a stationary base without loads.
     pub fn still(base: BaseMotion) -> Drive {
         Drive { base, tension_n: 0.0, tip: Wrench::zero() }
     }
 }
 
 impl Tool {
-    /// A straight tool at rest.
+    /// Creates a straight tool at rest.
     ///
     /// # Errors
     /// Invalid parameters.
@@ -131,7 +132,7 @@ impl Tool {
         Ok(Tool { model, walls: walls.to_vec(), planes: Vec::with_capacity(256), lost: false })
     }
 
-    /// Steps once. A lost tool (non-finite, or its step was refused) is not stepped any more.
+    /// Steps once. A lost tool (non-finite, or its step was refused) is not stepped any further.
     pub fn step(&mut self, dt_s: f64, drive: &Drive) {
         if self.lost {
             return;
@@ -151,7 +152,7 @@ impl Tool {
             Model::Ours(tool) => tool.step(dt_s, &input).is_err(),
             Model::Explicit(tool) => tool.step(dt_s, &input).is_err(),
             Model::Proxy(tool) => tool.step(dt_s, &input).is_err(),
-            // Rapier panics on non-finite values; then the tool is lost.
+            // Rapier panics on non-finite values; the tool then counts as lost.
             Model::Rapier(tool) => catch_unwind(AssertUnwindSafe(|| tool.step(dt_s, &input))).is_err(),
         };
         let reach_m = (self.tip_m() - drive.base.t_world_base.translation.vector).norm();

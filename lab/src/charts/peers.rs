@@ -1,4 +1,5 @@
-//! Runs other programs on the same problems: scripts with pinned packages, each in its own virtual environment.
+//! Runs other programs on the same problems: scripts with pinned packages, each in its own virtual
+//! environment.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -7,7 +8,7 @@ use tempfile::TempDir;
 
 use trabecula::failure::Failure;
 
-/// A new folder for the scripts' input and results, deleted when the returned value is dropped.
+/// Creates a folder for the scripts' input and results, deleted when the returned value is dropped.
 ///
 /// # Errors
 /// It cannot be created.
@@ -17,8 +18,8 @@ pub fn new_input(environments: &Path) -> Result<TempDir, Failure> {
         .map_err(Failure::folder(environments))
 }
 
-/// The scripts `NAME.py` of a folder that have their packages in `NAME.txt`, with their names, in order; any other
-/// files are shared by the scripts.
+/// Returns the scripts `NAME.py` of a folder that have their packages in `NAME.txt`, with their names, in
+/// order; any other files are shared by the scripts.
 ///
 /// # Errors
 /// Bad input: no folder.
@@ -37,8 +38,8 @@ pub fn scripts(folder: &Path) -> Result<Vec<(String, PathBuf)>, Failure> {
 }
 
 /// Runs a script with its input folder (absolute) as working directory and argument, in an environment below
-/// `environments` (absolute) with the packages of the `NAME.txt` beside the script. Returns its output, or the last
-/// line of the error.
+/// `environments` (absolute) with the packages of the `NAME.txt` next to the script. Returns its output, or
+/// the last line of the error.
 ///
 /// # Errors
 /// It cannot be installed or run.

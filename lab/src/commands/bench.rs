@@ -36,7 +36,7 @@ pub struct InTurn {
 }
 
 impl InTurn {
-    /// The three arguments, validated.
+    /// Returns the three arguments, validated.
     fn checked(&self) -> Result<(SceneSource, f64, usize), Failure> {
         in_range("--seconds", self.seconds, 1.0, 3600.0)?;
         Ok((femur_or(self.scene.as_deref()), self.seconds, self.rounds as usize))
@@ -108,7 +108,8 @@ pub enum BenchCommand {
         #[command(flatten)]
         figures: Figures,
     },
-    /// Time the physics step and the DRR in one process, then the log size and replay speed of a recorded lockstep run.
+    /// Time the physics step and the DRR in one process, then the log size and replay speed of a recorded
+    /// lockstep run.
     Step {
         /// Scene file with built-in controllers only; default: the built-in femur.
         scene: Option<PathBuf>,
@@ -127,14 +128,15 @@ pub enum BenchCommand {
         #[command(flatten)]
         figures: Figures,
     },
-    /// Time a step of each tool on each model at three step sizes, in turn, beside the standard tool on the planar model at 1 ms.
+    /// Time a step of each tool on each model at three step sizes, alternating with the standard tool on the
+    /// planar model at 1 ms.
     Tools {
         /// Scene or tool files; default: the shipped tools.
         files: Vec<PathBuf>,
         /// Number of rounds, 1 to 1000.
         #[arg(long, default_value_t = 9, value_parser = clap::value_parser!(u64).range(1..=1000))]
         rounds: u64,
-        /// Count the instructions of a step with valgrind, too (takes a minute).
+        /// Also count the instructions of a step with valgrind (takes a minute).
         #[arg(long)]
         instructions: bool,
         #[command(flatten)]
@@ -166,7 +168,8 @@ pub enum BenchCommand {
         #[command(flatten)]
         figures: Figures,
     },
-    /// Measure X-ray projectors: time, error and updates after voxel removal, next to the memory bandwidth.
+    /// Measure X-ray projectors: time, error and updates after voxel removal, compared with the memory
+    /// bandwidth.
     Drr {
         /// Voxels along i, j, k.
         #[arg(long, default_value = "512x512x400", value_parser = memory::parse_dimensions)]
@@ -174,16 +177,18 @@ pub enum BenchCommand {
         /// Number of rounds, 1 to 1000.
         #[arg(long, default_value_t = 9, value_parser = clap::value_parser!(u64).range(1..=1000))]
         rounds: u64,
-        /// Instead, time this many poses about a field of 500 mm in turn with the frontal one, 4 to 10000.
+        /// Instead, time this many poses about a field of 500 mm, alternating with the frontal one, 4 to
+        /// 10000.
         #[arg(long, value_parser = clap::value_parser!(u64).range(4..=10_000))]
         poses: Option<u64>,
-        /// Instead, render this many poses one after the other and as one batch, in turn, 2 to 10000.
+        /// Instead, render this many poses one by one and as one batch, alternating, 2 to 10000.
         #[arg(long, conflicts_with = "poses", value_parser = clap::value_parser!(u64).range(2..=10_000))]
         batch: Option<u64>,
         #[command(flatten)]
         figures: Figures,
     },
-    /// Measure the state-to-command round trip by language and wait strategy, next to bare iceoryx2 and sockets.
+    /// Measure the state-to-command round trip by language and wait strategy, compared with plain iceoryx2
+    /// and sockets.
     Latency {
         /// Round trips per turn, 10 to 1000000.
         #[arg(long, default_value_t = 3000, value_parser = clap::value_parser!(u64).range(10..=1_000_000))]
@@ -200,7 +205,7 @@ pub enum BenchCommand {
     /// The answering side of a latency measurement.
     #[command(hide = true)]
     Echo {
-        /// The peer to play.
+        /// Peer to act as.
         #[arg(long, value_enum)]
         peer: latency::Peer,
         /// How both sides wait.
@@ -221,13 +226,15 @@ pub enum BenchCommand {
         #[command(flatten)]
         figures: Figures,
     },
-    /// Measure how late real-time ticks start, in turn with `cyclictest` of the same period and priority on the same cores.
+    /// Measure how late real-time ticks start, alternating with `cyclictest` at the same period and priority
+    /// on the same cores.
     Lateness(LatenessArguments),
     /// Measure how much the recorder slows the physics: real-time runs, alternating without and with it.
     Recorder(InTurn),
     /// Measure how much the viewer slows the physics: real-time runs, alternating without and with it.
     Viewer(InTurn),
-    /// Measure how much a bridge slows the physics: real-time runs, alternating without and with it and a peer that takes all it sends.
+    /// Measure how much a bridge slows the physics: real-time runs, alternating without and with the bridge
+    /// and a peer that receives all its messages.
     Bridge {
         #[command(flatten)]
         in_turn: InTurn,
@@ -242,13 +249,14 @@ pub enum BenchCommand {
         /// Frame rate, 1 to 200 Hz; overrides the scene.
         #[arg(long)]
         rate_hz: Option<f64>,
-        /// A program asks for every frame from another angle, so that each is computed whole.
+        /// Request every frame from a different angle, so that each is computed completely.
         #[arg(long)]
         turning: bool,
     },
-    /// Run in real time for long: missed ticks by cause, memory of each process over time, and a replay that verifies the log.
+    /// Run in real time for a long time: missed ticks by cause, memory of each process over time, and a
+    /// replay that verifies the log.
     Soak {
-        /// Scene file; its feed is slowed so that it drills all the time. Default: the built-in femur.
+        /// Scene file; its feed is slowed so that it drills the whole time. Default: the built-in femur.
         scene: Option<PathBuf>,
         /// Length in minutes, up to 60.
         #[arg(long, default_value_t = 10.0)]
@@ -278,7 +286,7 @@ pub enum BenchCommand {
 }
 
 impl BenchCommand {
-    /// How its figures are printed; none of the answering sides.
+    /// Returns how its figures are printed; default for the answering sides.
     fn figures(&self) -> Figures {
         match self {
             BenchCommand::Overhead { figures, .. }
@@ -307,7 +315,7 @@ impl BenchCommand {
 pub fn run(command: &BenchCommand) -> Result<(), Failure> {
     let mut sheet = Sheet::new(command.figures());
     let done = measure(command, &mut sheet);
-    // A soak that fails has found figures all the same; bad input has found none.
+    // A soak that fails still has figures; bad input has none.
     if done.is_ok() || sheet.has_figures() {
         sheet.end();
     }
@@ -397,5 +405,5 @@ fn in_range(option: &str, value: f64, lowest: f64, highest: f64) -> Result<(), F
     if (lowest..=highest).contains(&value) {
         return Ok(());
     }
-    Err(Failure::bad_input(format!("{option} is {value}, allowed is {lowest} to {highest}")))
+    Err(Failure::bad_input(format!("{option} is {value}; allowed: {lowest} to {highest}")))
 }

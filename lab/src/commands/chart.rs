@@ -19,9 +19,9 @@ pub enum ChartCommand {
     Drr(DrrChartArguments),
     /// Physics: error against computing time for every model, integrator and baseline.
     Physics(PhysicsChartArguments),
-    /// Physics: the stiffness of a flexure beside finite elements of the notched tube.
+    /// Physics: stiffness of a flexure, compared with finite elements of the notched tube.
     Flexure(FlexureChartArguments),
-    /// Physics: random scenes with a tolerance, planned and run; how many exceed it.
+    /// Physics: random scenes with a tolerance, planned and run; counts those that exceed it.
     Promise(PromiseArguments),
     /// Physics: the step sizes at which each method converges, is inaccurate or diverges.
     Stability(StabilityArguments),
@@ -35,13 +35,15 @@ pub struct DrrChartArguments {
     /// Finish in seconds: an eighth of the resolution, 128 x 128 pixels.
     #[arg(long)]
     quick: bool,
-    /// Also run other projectors on the same volume and poses, with this folder's scripts; each creates its own Python environment.
+    /// Also run other projectors on the same volume and poses, with this folder's scripts; each creates its
+    /// own Python environment.
     #[arg(long, value_name = "FOLDER", num_args = 0..=1, default_missing_value = "lab/peers")]
     peers: Option<PathBuf>,
     /// Timed frames per point, 1 to 100.
     #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=100))]
     rounds: u32,
-    /// Instead of a chart, write the table that `tolerance.drr_rel` chooses from (`crates/xray/src/rungs.csv`).
+    /// Instead of a chart, write the table that `tolerance.drr_rel` chooses from
+    /// (`crates/xray/src/rungs.csv`).
     #[arg(long, value_name = "FILE", conflicts_with_all = ["quick", "peers"])]
     rungs: Option<PathBuf>,
 }
@@ -51,24 +53,27 @@ pub struct StabilityArguments {
     /// Output folder and effort of the map.
     #[command(flatten)]
     common: ChartArguments,
-    /// In place of the map, run the hard cases in bone at every rung and step.
+    /// Instead of the map, run the hard cases in bone at every rung and step size.
     #[arg(long, conflicts_with_all = ["quick", "random", "tools"])]
     bone: bool,
-    /// In place of the map, judge so many random scenes at the ends of the documented ranges, 1 to 100000.
-    #[arg(long, value_name = "SCENES", conflicts_with = "quick", value_parser = clap::value_parser!(u64).range(1..=100_000))]
+    /// Instead of the map, check this many random scenes at the ends of the documented ranges, 1 to 100000.
+    #[arg(long, value_name = "SCENES", conflicts_with = "quick",
+        value_parser = clap::value_parser!(u64).range(1..=100_000))]
     random: Option<u64>,
     /// Seed of the first random scene; the others follow.
-    #[arg(long, default_value_t = 1, requires = "random", value_parser = clap::value_parser!(u64).range(0..=1_000_000_000))]
+    #[arg(long, default_value_t = 1, requires = "random",
+        value_parser = clap::value_parser!(u64).range(0..=1_000_000_000))]
     seed: u64,
-    /// In place of the map, run its cases with these scene or tool files, as they are; without a file with the shipped tools.
+    /// Instead of the map, run its cases with these scene or tool files, unchanged; without a file, with the
+    /// shipped tools.
     #[arg(long, value_name = "FILE", num_args = 0.., conflicts_with = "random")]
     tools: Option<Vec<PathBuf>>,
-    /// How the figures of random scenes, of tools or of the cases in bone are printed.
+    /// Output format of the figures of random scenes, of tools or of the cases in bone.
     #[command(flatten)]
     figures: Figures,
 }
 
-/// Where to, and how much.
+/// Output folder and effort.
 #[derive(Debug, Args)]
 pub struct ChartArguments {
     /// Output folder.
@@ -84,7 +89,8 @@ pub struct PhysicsChartArguments {
     /// Output folder and effort.
     #[command(flatten)]
     common: ChartArguments,
-    /// Also run other simulators on the same beam, with this folder's scripts; each creates its own Python environment.
+    /// Also run other simulators on the same beam, with this folder's scripts; each creates its own Python
+    /// environment.
     #[arg(long, value_name = "FOLDER", num_args = 0..=1, default_missing_value = "lab/peers/physics")]
     peers: Option<PathBuf>,
     /// Measure only the settings that `trabecula plan` chooses from, and the drilled path.
@@ -95,27 +101,27 @@ pub struct PhysicsChartArguments {
     contact_only: bool,
 }
 
-/// Where to, and by what.
+/// Output folder, script and mesh size.
 #[derive(Debug, Args)]
 pub struct FlexureChartArguments {
     /// Folder of the Python environment.
     #[arg(short, long, default_value = "out/charts")]
     output: PathBuf,
-    /// The folder of the script; it makes its own Python environment.
+    /// Folder of the script, which creates its own Python environment.
     #[arg(long, value_name = "FOLDER", default_value = "lab/peers/flexure")]
     peers: PathBuf,
     /// Mesh size at the webs, 0.05 to 0.5 mm.
     #[arg(long, default_value_t = 0.15)]
     size_mm: f64,
-    /// How its figures are printed.
+    /// Output format of the figures.
     #[command(flatten)]
     figures: Figures,
 }
 
-/// How many scenes, and which.
+/// Number and selection of scenes.
 #[derive(Debug, Args)]
 pub struct PromiseArguments {
-    /// A scene or tool file, whose tool all scenes get in place of the standard one.
+    /// Scene or tool file whose tool replaces the standard one in all scenes.
     #[arg(long, value_name = "FILE")]
     tool: Option<PathBuf>,
     /// Scenes in free space, 0 to 10000.
@@ -127,7 +133,7 @@ pub struct PromiseArguments {
     /// Seed of the first scene; the others follow.
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u64).range(0..=1_000_000_000))]
     seed: u64,
-    /// How its figures are printed.
+    /// Output format of the figures.
     #[command(flatten)]
     figures: Figures,
 }
@@ -180,7 +186,7 @@ pub fn run(command: &ChartCommand) -> Result<(), Failure> {
             sheet.end();
             match wrong {
                 0 => Ok(()),
-                wrong => Err(Failure::failed(format!("{wrong} runs are not as they should be"))),
+                wrong => Err(Failure::failed(format!("{wrong} runs failed their check"))),
             }
         }
         ChartCommand::Stability(arguments) => {
@@ -199,7 +205,7 @@ pub fn run(command: &ChartCommand) -> Result<(), Failure> {
             sheet.end();
             match wrong {
                 0 => Ok(()),
-                wrong => Err(Failure::failed(format!("{wrong} of {count} scenes are not as they should be"))),
+                wrong => Err(Failure::failed(format!("{wrong} of {count} scenes failed their check"))),
             }
         }
     }

@@ -1,4 +1,4 @@
-//! How far the tip's final position moves with the reference rung, a finer step, and perturbed parameters.
+//! Change of the tip's final position with the reference rung, a finer step, and perturbed parameters.
 
 use crate::effort::Effort;
 use nalgebra::Vector3;
@@ -12,7 +12,7 @@ use trabecula::failure::Failure;
 
 /// Number of perturbed parameter sets per experiment.
 const SETS: usize = 20;
-/// Largest relative change of friction, stiffness and density.
+/// Maximum relative change of friction, stiffness and density.
 const CHANGE: f64 = 0.1;
 /// The published tip deviation, mm.
 const PUBLISHED_MM: f64 = 3.0;
@@ -140,7 +140,8 @@ fn report(plan: &Plan, jobs: &[Job], ends: &[(Vector3<f64>, f64)]) -> Result<(),
         let mean = perturbed.iter().sum::<f64>() / count;
         let most = perturbed.iter().copied().fold(0.0, f64::max);
         say!(
-            "{}: {} perturbed sets end {mean:.3} mm from the nominal tip on average, {most:.3} mm at most (published: within {PUBLISHED_MM} mm)",
+            "{}: {} perturbed sets end {mean:.3} mm from the nominal tip on average, {most:.3} mm at most \
+             (published: within {PUBLISHED_MM} mm)",
             experiment.name(),
             perturbed.len()
         );
@@ -153,10 +154,11 @@ mod tests {
     #![allow(clippy::unwrap_used, reason = "tests")]
     use super::*;
 
-    /// Regression: `full` gave each flexure the axial stiffness of a tube as soft as its notches and ended 4 mm from the others. The walls
-    /// are hard here: 10 N is about where foam yields, and what is crushed first then decides where the tool goes by another 0.3 mm. Where
-    /// the voxels lie moves an end, too, by up to 0.17 mm over this length, and for each chain in another way: so each chain's
-    /// place is the mean of its ends in four grids, none of which has the tool's axis on a border of voxels.
+    /// Regression: `full` gave each flexure the axial stiffness of a tube as soft as its notches, and ended 4
+    /// mm from the others. The walls are hard here: foam yields at about 10 N, and which voxels are crushed
+    /// first then shifts the tool by another 0.3 mm. The voxel grid also moves an end by up to 0.17 mm over
+    /// this length, differently for each chain; so each chain's position is the mean of its ends in four
+    /// grids, none of which has the tool's axis on a voxel boundary.
     #[test]
     fn every_chain_ends_the_tunnel_of_10_newton_at_the_same_place() {
         const SHIFTS_MM: [[f64; 3]; 4] =

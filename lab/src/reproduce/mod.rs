@@ -1,4 +1,5 @@
-//! `trabecula-lab reproduce`: reproduces the published behaviours from low-level rules alone, as tables and figures.
+//! `trabecula-lab reproduce`: reproduces the published behaviours from low-level rules alone, as tables and
+//! figures.
 
 mod deviation;
 mod output;
@@ -14,7 +15,7 @@ pub use output::Plan;
 use trabecula::failure::Failure;
 use trabecula::output::{refuse_existing, within};
 
-/// A part: what it shows, its function, and the files that it writes.
+/// A part: its title, its function, and the files it writes.
 type Part = (&'static str, fn(&Plan) -> Result<(), Failure>, &'static [&'static str]);
 
 /// The parts, in numeric order.

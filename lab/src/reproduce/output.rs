@@ -8,7 +8,7 @@ use figures::{Figure, FigureError};
 use trabecula::failure::Failure;
 use trabecula::report::ReportError;
 
-/// Where to write, and how much to compute.
+/// Output folder and effort.
 pub struct Plan {
     /// Output folder.
     pub out: PathBuf,
@@ -34,7 +34,7 @@ pub struct Table {
 }
 
 impl Table {
-    /// A table with these column names.
+    /// Creates a table with these column names.
     pub fn new(head: &[&'static str]) -> Table {
         Table { head: head.to_vec(), rows: Vec::new() }
     }

@@ -71,7 +71,7 @@ pub(super) fn run(plan: &Plan) -> Result<(), Failure> {
     plan.draw(draw(&runs), "reproduce-2-planar-burr")
 }
 
-/// Presses the burr along +z at a boundary at x = 0, with the dense side at +x.
+/// Presses the burr along +z onto a boundary at x = 0, with the dense side at +x.
 fn drill(rule: Removal, name: &'static str, ratio: f64, force_n: f64) -> Result<Run, Failure> {
     let failed = |cause: simulation::bone::BoneError| Failure::failed(cause.to_string());
     // An odd number of voxels across, 0.3 mm wide, so that the grid has no plane of symmetry at the burr.
@@ -96,7 +96,8 @@ fn drill(rule: Removal, name: &'static str, ratio: f64, force_n: f64) -> Result<
     Ok(Run { rule, name, ratio, force_n, moved: centre_m - start, seconds, path })
 }
 
-/// One step along +z, as far as the contact planes allow: the nearest point of the half-spaces' intersection.
+/// Returns the position after one step along +z, as far as the contact planes allow: the nearest point of the
+/// half-spaces' intersection.
 fn moved(field: &BoneField, centre_m: Vector3<f64>) -> Vector3<f64> {
     let mut buffer = ContactBuffer::with_capacity(8);
     field.voxels().contact_planes(0, &centre_m, RADIUS_M, 0.3e-3, &mut buffer);
@@ -134,7 +135,7 @@ fn draw(runs: &[Run]) -> Result<Figure, FigureError> {
 mod tests {
     use super::*;
 
-    /// Fig. 4: previous rules move the burr along its axis only, strength moves it to the soft side.
+    /// Fig. 4: earlier rules move the burr only along its axis; strength moves it to the soft side.
     #[test]
     fn only_strength_makes_the_burr_skive() -> Result<(), Failure> {
         let aside_mm = |rule, ratio| drill(rule, "", ratio, 5.0).map(|run| run.moved.x * 1e3);

@@ -1,4 +1,4 @@
-//! A block of bone and a tool fed into it: the whole simulation in this process.
+//! A block of bone and a tool fed into it: the complete simulation in this process.
 
 use std::path::Path;
 
@@ -13,20 +13,20 @@ pub use trabecula::plan::measure::block::Block;
 
 /// Duration of the tension ramp before the feed begins, s.
 const RAMP_S: f64 = 1.0;
-/// Pause at the end of the feed, s.
+/// Pause after the feed, s.
 const REST_S: f64 = 0.5;
 /// Bone threshold, HU: below the lightest foam.
 const THRESHOLD_HU: i16 = -100;
 
-/// The tool's motion and parameters. The tool points along +z, bends toward +x, and starts with its burr in the blind
-/// end of a pilot hole.
+/// The tool's motion and parameters. The tool points along +z, bends toward +x, and starts with its burr in
+/// the blind end of a pilot hole.
 #[derive(Debug, Clone)]
 pub struct Trial {
     /// Step, ms.
     pub dt_ms: f64,
-    /// Rung of the manipulator ladder, as scenes name it.
+    /// Rung of the manipulator ladder, by its scene name.
     pub rung: &'static str,
-    /// Voxel removal rule, as scenes name it.
+    /// Voxel removal rule, by its scene name.
     pub removal: &'static str,
     /// Friction coefficient of the tendons in their channels.
     pub tendon_friction: f64,
@@ -42,11 +42,13 @@ pub struct Trial {
     pub insertion_mm: f64,
     /// Burr speed, rpm.
     pub burr_rpm: f64,
-    /// Specific cutting energy in J/mm³ at 1900 kg/m³, and the exponent of the density, instead of the standard law's.
+    /// Specific cutting energy in J/mm³ at 1900 kg/m³, and the exponent of the density, replacing the
+    /// standard law's.
     pub cutting_law: Option<[f64; 2]>,
-    /// Edge force in N per mm of the hole's diameter at 1900 kg/m³, and the exponent of the density; none: no edge force.
+    /// Edge force in N per mm of the hole's diameter at 1900 kg/m³, and the exponent of the density; `None`
+    /// for no edge force.
     pub edge_law: Option<[f64; 2]>,
-    /// Compressive strength of cortical bone, MPa, instead of the standard law's.
+    /// Compressive strength of cortical bone, MPa, replacing the standard law's.
     pub strength_mpa: Option<f64>,
     /// Whether the scene drills a pilot hole for the flexible part.
     pub pilot: bool,
@@ -91,14 +93,15 @@ impl Trial {
              [volume]\nphantom = \"block\"\nbone_threshold_hu = {THRESHOLD_HU}\n{pilot}\
              [manipulator]\nmodel = \"{}\"\ntendon_friction = {:?}\nstiffness_scale = {:?}\n\
              [contact]\nfriction = {:?}\n{strength}[drilling]\nremoval = \"{}\"\n{law}{edge}\
-             [tool]\nburr_start_mm = [0.0, 0.0, 0.0]\ndirection = [0.0, 0.0, 1.0]\nbend_toward = [1.0, 0.0, 0.0]\n\
+             [tool]\nburr_start_mm = [0.0, 0.0, 0.0]\ndirection = [0.0, 0.0, 1.0]\nbend_toward = [1.0, 0.0, \
+             0.0]\n\
              [[controller]]\nname = \"feed\"\ndrives = [\"tendon\", \"arm\", \"burr\"]\nexternal = true\n",
             self.dt_ms, self.rung, self.tendon_friction, self.stiffness, self.contact_friction, self.removal
         );
         Scene::parse(&text, Path::new("reproduce.toml")).map_err(|cause| Failure::failed(cause.to_string()))
     }
 
-    /// Command for a tick; none if the previous one still holds.
+    /// Returns the command for a tick, or `None` if the previous one still applies.
     fn command(&self, time_s: f64, dt_s: f64) -> Option<Command> {
         if time_s >= RAMP_S + dt_s {
             return None;
@@ -117,10 +120,10 @@ impl Trial {
         })
     }
 
-    /// Runs the trial; `see` gets every state and the voxels removed in its tick.
+    /// Runs the trial; `see` is called with every state and the voxels removed in its tick.
     ///
     /// # Errors
-    /// A scene or a step that is refused because a parameter of the trial is out of range.
+    /// A scene or a step refused because a parameter of the trial is out of range.
     pub fn play(&self, block: &Block, mut see: impl FnMut(&State, &[u32])) -> Result<Outcome, Failure> {
         let failed = |cause: &dyn core::fmt::Display| Failure::failed(cause.to_string());
         let ct = CtView { geometry: block.geometry, hu: &block.hu };
@@ -169,16 +172,16 @@ pub struct Outcome {
     pub most_force_n: f64,
     /// Mean normal force of the burr over the second half of the run, during the feed, N.
     pub mean_force_n: f64,
-    /// Deepest penetration of any sphere into the bone, m.
+    /// Maximum penetration of any sphere into the bone, m.
     pub deepest_m: f64,
-    /// Largest sum of the walls' forces, and largest force on the flange, N.
+    /// Maximum sum of the walls' forces, and maximum force on the flange, N.
     pub most_wall_n: f64,
     pub most_flange_n: f64,
-    /// Largest share of a contact's strength that it carried.
+    /// Maximum ratio of a contact's force to its strength.
     pub most_share: f64,
-    /// Farthest that a flexure was past its stop, rad.
+    /// Maximum excess of a flexure beyond its stop, rad.
     pub past_stop_rad: f64,
-    /// Highest flexure speed during the feed, rad/s.
+    /// Maximum flexure speed during the feed, rad/s.
     pub fastest_rad_per_s: f64,
     /// Maximum number of loaded contacts in a tick.
     pub most_contacts: u32,
@@ -212,14 +215,14 @@ impl Outcome {
         self.past_stop_rad = self.past_stop_rad.max(state.stop_excess_rad);
     }
 
-    /// A state during the feed.
+    /// Takes a state during the feed.
     fn see_feeding(&mut self, state: &State) {
         self.most_force_n = self.most_force_n.max(state.burr_force_n);
         let rates = state.joint_velocity_rad_per_s.iter();
         self.fastest_rad_per_s = rates.map(|rate| rate.abs()).fold(self.fastest_rad_per_s, f64::max);
     }
 
-    /// A state of the feed in the second half of the run.
+    /// Takes a state of the feed in the second half of the run.
     fn see_steady(&mut self, state: &State) {
         self.samples += 1;
         self.mean_force_n += (state.burr_force_n - self.mean_force_n) / self.samples as f64;

@@ -17,21 +17,22 @@ const RATIOS: [f64; 5] = [1.0, 2.0, 3.0, 5.0, 10.0];
 const FEEDS_MM_PER_S: [f64; 4] = [0.1, 0.5, 1.0, 2.0];
 /// Length of the feed, mm.
 pub const INSERTION_MM: f64 = 14.0;
-/// Depth at which the axis meets the dense side, mm.
+/// Depth at which the axis reaches the dense side, mm.
 const MEETS_MM: f64 = 7.0;
 /// Angle between the axis and the boundary: 30 degrees.
 const NORMAL: [f64; 3] = [0.866_025_403_784_438_6, 0.0, 0.5];
 /// Edge force, N/mm, and exponent of the density: fitted by length in part 5.
 const EDGE: [f64; 2] = [7.0, 1.5];
-/// With an edge force the tool is to leave its line by so much into 1:10 at the experiment's feed, and to keep to it into 1:1, mm.
+/// With an edge force, the tool should leave its line by at least this much into 1:10 at the experiment's
+/// feed, and stay on it into 1:1, mm.
 const SKIVES_MM: f64 = 2.0;
 const STRAIGHT_MM: f64 = 0.02;
-/// Ticks that the decrement takes for a voxel of the dense side at most, at the burr's speed.
+/// Maximum number of ticks that the decrement takes for a voxel of the dense side, at the burr's speed.
 const DECREMENT_TICKS: f64 = 150.0;
 const COLOURS: [RGBColor; 4] =
     [RGBColor(0, 114, 178), RGBColor(213, 94, 0), RGBColor(0, 158, 115), RGBColor(204, 121, 167)];
 
-/// Foam, and beyond an oblique plane material denser by `ratio`.
+/// Foam, with material denser by `ratio` beyond an oblique plane.
 pub fn block(foam_kg_per_m3: f64, ratio: f64, effort: Effort) -> Block {
     let voxel_mm = voxel_mm(effort);
     let (normal, point) = (Vector3::from(NORMAL), Vector3::new(0.0, 0.0, MEETS_MM * 1e-3));
@@ -103,7 +104,7 @@ fn sweep(plan: &Plan) -> Result<(), Failure> {
     plan.draw(draw(&outcomes, feeds), "reproduce-2-skiving")
 }
 
-/// The insertion at the experiments' feeds with the edge force of part 5.
+/// Repeats the insertion at the experiments' feeds with the edge force of part 5.
 fn edge(plan: &Plan) -> Result<(), Failure> {
     let feeds: &[f64] = if plan.effort == Effort::Quick { &[1.0] } else { &[0.1, 0.5] };
     let jobs: Vec<(f64, f64)> =
@@ -123,13 +124,14 @@ fn edge(plan: &Plan) -> Result<(), Failure> {
     for (ratio, feed, outcome) in &outcomes {
         let aside_mm = outcome.burr_m().x.hypot(outcome.burr_m().y) * 1e3;
         let wanted = if *ratio > 1.0 { aside_mm >= SKIVES_MM } else { aside_mm <= STRAIGHT_MM };
-        let verdict = if wanted { "as wanted" } else { "NOT as wanted" };
+        let verdict = if wanted { "as expected" } else { "NOT as expected" };
         say!("1:{ratio} at {feed} mm/s: {aside_mm:.3} mm aside, {verdict}");
     }
     Ok(())
 }
 
-/// Repeats the insertion with the published removal rules, the paper's own also at feeds at and above its clearance rate.
+/// Repeats the insertion with the published removal rules; the paper's own rule also at feeds at and above
+/// its clearance rate.
 fn rules(plan: &Plan) -> Result<(), Failure> {
     let at_1_mm_per_s = ["energy", "naive", "capped", "decrement"].map(|removal| (removal, 1.0));
     let clearance = clearance_mm_per_s(plan.effort);
@@ -160,7 +162,8 @@ fn rules(plan: &Plan) -> Result<(), Failure> {
     Ok(())
 }
 
-/// The feed at which the decrement removes the densest voxels in time: one voxel in as many ticks as it takes at most.
+/// Returns the feed at which the decrement removes the densest voxels in time: one voxel per maximum number
+/// of ticks.
 fn clearance_mm_per_s(effort: Effort) -> f64 {
     voxel_mm(effort) / (DECREMENT_TICKS * trial(1.0).dt_ms * 1e-3)
 }

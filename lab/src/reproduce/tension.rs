@@ -53,8 +53,9 @@ pub(super) fn run(plan: &Plan) -> Result<(), Failure> {
     for own in &loops {
         match own.right_angle {
             Some((tension, curvature)) => say!(
-                "friction {}: 90 degrees at {tension:.2} N, curvature {curvature:.4} /mm by the nearest circle, {:.4} /mm from the \
-                 first flexure to the burr (published: {PUBLISHED_CURVATURE})",
+                "friction {}: 90 degrees at {tension:.2} N, curvature {curvature:.4} /mm by the \
+                 nearest circle, {:.4} /mm from the first flexure to the burr \
+                 (published: {PUBLISHED_CURVATURE})",
                 own.friction,
                 0.5 * core::f64::consts::PI / arc_mm()
             ),
@@ -90,7 +91,7 @@ fn sweep(friction: f64) -> Result<Loop, ManipulatorError> {
     Ok(own)
 }
 
-/// Curvature of the best-fit circle through the flexures and the burr.
+/// Returns the curvature of the best-fit circle through the flexures and the burr.
 fn curvature_per_mm(tool: &Manipulator) -> f64 {
     let point = |p: Vector3<f64>| (p.z * 1e3, p.x * 1e3);
     let mut points: Vec<(f64, f64)> =
@@ -99,12 +100,12 @@ fn curvature_per_mm(tool: &Manipulator) -> f64 {
     1.0 / radius_mm(&points)
 }
 
-/// Length along the tool from the first flexure to the burr's centre, mm.
+/// Returns the length along the tool from the first flexure to the burr's centre, mm.
 fn arc_mm() -> f64 {
     ManipulatorParameters::jhu_27().flexible_length_m() * 1e3
 }
 
-/// Bend at the nearest tension of the sweep.
+/// Returns the bend at the nearest tension of the sweep.
 fn at(values: &[(f64, f64)], tension: f64) -> f64 {
     let nearer = |a: &&(f64, f64), b: &&(f64, f64)| (a.0 - tension).abs().total_cmp(&(b.0 - tension).abs());
     values.iter().min_by(nearer).map_or(f64::NAN, |(_, bend)| *bend)
@@ -129,8 +130,8 @@ fn draw(loops: &[Loop]) -> Result<Figure, FigureError> {
 mod tests {
     use super::*;
 
-    /// k_i q_i = T_i d, T_{i+1} = T_i exp(-mu q_i) (Euler's and Eytelwein's capstan) for this table of stiffnesses: 10
-    /// N bends the tool by 86.5, 80.4, 75.2, 70.9 degrees.
+    /// k_i q_i = T_i d, T_{i+1} = T_i exp(-mu q_i) (capstan equation of Euler and Eytelwein) for this table
+    /// of stiffnesses: 10 N bends the tool by 86.5, 80.4, 75.2, 70.9 degrees.
     #[test]
     fn loading_follows_the_capstan_and_unloading_stays_behind() -> Result<(), ManipulatorError> {
         for (friction, exact) in FRICTIONS.into_iter().zip([86.5, 80.4, 75.2, 70.9]) {

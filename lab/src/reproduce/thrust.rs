@@ -1,9 +1,11 @@
 //! Thrust of drills and burrs in closed form, and of the simulated burr, compared with published ranges.
 //!
-//! A cutter of radius r that advances by v in bone of density rho needs `F = E (rho/1900)^a + K (rho/1900)^b A v / (w r_eff)`, A being the
-//! cross-section of its hole: what its edges plough with, and what it cuts with (K is specific energy over cutting coefficient). The
-//! edges plough in proportion to the hole's area, `E = p0 A`, or to its diameter, `E = e D`, as edges have a length. A drill is a disc,
-//! whose mean lever by area is 2r/3; the end of a ball has the same lever, and its hole is wider by the reach.
+//! A cutter of radius r that advances by v in bone of density rho needs `F = E (rho/1900)^a + K (rho/1900)^b
+//! A v / (w r_eff)`, where A is the cross-section of its hole. The first term is the ploughing of the edges,
+//! the second the cutting (K is specific energy over cutting coefficient). The edges plough in proportion to
+//! the hole's area, `E = p0 A`, or to its diameter, `E = e D`, since edges have a length. A drill is a disc,
+//! whose mean lever by area is 2r/3; the end of a ball has the same lever, and its hole is wider by the
+//! reach.
 
 use core::f64::consts::{PI, TAU};
 
@@ -17,7 +19,7 @@ use trabecula::failure::Failure;
 
 /// Density at which the constants hold, kg/m³.
 const DENSITY_REF: f64 = 1900.0;
-/// 50 mm/min, the feed of the drilling at 12 000 rpm, also where a source's feed is unknown.
+/// 50 mm/min, the feed of the drilling at 12 000 rpm; also used if a source does not state its feed.
 const FEED_MM_PER_S: f64 = 50.0 / 60.0;
 
 #[derive(Clone, Copy, PartialEq)]
@@ -36,10 +38,10 @@ struct Row {
     feed_mm_per_s: f64,
     /// Lowest and highest speed; the law must be in range at both.
     rpm: [f64; 2],
-    /// What of density, tool, feed and speed is not the source's.
+    /// Which of density, tool, feed and speed are not from the source.
     assumed: &'static str,
     range_n: [f64; 2],
-    /// Whether a source measured the range.
+    /// Whether the range was measured by a source.
     measured: bool,
     /// Whether the constants are fitted on the row.
     fit: bool,
@@ -47,7 +49,7 @@ struct Row {
 
 /// Orelaja et al. 2020: their own measurements at two speeds, whose means are the ends of the range.
 const ORELAJA: &str = "Orelaja et al. 2020 J. Healthcare Eng. 8817422 (abstract and table 6)";
-/// Their table 6 quotes the thrusts of others, without tool, feed and speed.
+/// Their table 6 quotes thrusts of others, without tool, feed and speed.
 const QUOTED: &str = "quoted in table 6 of Orelaja et al. 2020 J. Healthcare Eng. 8817422";
 const HIGH_SPEED: &str = "J. Braz. Soc. Mech. Sci. Eng. 2020 42:349 (abstract)";
 
@@ -92,7 +94,7 @@ const fn quoted(what: &'static str, density: f64, diameter_mm: f64, range_n: [f6
     }
 }
 
-/// Every second of the first nine rows is fitted on. The tools of the last six are unknown.
+/// Every second of the first nine rows is used for the fit. The tools of the last six are unknown.
 const ROWS: [Row; 15] = [
     foam("foam 10 PCF 0.05 mm/s", 160.0, 0.05, false),
     foam("foam 10 PCF 0.15 mm/s", 160.0, 0.15, true),
@@ -106,7 +108,7 @@ const ROWS: [Row; 15] = [
         source: HIGH_SPEED,
         tool: Tool::Drill(2.0),
         rpm: [12_000.0; 2],
-        // 14.11 N, give or take a fifth.
+        // 14.11 N, plus or minus a fifth.
         assumed: "density range",
         ..orelaja("cortical bone 12 000 rpm", 2000.0, [11.3, 16.9], false)
     },
@@ -117,10 +119,10 @@ const ROWS: [Row; 15] = [
     quoted("human femoral shaft (MacAvelia)", 1900.0, 3.2, [140.2, 186.3], false),
     quoted("artificial femoral shaft (MacAvelia)", 640.0, 3.2, [53.3, 67.2], false),
 ];
-/// Rows before those of shafts whose tools are unknown.
+/// Number of rows before those of shafts whose tools are unknown.
 const FIRST: usize = 9;
 
-/// What the edge force is in proportion to.
+/// Quantity that the edge force is proportional to.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Edge {
     /// The hole's cross-section.
@@ -144,7 +146,7 @@ struct Law {
 }
 
 impl Law {
-    /// The law of every scene that does not set another.
+    /// Returns the default law of scenes.
     fn standard() -> Law {
         let law = MaterialLaw::default();
         Law {
@@ -156,7 +158,7 @@ impl Law {
         }
     }
 
-    /// Thrust in closed form, N.
+    /// Returns the thrust in closed form, N.
     fn thrust_n(&self, row: &Row, rpm: f64) -> f64 {
         let reach_mm = CuttingLaw::default().reach_m * 1e3;
         let (radius_mm, hole_mm) = match row.tool {
@@ -179,7 +181,7 @@ impl Law {
         row.rpm.iter().all(|rpm| (row.range_n[0]..=row.range_n[1]).contains(&self.thrust_n(row, *rpm)))
     }
 
-    /// Sum over the speeds of the squared logarithm of how far outside the range the thrust is.
+    /// Returns the sum over the speeds of the squared logarithm of the deviation from the range.
     fn miss(&self, row: &Row) -> f64 {
         let outside = |rpm: &f64| {
             let thrust_n = self.thrust_n(row, *rpm);
@@ -189,7 +191,8 @@ impl Law {
         row.rpm.iter().map(outside).sum()
     }
 
-    /// The constants of a grid that bring most of some rows into range, and of those the ones that miss the others least.
+    /// Fits the constants on a grid: those that bring most rows into range, and of those the ones with the
+    /// smallest deviation of the other rows.
     fn fitted_on(rows: &[&Row], by: Edge) -> Law {
         let steps = |low: f64, high: f64, count: i32| {
             (0..=count).map(move |k| low * (high / low).powf(f64::from(k) / f64::from(count)))
@@ -303,7 +306,8 @@ pub(super) fn run(plan: &Plan) -> Result<(), Failure> {
         };
         say!("{name}: {edge}, a {edge_exponent:.1}, K {cut_mpa:.1} MPa, b {cut_exponent:.1}");
         say!(
-            "    inside: {} of the half fitted on, {} of the other rows, {} measured, {} of the first nine, {} in all",
+            "    inside: {} of the half fitted on, {} of the other rows, {} measured, {} of the first nine, \
+             {} in all",
             count(law, &|_, row| row.fit),
             count(law, &|_, row| !row.fit),
             count(law, &|_, row| row.measured),
@@ -314,7 +318,7 @@ pub(super) fn run(plan: &Plan) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Mean thrust of the simulated burr at a steady feed, N.
+/// Returns the mean thrust of the simulated burr at a steady feed, N.
 fn simulated_n(row: &Row, law: &Law, effort: Effort) -> Result<f64, Failure> {
     let block = Block::new([-6.0, -6.0, -12.0], [6.0, 6.0, 12.0], 0.5, |_| row.density_kg_per_m3);
     let insertion_mm = if effort == Effort::Quick { 1.0 } else { 5.0 };

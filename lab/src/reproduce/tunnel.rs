@@ -17,16 +17,17 @@ const FEEDS_MM_PER_S: [f64; 3] = [0.05, 0.10, 0.15];
 pub const FOAM_KG_PER_M3: f64 = 160.0;
 /// Length of the feed beyond the pilot hole, mm.
 pub const INSERTION_MM: f64 = 30.0;
-/// A tunnel in foam that is to follow the tool's own bend does so within this share of the bend in air at the same tension.
+/// A tunnel in foam that should follow the tool's own bend stays within this fraction of the bend in air at
+/// the same tension.
 const OF_AIR: f64 = 0.25;
-/// What is shown of the pilot hole before its end, mm along the feed.
+/// Start of the plotted part of the pilot hole, mm along the feed.
 const PILOT_SHOWN_MM: f64 = -6.0;
-/// Around what was drilled, mm.
+/// Margin around the drilled region, mm.
 const MARGIN_MM: f64 = 1.5;
 const REMOVED: RGBColor = RGBColor(214, 226, 236);
 const TOOL: RGBColor = RGBColor(0, 114, 178);
 
-/// The block; the origin is the end of the pilot hole.
+/// Returns the block; the origin is the end of the pilot hole.
 pub fn block(density_kg_per_m3: f64, effort: Effort) -> Block {
     let voxel_mm = if effort == Effort::Quick { 1.0 } else { 0.5 };
     Block::new([-10.0, -8.0, -38.0], [34.0, 8.0, 36.0], voxel_mm, |_| density_kg_per_m3)
@@ -103,7 +104,7 @@ pub(super) fn run(plan: &Plan) -> Result<(), Failure> {
     plan.draw(draw(&cases), "reproduce-1-tunnel")
 }
 
-/// Bend of the tool in air under a tension, degrees.
+/// Returns the bend of the tool in air under a tension, degrees.
 fn air_deg(tension_n: f64) -> Result<f64, Failure> {
     let empty = Block::new([-1.0; 3], [1.0; 3], 1.0, |_| 0.0);
     let trial = Trial { pilot: false, ..Trial::new(tension_n, 1.0, 1.0) };
@@ -134,7 +135,7 @@ fn case(block: &Block, tension_n: f64, feed_mm_per_s: f64) -> Result<Case, Failu
     Ok(Case { tension_n, feed_mm_per_s, outcome, slice, voxel_mm, path })
 }
 
-/// Radius of the best-fit circle to the path by Kasa's method (1976), mm.
+/// Returns the radius of the best-fit circle to the path by Kasa's method (1976), mm.
 pub fn radius_mm(path: &[(f64, f64)]) -> f64 {
     let mut normal = nalgebra::Matrix3::zeros();
     let mut right = Vector3::zeros();
@@ -161,12 +162,13 @@ fn draw(cases: &[Case]) -> Result<Figure, FigureError> {
     Ok(figure)
 }
 
-/// Width of a panel's plot, in a row of so many.
+/// Returns the width of a panel's plot, in a row of `columns` panels.
 fn plot_width(columns: usize) -> f64 {
     WIDTH / columns as f64 - EDGES.0
 }
 
-/// What the panels show along the feed and the bend, each from and to, mm: every drilled voxel and path, and the pilot hole's end.
+/// Returns the plotted ranges along the feed and the bend, mm: every drilled voxel and path, and the pilot
+/// hole's end.
 fn shown_mm(cases: &[Case]) -> [[f64; 2]; 2] {
     let drilled = cases.iter().flat_map(|case| case.slice.iter().chain(&case.path));
     let points: Vec<(f64, f64)> = drilled.copied().chain([(PILOT_SHOWN_MM, 0.0)]).collect();

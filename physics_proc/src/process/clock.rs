@@ -7,7 +7,7 @@ use ipc_types::scene::Wait;
 use ipc_types::wake::allowed_cores;
 use rustix::time::{ClockId, Timespec, clock_gettime};
 
-/// Processor time of this thread in nanoseconds; excludes time stolen by the hypervisor if the kernel knows of it.
+/// Reads this thread's processor time, ns; excludes time stolen by the hypervisor if the kernel reports it.
 pub(super) fn thread_cpu_ns() -> u64 {
     let time = clock_gettime(ClockId::ThreadCPUTime);
     time.tv_sec as u64 * 1_000_000_000 + time.tv_nsec as u64
@@ -24,16 +24,16 @@ pub(super) struct Sleeper {
 }
 
 impl Sleeper {
-    /// For the current thread and the cores that it may use now.
+    /// Creates a sleeper for the current thread and the cores that it can use now.
     pub(super) fn new(wait: Wait) -> Sleeper {
         Sleeper { wait, cores: allowed_cores() }
     }
 
-    /// Waits until the monotonic clock reaches `deadline_ns`. A signal ends the wait early. Never spins on a single
-    /// core.
+    /// Waits until the monotonic clock reaches `deadline_ns`. A signal ends the wait early. Never spins on a
+    /// single core.
     ///
-    /// Does not yield just before the deadline: a yield could hand the core to a renderer's thread, which Linux would
-    /// not preempt before its next tick, up to 4 ms later.
+    /// Does not yield just before the deadline: a yield could hand the core to a renderer's thread, which
+    /// Linux would not preempt before its next tick, up to 4 ms later.
     pub(super) fn wait_until(&self, deadline_ns: u64) {
         match self.wait {
             Wait::Event => sleep_until(deadline_ns),

@@ -24,7 +24,7 @@ pub(super) fn receive_volume(
     Ok(Some(await_volume(&subscriber, end)?))
 }
 
-/// The CT, in place.
+/// Returns a view of the CT, without copying.
 pub(super) fn ct(volume: &Received<Volume>) -> Result<CtView<'_>, PhysicsError> {
     let bad = |problem: String| PhysicsError::BadVolume { problem };
     let grid = volume.message().grid().map_err(|cause| bad(cause.to_string()))?;

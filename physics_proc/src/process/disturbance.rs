@@ -1,10 +1,11 @@
-//! What the kernel says disturbed this thread between the starts of two ticks.
+//! Disturbances of this thread between the starts of two ticks, as counted by the kernel.
 //!
 //! There are two samples per tick: [`Disturbances::work_ends`] before the thread goes to sleep,
-//! [`Disturbances::tick_begins`] after the next tick has begun. Together they take about 1.5 µs (`trabecula-lab bench
-//! readings`): two reads of the thread's CPU clock, one of `schedstat` through a file kept open, one `getrusage`. The
-//! machine's steal counter is read only in late ticks, and ten times a second as a baseline for them; the counters for
-//! what suspends the whole process (`held_back`) only after a long gap.
+//! [`Disturbances::tick_begins`] after the next tick has begun. Together they take about 1.5 µs
+//! (`trabecula-lab bench readings`): two reads of the thread's CPU clock, one of `schedstat` through a file
+//! kept open, one `getrusage`. The machine's steal counter is read only in late ticks, and ten times a second
+//! as a baseline for them; the counters for what suspends the whole process (`held_back`) only after a long
+//! gap.
 
 use std::fs::File;
 use std::os::unix::fs::FileExt;
@@ -56,10 +57,10 @@ impl Counts {
     }
 }
 
-/// What a tick's sample is of. Only that of a late tick reads the machine's steal counter.
+/// The kind of tick that a sample belongs to. Only a late tick's sample reads the machine's steal counter.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Sample {
-    /// A tick that began in time.
+    /// A tick that began on time.
     InTime,
     /// A tick that began late.
     Late,
@@ -98,7 +99,8 @@ impl Disturbances {
         self.work_end_cpu_ns = thread_cpu_ns();
     }
 
-    /// Call when a tick has begun at `start_ns`, `lateness_ns` after its deadline. Fills the counters into its timing.
+    /// Call when a tick has begun at `start_ns`, `lateness_ns` after its deadline. Fills the counters into
+    /// its timing.
     pub fn tick_begins(&mut self, start_ns: u64, lateness_ns: i64, tick: Sample, timing: &mut TickTiming) {
         let deadline_ns = start_ns as i64 - lateness_ns;
         timing.work_ns = self.work_end_ns.saturating_sub(self.begin_ns);
@@ -115,7 +117,7 @@ impl Disturbances {
         self.begin_cpu_ns = thread_cpu_ns();
     }
 
-    /// Adds what has been counted since the last call.
+    /// Adds the counts since the last call.
     pub fn count(&mut self, timing: &mut TickTiming) {
         let (now, last) = (Counts::now(), self.counts);
         let since = |now: u64, last: u64| now.saturating_sub(last) as u32;
@@ -124,8 +126,8 @@ impl Disturbances {
         timing.voluntary_switches = since(now.voluntary, last.voluntary);
         timing.involuntary_switches = since(now.involuntary, last.involuntary);
         self.counts = now;
-        // A thread that never lost its core has not waited for one. Reading the file takes a microsecond, so do it
-        // only after a context switch.
+        // A thread that never lost its core has not waited for one. Reading the file takes a microsecond, so
+        // do it only after a context switch.
         timing.run_queue_wait_ns = 0;
         if timing.voluntary_switches + timing.involuntary_switches > 0 {
             let total_ns = self.total_wait_ns().unwrap_or(self.wait_ns);
@@ -165,7 +167,7 @@ impl Steal {
         steal
     }
 
-    /// Steal time of the current core since the last sample.
+    /// Returns the steal time of the current core since the last sample.
     fn since_last(&mut self) -> u64 {
         let length = self.file.as_ref().and_then(|file| file.read_at(&mut self.text, 0).ok()).unwrap_or(0);
         let core = rustix::thread::sched_getcpu();
@@ -216,7 +218,7 @@ mod tests {
         assert!(timing.work_ns >= timing.work_cpu_ns, "{timing:?}");
         assert!(timing.voluntary_switches >= 1, "it slept: {timing:?}");
         assert!(timing.overrun_ns <= 500 - 2_000_000, "{timing:?}");
-        assert_eq!(timing.stolen_ns, 0, "not looked at");
+        assert_eq!(timing.stolen_ns, 0, "not read");
     }
 
     #[test]

@@ -1,4 +1,5 @@
-//! The hub's environment in a running session: ports in shared memory, the machine's clock, the kernel's counters.
+//! The hub's environment in a running session: ports in shared memory, the machine's clock, the kernel's
+//! counters.
 
 use std::time::{Duration, Instant};
 
@@ -26,9 +27,9 @@ pub(super) struct SharedMemory<'s> {
     state: Publisher<State>,
     latched: Publisher<Latched>,
     removed: Publisher<Removed>,
-    /// None without sensors.
+    /// `None` without sensors.
     readings: Option<Publisher<SensorReading>>,
-    /// None without a recorder.
+    /// `None` without a recorder.
     keyframe: Option<Publisher<Keyframe>>,
     status: Publisher<RunStatus>,
     timing: Publisher<TickTiming>,
@@ -43,7 +44,8 @@ pub(super) struct SharedMemory<'s> {
     sleeper: Sleeper,
     disturbances: Disturbances,
     end: EndRequest,
-    /// A moment on our clock and then on the standard library's, which is the same one: it turns times of one into those of the other.
+    /// One moment on our clock and on the standard library's, which is the same clock: converts times between
+    /// the two.
     began: (u64, Instant),
 }
 
@@ -90,12 +92,12 @@ impl<'s> SharedMemory<'s> {
         })
     }
 
-    /// The parts that must receive every state.
+    /// Returns the parts that must receive every state.
     pub(super) fn consumers(&self) -> Vec<Part> {
         self.consumers.iter().map(|(part, _)| *part).collect()
     }
 
-    /// The request to end.
+    /// Returns the request to end.
     pub(super) fn end(&self) -> &EndRequest {
         &self.end
     }
@@ -122,7 +124,7 @@ impl<'s> SharedMemory<'s> {
     }
 }
 
-/// A copy of a message, and its sender.
+/// Copies a message, with its sender.
 fn copied<M: ipc_types::messages::layout::Message>(received: &Received<M>) -> Incoming<M> {
     Incoming::Message(*received.message(), Connection(received.sender().number()))
 }
@@ -184,7 +186,7 @@ impl Environment for SharedMemory<'_> {
 
     fn receive_report(&mut self) -> Result<Option<Report>, PortError> {
         while let Some(received) = self.progress.receive_valid(|_| {})? {
-            // The transport identifies the sender, not the report, so no part can speak for another.
+            // The transport identifies the sender, not the report, so no part can impersonate another.
             if let Some(part) = received.part() {
                 return Ok(Some(Report { part, tick: Tick(received.message().tick) }));
             }

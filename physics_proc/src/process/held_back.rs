@@ -1,7 +1,7 @@
-//! Detects what suspended the whole process: a cgroup quota, a freezer, a stop signal.
+//! Detects suspensions of the whole process: a cgroup quota, a freezer, a stop signal.
 //!
-//! The files are opened once and read only after a long gap, so that ticks that are on time or slightly late pay
-//! nothing.
+//! The files are opened once and read only after a long gap, so that ticks that are on time or slightly late
+//! pay nothing.
 
 use std::fs::File;
 use std::os::unix::fs::FileExt;
@@ -25,7 +25,7 @@ pub(super) struct HeldBack {
 }
 
 impl HeldBack {
-    /// For the cgroups that the process is in now.
+    /// Opens the counters of the cgroups that the process is in now.
     pub(super) fn new() -> HeldBack {
         let text = |path: &str| std::fs::read_to_string(path).unwrap_or_default();
         let groups = groups(&text("/proc/self/mounts"), &text("/proc/self/cgroup"));
@@ -48,7 +48,8 @@ impl HeldBack {
         }
     }
 
-    /// How long the process was throttled and how long it was stopped before a tick with this lateness.
+    /// Returns how long the process was throttled and how long it was stopped before a tick with this
+    /// lateness.
     pub(super) fn before(&mut self, lateness_ns: i64) -> (u64, u64) {
         let continued = self.continued.take();
         if lateness_ns <= LONG_GAP_NS {
@@ -71,7 +72,7 @@ struct Counter {
 }
 
 impl Counter {
-    /// None if the file has no such counter.
+    /// Opens a counter; `None` if the file does not contain it.
     fn open(path: &Path, key: &'static str, unit_ns: u64) -> Option<Counter> {
         let mut counter = Counter { file: File::open(path).ok()?, key, unit_ns, last: 0 };
         counter.last = counter.read()?;
@@ -85,7 +86,7 @@ impl Counter {
         lines.find_map(|line| number(line.strip_prefix(self.key.as_bytes())?.strip_prefix(b" ")?))
     }
 
-    /// Nanoseconds since the last read.
+    /// Returns the nanoseconds since the last read.
     fn since_last(&mut self) -> u64 {
         let now = self.read().unwrap_or(self.last);
         let since = now.saturating_sub(self.last);
@@ -94,7 +95,8 @@ impl Counter {
     }
 }
 
-/// Folders of a process's cgroups and their ancestors: of version 2, and of the `cpu` controller of version 1.
+/// Lists the folders of a process's cgroups and their ancestors: of version 2, and of the `cpu` controller of
+/// version 1.
 fn groups(mounts: &str, own: &str) -> Vec<PathBuf> {
     let mut found = Vec::new();
     for line in mounts.lines() {

@@ -1,4 +1,4 @@
-//! The physics process: it drives the [`Hub`] with shared memory and the machine's clock.
+//! The physics process: drives the [`Hub`] with shared memory and the machine's clock.
 //!
 //! ```text
 //! join the session, take the volume, build the simulation
@@ -47,14 +47,14 @@ pub enum PhysicsError {
     /// The bytes received are not a volume.
     #[error("malformed volume message: {problem}")]
     BadVolume {
-        /// What is wrong.
+        /// Description of the defect.
         problem: String,
     },
     /// The run ended early.
     #[error("{0}")]
     Run(HubError<PortError, SimulationError>),
     /// Signals cannot be handled.
-    #[error("signals cannot be handled: {0}")]
+    #[error("cannot install signal handlers: {0}")]
     Signals(std::io::Error),
 }
 
@@ -94,9 +94,9 @@ fn drive(
     }
 }
 
-/// Locks all memory of this process, where the system permits it. In real time all of it is brought in before the first tick. In lockstep
-/// nothing has a deadline: the rest, mostly queues that fill only while a reader is seconds behind, is 150 MB to clear, so each page is
-/// locked at its first use.
+/// Locks all memory of this process, where the system permits it. In real time all of it is faulted in before
+/// the first tick. In lockstep nothing has a deadline: the rest, mostly queues that fill only while a reader
+/// is seconds behind, is 150 MB to clear, so each page is locked at its first use.
 fn lock_memory(memory: &mut SharedMemory<'_>, scene: &Scene) -> Result<(), PortError> {
     let all = MlockAllFlags::CURRENT | MlockAllFlags::FUTURE;
     let flags = match scene.run.mode {
@@ -109,7 +109,7 @@ fn lock_memory(memory: &mut SharedMemory<'_>, scene: &Scene) -> Result<(), PortE
     }
 }
 
-/// Raises the priority, since in real time the tick comes first; reports it if the scheduler refuses.
+/// Raises the priority, because in real time the tick comes first; reports it if the scheduler refuses.
 fn take_priority(memory: &mut SharedMemory<'_>, scene: &Scene) -> Result<(), PortError> {
     if scene.run.mode == Mode::Lockstep {
         return Ok(());
@@ -122,7 +122,7 @@ fn take_priority(memory: &mut SharedMemory<'_>, scene: &Scene) -> Result<(), Por
     }
     inform(
         memory,
-        &format!("priority: {wanted:?} is not permitted, the physics has {got:?}: see `trabecula doctor`"),
+        &format!("priority: {wanted:?} is not permitted, the physics has {got:?}; see `trabecula doctor`"),
     )
 }
 

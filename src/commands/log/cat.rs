@@ -1,4 +1,4 @@
-//! `trabecula log cat`: messages as JSON lines.
+//! `trabecula log cat`: prints messages as JSON lines.
 
 use std::path::PathBuf;
 
@@ -27,13 +27,13 @@ pub struct CatArguments {
     /// First tick.
     #[arg(long, default_value_t = 0)]
     from: u64,
-    /// Last tick, included.
+    /// Last tick (inclusive).
     #[arg(long)]
     to: Option<u64>,
     /// First simulated time in seconds.
     #[arg(long, default_value_t = 0.0)]
     from_s: f64,
-    /// Last simulated time in seconds, included.
+    /// Last simulated time in seconds (inclusive).
     #[arg(long)]
     to_s: Option<f64>,
 }
@@ -41,8 +41,8 @@ pub struct CatArguments {
 /// Runs the command.
 ///
 /// # Errors
-/// Not a log, no such field or topic (2); a damaged log (1), after printing the messages before the damage; a log that
-/// has a gap, is cut or was not ended (3).
+/// Not a log, unknown field or topic (2); a damaged log (1), after printing the messages before the damage; a
+/// log that has a gap, is truncated or was not ended (3).
 pub fn run(arguments: &CatArguments, out: &mut Out<'_>) -> Result<(), Failure> {
     let options = CatOptions {
         topics: arguments.topics.clone(),
@@ -60,7 +60,7 @@ pub fn run(arguments: &CatArguments, out: &mut Out<'_>) -> Result<(), Failure> {
     if let Some(last) = last_tick.filter(|_| messages == 0) {
         let log = log.display();
         tell!(
-            "trabecula: {log}: no message is in this range; the last one of these topics is of tick {}",
+            "trabecula: {log}: no messages in this range; the last message on these topics is at tick {}",
             last.0
         );
     }
@@ -74,5 +74,5 @@ fn nanoseconds(option: &str, time_s: f64) -> Result<u64, Failure> {
     if (0.0..=1e9).contains(&time_s) {
         return Ok((time_s * 1e9 + 0.5) as u64);
     }
-    Err(Failure::bad_input(format!("{option} is {time_s}, allowed is 0 to 1e9")))
+    Err(Failure::bad_input(format!("{option} is {time_s}; allowed: 0 to 1e9")))
 }

@@ -1,4 +1,4 @@
-//! `trabecula log export --dataset`: renders the frames of a log again, with labels, as a data set for training.
+//! `trabecula log export --dataset`: re-renders the frames of logs with labels, as a training data set.
 
 use std::fs;
 use std::path::Path;
@@ -21,11 +21,12 @@ use crate::replay::{FrameReplay, OpenedLog, Overrides, compare};
 
 const NO_X_RAY: &str = "the scene has no X-ray";
 
-/// Exports it.
+/// Exports the data set.
 ///
 /// # Errors
-/// Not a log of this build, no frames for these ticks, runs that do not go together, a folder that holds something (2); a frame that this
-/// build renders differently, a damaged log, a full disk (1); a log that has a gap, is cut or was not ended (3).
+/// Not a log of this build, no frames in this range of ticks, incompatible runs, a folder that is not empty
+/// (2); a frame that this build renders differently, a damaged log, a full disk (1); a log that has a gap, is
+/// truncated or was not ended (3).
 pub fn export(format: Format, arguments: &ExportArguments) -> Result<(), Failure> {
     refuse_used(&arguments.output)?;
     let bone_from_hu = checked(arguments)?;
@@ -41,8 +42,8 @@ pub fn export(format: Format, arguments: &ExportArguments) -> Result<(), Failure
     dataset.end().into_iter().try_for_each(|file| write(folder, file))?;
     let shares: Vec<String> = parts.iter().map(|(name, frames)| format!("{name} {frames}")).collect();
     let shares = if shares.is_empty() { String::new() } else { format!(" ({})", shares.join(", ")) };
-    let said = format!("{frames} frames with labels{shares}, {in_gaps} in gaps of the log");
-    // The worst decides the exit code.
+    let said = format!("{frames} labelled frames{shares}, {in_gaps} skipped in gaps of the log");
+    // The worst verdict decides the exit code.
     let badness = |verdict: &&Verdict| (!verdict.is_intact(), verdict.is_stopped_by_damage());
     let worst = verdicts.iter().max_by_key(badness).cloned().unwrap_or_default();
     let mut figures = json!({"frames": frames});
@@ -51,7 +52,7 @@ pub fn export(format: Format, arguments: &ExportArguments) -> Result<(), Failure
     }
     arguments.say(&said, figures, &worst);
     for (name, _) in parts.iter().filter(|(_, frames)| *frames == 0) {
-        tell!("trabecula: --split: `{name}` has no run; more runs or another --seed give it some");
+        tell!("trabecula: --split: `{name}` is empty; use more runs or another --seed");
     }
     for (log, verdict) in arguments.logs.iter().zip(&verdicts).filter(|(_, verdict)| !verdict.is_intact()) {
         tell!("trabecula: {}: {verdict}", log_path(log).display());
@@ -59,7 +60,7 @@ pub fn export(format: Format, arguments: &ExportArguments) -> Result<(), Failure
     ended_with(exit_code(&worst))
 }
 
-/// An export under way.
+/// An export in progress.
 struct Export<'a> {
     arguments: &'a ExportArguments,
     dataset: Dataset,
@@ -67,7 +68,7 @@ struct Export<'a> {
 }
 
 impl Export<'_> {
-    /// Takes the frames of a log.
+    /// Exports the frames of a log.
     fn take(&mut self, log: &Path, index: usize) -> Result<Verdict, Failure> {
         let arguments = self.arguments;
         let log = open(log, arguments)?;
@@ -84,7 +85,7 @@ impl Export<'_> {
                 self.in_gaps += 1;
                 continue;
             };
-            // Labels of another picture would be worse than none.
+            // Labels that do not match the image would be worse than no labels.
             if let Some(difference) = compare(&recorded, &rendered) {
                 return Err(Failure::failed(format!("frame {}: {difference}", recorded.frame.sequence)));
             }
@@ -97,8 +98,8 @@ impl Export<'_> {
     }
 }
 
-/// Opens every log once before the first file is written: one that cannot be taken refuses the export, and nothing is left of it. Returns
-/// from which HU on voxels are bone.
+/// Checks every log before the first file is written, so that a rejected export leaves nothing behind.
+/// Returns the bone threshold in HU.
 fn checked(arguments: &ExportArguments) -> Result<i16, Failure> {
     let mut common = None;
     for log in &arguments.logs {
@@ -110,25 +111,26 @@ fn checked(arguments: &ExportArguments) -> Result<i16, Failure> {
         let first = *common.get_or_insert(own);
         if own.0 != first.0 {
             let what = format!(
-                "bone is from {} HU, and from {} HU in the logs before; give one with --bone-from-hu",
+                "bone starts at {} HU, but at {} HU in the previous logs; set one threshold with \
+                 --bone-from-hu",
                 own.0, first.0
             );
             return Err(refused(&log, &what));
         }
         if own.1 != first.1 {
-            let what = format!("its tool has {} joints, that of the logs before {}", own.1, first.1);
+            let what = format!("its tool has {} joints, but {} in the previous logs", own.1, first.1);
             return Err(refused(&log, &what));
         }
         if !has_frames(&log, arguments)? {
-            return Err(refused(&log, "the log has no frames for these ticks"));
+            return Err(refused(&log, "the log has no frames in this range of ticks"));
         }
     }
     common
         .map(|(bone_from_hu, _)| bone_from_hu)
-        .ok_or_else(|| Failure::bad_input("--dataset: no log was given"))
+        .ok_or_else(|| Failure::bad_input("--dataset: expected at least one log"))
 }
 
-/// Whether a log has a frame for the ticks that are asked for; damage is told by the export itself.
+/// Returns whether a log has a frame in the requested ticks; the export itself reports damage.
 fn has_frames(log: &OpenedLog, arguments: &ExportArguments) -> Result<bool, Failure> {
     let mut recorded = frames(&LogFile::at(&log.path), log.options())?;
     loop {
@@ -154,7 +156,7 @@ fn refused(log: &OpenedLog, what: &str) -> Failure {
     Failure::bad_input(format!("--dataset: {}: {what}", foreign_path(&log.path)))
 }
 
-/// The run of a log, the `index`th of all.
+/// Describes the run of the log with this index.
 fn run(log: &OpenedLog, arguments: &ExportArguments, index: usize) -> Result<Run, Failure> {
     let reader = log.reader()?;
     let header = reader.header();
@@ -164,7 +166,7 @@ fn run(log: &OpenedLog, arguments: &ExportArguments, index: usize) -> Result<Run
     Ok(Run { number: (arguments.logs.len() > 1).then_some(index + 1), id, part, images: Vec::new() })
 }
 
-/// Refuses a folder that holds something, and what is no folder.
+/// Rejects a folder that is not empty, and anything that is not a folder.
 fn refuse_used(folder: &Path) -> Result<(), Failure> {
     if folder.symlink_metadata().is_err() {
         return Ok(());
@@ -172,7 +174,7 @@ fn refuse_used(folder: &Path) -> Result<(), Failure> {
     let refused = |path: &Path| {
         let (path, folder) = (foreign_path(path), foreign_path(folder));
         Failure::bad_input(format!(
-            "{path}: already exists; --output is {folder}, expected a new folder or an empty one"
+            "{path}: already exists; --output is {folder}, expected a new or empty folder"
         ))
     };
     match fs::read_dir(folder) {

@@ -32,7 +32,8 @@ pub struct ExportArguments {
     /// Log file, or the folder of a run; with `--dataset`, one or more.
     #[arg(required = true)]
     pub(super) logs: Vec<PathBuf>,
-    /// New `.csv` or `.parquet` file; with `--frames`, a folder for the images; with `--dataset`, a new or empty folder; with `--geometry`, a file of a format that it has.
+    /// New `.csv` or `.parquet` file; with `--frames`, a folder for the images; with `--dataset`, a new or
+    /// empty folder; with `--geometry`, a file in one of its formats.
     #[arg(short, long)]
     pub(super) output: PathBuf,
     /// Topic to export.
@@ -44,34 +45,35 @@ pub struct ExportArguments {
     /// First tick.
     #[arg(long, default_value_t = 0)]
     from: u64,
-    /// Last tick, included.
+    /// Last tick (inclusive).
     #[arg(long)]
     to: Option<u64>,
     /// Export one 16-bit PNG per frame, with the recorded pixel values, instead of a table.
     #[arg(long, conflicts_with_all = ["fields", "topic"])]
     frames: bool,
-    /// Export geometry instead of a table, in the patient frame (LPS) and mm, as of the last tick (`--to`).
+    /// Export geometry instead of a table, in the patient frame (LPS, mm), at the last tick (`--to`).
     #[arg(long, value_enum, value_name = "WHAT", conflicts_with_all = ["fields", "frames", "topic", "from"])]
     pub(super) geometry: Option<Geometry>,
-    /// Export a `.mcap` file that Lichtblick and Foxglove open as it is: `/tf`, the tool, its contacts and paths for the 3D panel, X-ray
-    /// frames, states and commands for plots.
+    /// Export a `.mcap` file for Lichtblick and Foxglove, with `/tf`, the tool, its contacts and paths for
+    /// the 3D panel, X-ray frames, and states and commands for plots.
     #[arg(long, conflicts_with_all = ["fields", "frames", "topic", "geometry"])]
     foxglove: bool,
-    /// With `--foxglove`: states a second of simulated time, 1 to 1000.
+    /// With `--foxglove`: states per second of simulated time, 1 to 1000.
     #[arg(long, value_name = "HZ", default_value_t = 30.0, requires = "foxglove")]
     pub(super) rate: f64,
-    /// Export a data set for training instead of a table: every frame is rendered again, with masks of bone, tool, burr and tunnel, keypoints
-    /// of the tool, camera and pose.
+    /// Export a training data set instead of a table: every frame is re-rendered, with masks of bone, tool,
+    /// burr and tunnel, keypoints of the tool, camera and pose.
     #[arg(long, value_enum, value_name = "FORMAT", conflicts_with_all = ["fields", "frames", "topic", "geometry", "foxglove"])]
     dataset: Option<Format>,
-    /// With `--dataset`: voxels at or above this are bone; default: `drr.labels.bone_from_hu` of the scene, or else its `volume.bone_threshold_hu`.
+    /// With `--dataset`: threshold at or above which voxels are bone; default: `drr.labels.bone_from_hu` of
+    /// the scene, or else its `volume.bone_threshold_hu`.
     #[arg(long, value_name = "HU", requires = "dataset", allow_negative_numbers = true)]
     pub(super) bone_from_hu: Option<i16>,
-    /// With `--dataset`: parts of the data set and their shares of the runs, of `train`, `val` and `test`; the frames of a run, and of all
-    /// with its scene and volume, are in one part.
+    /// With `--dataset`: split into `train`, `val` and `test` by these shares of the runs; all runs of the
+    /// same scene and volume go to the same part.
     #[arg(long, value_name = "NAME=SHARE,...", requires = "dataset", conflicts_with_all = ["frames", "geometry", "foxglove"], value_parser = Split::parse)]
     pub(super) split: Option<Split>,
-    /// With `--split`: another seed gives the runs other parts.
+    /// With `--split`: seed of the random assignment of runs to parts.
     #[arg(long, default_value_t = 0, requires = "split")]
     pub(super) seed: u64,
     /// With `--geometry tunnel` or `--dataset`: current path of the log's CT file.
@@ -89,16 +91,16 @@ impl ExportArguments {
     }
 
     /// # Errors
-    /// Bad input: flags that have no effect together, or a range of ticks that ends before it begins.
+    /// Bad input: incompatible flags, or a range of ticks that ends before it begins.
     fn check(&self) -> Result<(), Failure> {
         let uses_volume = self.dataset.is_some() || self.geometry == Some(Geometry::Tunnel);
         if self.volume.is_some() && !uses_volume {
-            return Err(Failure::bad_input("--volume is for --geometry tunnel and --dataset"));
+            return Err(Failure::bad_input("--volume needs --geometry tunnel or --dataset"));
         }
         in_order(self.ticks()).map(drop)
     }
 
-    /// Says what was exported: in words with how the log ends, or in figures, for programs.
+    /// Prints what was exported, as text with how the log ends, or as JSON.
     pub(super) fn say(&self, said: &str, figures: Value, verdict: &Verdict) {
         let text = || match self.geometry {
             Some(_) => format!("{}: {said}", self.output.display()),
@@ -108,7 +110,7 @@ impl ExportArguments {
         self.figures.say(text, || merged(all, figures));
     }
 
-    /// The log of an export of one; [`run`] refuses several.
+    /// Returns the log of a single-log export; [`run`] rejects several.
     pub(super) fn log(&self) -> &Path {
         self.logs.first().map_or(Path::new(""), PathBuf::as_path)
     }
@@ -117,8 +119,9 @@ impl ExportArguments {
 /// Runs the command.
 ///
 /// # Errors
-/// Not a log, no such topic or field, an unknown file extension, an output that already exists (2); a damaged log,
-/// after writing the rows before the damage, or a full disk (1); a log that has a gap, is cut or was not ended (3).
+/// Not a log, an unknown topic, field or file extension, an output that already exists (2); a damaged log,
+/// after writing the rows before the damage, or a full disk (1); a log that has a gap, is truncated or was
+/// not ended (3).
 pub fn run(arguments: &ExportArguments) -> Result<(), Failure> {
     arguments.check()?;
     if let Some(format) = arguments.dataset {
@@ -126,7 +129,9 @@ pub fn run(arguments: &ExportArguments) -> Result<(), Failure> {
     }
     if let [_, second, ..] = arguments.logs.as_slice() {
         let second = foreign_path(second);
-        return Err(Failure::bad_input(format!("{second}: expected one log; --dataset alone takes several")));
+        return Err(Failure::bad_input(format!(
+            "{second}: expected a single log; only --dataset accepts several"
+        )));
     }
     if let Some(what) = arguments.geometry {
         return geometry::export(what, arguments);
@@ -143,7 +148,7 @@ pub fn run(arguments: &ExportArguments) -> Result<(), Failure> {
     judged(&log, &verdict)
 }
 
-/// A file name's extension, in lower case.
+/// Returns a file name's extension in lower case.
 pub(super) fn ending_of(path: &Path) -> String {
     path.extension().map(|ending| ending.to_string_lossy().to_lowercase()).unwrap_or_default()
 }
@@ -169,7 +174,8 @@ fn table(log: &Path, arguments: &ExportArguments) -> Result<(String, Verdict), F
     Ok((format!("{count} rows and {columns} columns of {topic}"), verdict))
 }
 
-/// Writes a `.csv` file, or else a Parquet file. The rows before the damage of a log still make a valid table.
+/// Writes a `.csv` file, or else a Parquet file. The rows before the damage of a log still make a valid
+/// table.
 pub(super) fn write_table<T>(
     output: &Path,
     columns: &[Column],
@@ -190,7 +196,7 @@ pub(super) fn write_table<T>(
     filled.map_err(unwritten(output))
 }
 
-/// The failure of an export: an error of writing does not name the file.
+/// Converts an error to the export's failure; write errors do not name the file themselves.
 pub(super) fn unwritten(output: &Path) -> impl Fn(LogError) -> Failure {
     move |error| match error {
         LogError::Output { source } => OutputError::write(output)(source).into(),
@@ -228,15 +234,15 @@ fn pictures(log: &Path, arguments: &ExportArguments) -> Result<(String, Verdict)
     if let Some(damage) = damage {
         return Err(damage);
     }
-    Ok((format!("{written} pictures, {without} frames without one in the log"), reader.verdict()))
+    Ok((format!("{written} images, {without} frames without an image in the log"), reader.verdict()))
 }
 
 fn name(sequence: u64, tick: u64) -> String {
     format!("frame_{sequence:06}_tick_{tick:08}.png")
 }
 
-/// The image paths, checked so that an export is refused before its first image. The frames' geometry is in chunks of
-/// its own, so this is quick; faults of the log are reported when its images are read.
+/// Returns the image paths, so that existing files are rejected before the first image is written. Frame
+/// geometry has its own chunks, so this is quick; log faults are reported when the images are read.
 fn names(log: &Path, arguments: &ExportArguments) -> Vec<PathBuf> {
     let mut paths = Vec::new();
     let mut path = |tick: Tick, _: u64, values: &[Scalar]| -> Result<(), LogError> {
@@ -250,7 +256,7 @@ fn names(log: &Path, arguments: &ExportArguments) -> Vec<PathBuf> {
     paths
 }
 
-/// 16-bit greyscale with the recorded values.
+/// Writes a 16-bit greyscale PNG with the recorded values.
 fn write_png(path: &Path, record: &FrameRecord) -> Result<(), Failure> {
     let Some(image) = record.image else { return Ok(()) };
     let greys = record.pixels.chunks_exact(2).map(|pixel| u16::from_le_bytes([pixel[0], pixel[1]]));

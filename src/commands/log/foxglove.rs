@@ -1,4 +1,5 @@
-//! `trabecula log export --foxglove`: a log as one file that Lichtblick and Foxglove open with their 3D panel, image and plots filled.
+//! `trabecula log export --foxglove`: exports a log for the 3D, image and plot panels of Lichtblick and
+//! Foxglove.
 
 use std::io::BufWriter;
 
@@ -20,26 +21,26 @@ use crate::failure::Failure;
 use crate::geometry::path::Travelled;
 use crate::output::refuse_existing;
 
-/// Distance of two points of the burr's path, mm.
+/// Distance between points of the burr's path, mm.
 const PATH_STEP_MM: f64 = 0.25;
-/// The burr's path is drawn whole, so it is written only this often, in drawings of the tool.
+/// Number of tool drawings per drawing of the burr's path, which is written whole each time.
 const PATH_EVERY: u64 = 15;
 /// Blue and orange of Okabe and Ito (2008).
 const PLANNED: [f64; 3] = [0.0, 0.45, 0.7];
 const DRILLED: [f64; 3] = [0.84, 0.37, 0.0];
 
-/// Exports it.
+/// Exports the log.
 ///
 /// # Errors
-/// Not a log, an output that exists or does not end in `.mcap`, a rate out of its range (2); a damaged log, a full disk (1); a log that
-/// has a gap, is cut or was not ended (3).
+/// Not a log, an output that exists or does not end in `.mcap`, a rate out of range (2); a damaged log, a
+/// full disk (1); a log that has a gap, is truncated or was not ended (3).
 pub fn export(arguments: &ExportArguments) -> Result<(), Failure> {
     let output = &arguments.output;
     if ending_of(output) != "mcap" {
         return Err(Failure::bad_input(format!("--output is {}, expected a .mcap file", output.display())));
     }
     if !(1.0..=1000.0).contains(&arguments.rate) {
-        return Err(Failure::bad_input(format!("--rate is {}, allowed is 1 to 1000", arguments.rate)));
+        return Err(Failure::bad_input(format!("--rate is {}; allowed: 1 to 1000", arguments.rate)));
     }
     refuse_existing(&[output])?;
     let log = log_path(arguments.log());
@@ -58,14 +59,14 @@ pub fn export(arguments: &ExportArguments) -> Result<(), Failure> {
     judged(&log, &verdict)
 }
 
-/// The file being made.
+/// The file being written.
 struct Made<'a, W: std::io::Write> {
     log: ViewerLog<W>,
     arguments: &'a ExportArguments,
     drawer: Drawer,
     planned_m: Option<Vec<[f64; 3]>>,
     travelled: Travelled,
-    /// Ticks from one drawing to the next.
+    /// Ticks between drawings.
     every: u64,
     drawings: u64,
     frames: u64,
@@ -87,7 +88,7 @@ impl<'a, W: std::io::Write> Made<'a, W> {
         }
     }
 
-    /// Takes a log to its end.
+    /// Converts a log to its end.
     fn take(&mut self, mut stream: MessageStream) -> Result<Verdict, LogError> {
         let dt_ns = stream.header().dt_ns.max(1);
         loop {
@@ -107,7 +108,7 @@ impl<'a, W: std::io::Write> Made<'a, W> {
                     }
                 }
                 Some(Topic::Latched) if !tick.0.is_multiple_of(self.every) => {}
-                // The physics' own format, of no use to a viewer; and indices of voxels of a CT that is not there.
+                // Physics-internal format, and voxel indices of a CT that the file does not contain.
                 Some(Topic::Keyframe | Topic::Removed) => {}
                 known => {
                     self.frames += u64::from(known == Some(Topic::DrrImage));
@@ -136,7 +137,7 @@ impl<'a, W: std::io::Write> Made<'a, W> {
     }
 }
 
-/// The poses of a state in the world's frame.
+/// Returns the poses of a state in the world frame.
 fn poses(state: &State) -> Vec<(&'static str, &'static str, &Pose)> {
     vec![
         ("world", "flange", &state.t_world_flange),

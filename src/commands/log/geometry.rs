@@ -1,4 +1,4 @@
-//! `trabecula log export --geometry`: tunnel, tool and path for other programs.
+//! `trabecula log export --geometry`: exports tunnel, tool and paths for other programs.
 
 use std::path::Path;
 
@@ -20,23 +20,23 @@ use crate::geometry::{Mesh, mesh_files, tool, tunnel};
 use crate::output::refuse_existing;
 use crate::replay::{Gone, OpenedLog, Overrides};
 
-/// Distance of two points of a curve, mm: a twentieth of the burr, and few enough for 3D Slicer.
+/// Distance between points of a curve, mm: a twentieth of the burr, and few enough points for 3D Slicer.
 const CURVE_STEP_MM: f64 = 0.25;
-/// Distance of two rows of the table of deviations, mm.
+/// Distance between rows of the table of deviations, mm.
 const TABLE_STEP_MM: f64 = 0.1;
 
 /// Geometry of a run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Geometry {
-    /// The closed surface around all voxels that are gone, pilot holes too (.stl, .obj, .vtp).
+    /// Closed surface of all removed voxels, including pilot holes (.stl, .obj, .vtp).
     Tunnel,
-    /// The tool's surface (.stl, .obj, .vtp).
+    /// Surface of the tool (.stl, .obj, .vtp).
     Tool,
-    /// The path of the burr's centre (.mrk.json, .fcsv, .vtp).
+    /// Path of the burr's centre (.mrk.json, .fcsv, .vtp).
     BurrPath,
-    /// The path that the scene plans for it (.mrk.json, .fcsv, .vtp).
+    /// Path planned by the scene for the burr's centre (.mrk.json, .fcsv, .vtp).
     PlannedPath,
-    /// How far the burr's centre was from the planned path on its way in (.csv, .parquet, .vtp).
+    /// Deviation of the burr's centre from the planned path during insertion (.csv, .parquet, .vtp).
     Deviation,
 }
 
@@ -49,7 +49,7 @@ impl Geometry {
         }
     }
 
-    /// The ending of the output's name that chooses the format.
+    /// Returns the file extension, which selects the format.
     fn format(self, output: &Path) -> Result<&'static str, Failure> {
         let name = output.file_name().map(|name| name.to_string_lossy().to_lowercase()).unwrap_or_default();
         let endings = self.endings();
@@ -57,7 +57,7 @@ impl Geometry {
         found.copied().ok_or_else(|| {
             let expected: Vec<String> = endings.iter().map(|ending| format!(".{ending}")).collect();
             Failure::bad_input(format!(
-                "--output is {}, expected a file that ends in {}",
+                "--output is {}, expected a file ending in {}",
                 output.display(),
                 expected.join(" or ")
             ))
@@ -65,11 +65,11 @@ impl Geometry {
     }
 }
 
-/// Exports it.
+/// Exports the geometry.
 ///
 /// # Errors
-/// Not a log, an ending that says no format, an output that exists, nothing to export (2); a log that cannot be read to its end, a full
-/// disk (1); a log that is cut or was not ended (3).
+/// Not a log, an unknown file extension, an output that exists, nothing to export (2); a log that cannot be
+/// read to its end, a full disk (1); a log that is truncated or was not ended (3).
 pub fn export(what: Geometry, arguments: &ExportArguments) -> Result<(), Failure> {
     let format = what.format(&arguments.output)?;
     refuse_existing(&[&arguments.output])?;
@@ -95,7 +95,7 @@ pub fn export(what: Geometry, arguments: &ExportArguments) -> Result<(), Failure
     judged(&log_path(arguments.log()), &verdict)
 }
 
-/// What was exported, in words and figures, and what is wrong with the log.
+/// Result as text and as JSON, and the log's verdict.
 type Exported = (String, Value, Verdict);
 
 fn of_tunnel(format: &str, arguments: &ExportArguments) -> Result<Exported, Failure> {
@@ -113,7 +113,7 @@ fn of_tunnel(format: &str, arguments: &ExportArguments) -> Result<Exported, Fail
     let mesh = tunnel::surface(grid, &gone.voxels);
     if mesh.triangles.is_empty() {
         return Err(Failure::bad_input(format!(
-            "{}: no voxel is gone after tick {}, so there is no tunnel",
+            "{}: no voxels removed by tick {}, so there is no tunnel",
             log.path.display(),
             gone.tick
         )));
@@ -123,7 +123,8 @@ fn of_tunnel(format: &str, arguments: &ExportArguments) -> Result<Exported, Fail
     let (count, voxels_mm3, surface_mm3) =
         (gone.voxels.len(), gone.voxels.len() as f64 * voxel_mm3, mesh.volume_mm3());
     let said = format!(
-        "the tunnel after tick {}: {} triangles around {surface_mm3:.1} mm3; {count} voxels of {voxels_mm3:.1} mm3 are gone",
+        "tunnel after tick {}: {} triangles enclosing {surface_mm3:.1} mm3; {count} voxels ({voxels_mm3:.1} \
+         mm3) removed",
         gone.tick,
         mesh.triangles.len()
     );
@@ -137,7 +138,7 @@ fn of_tool(format: &str, arguments: &ExportArguments) -> Result<Exported, Failur
     let mesh = tool::surface(&seen.last, &seen.scene.manipulator.radii());
     write_mesh(format, &arguments.output, &mesh)?;
     let (tick, count) = (seen.last.tick, mesh.triangles.len());
-    let said = format!("the tool after tick {tick}: {count} triangles");
+    let said = format!("tool after tick {tick}: {count} triangles");
     Ok((said, json!({"tick": tick, "triangles": count}), seen.verdict))
 }
 
@@ -166,7 +167,8 @@ fn of_deviation(format: &str, arguments: &ExportArguments) -> Result<Exported, F
     let mean = deviation_mm.iter().map(|one| one * one).sum::<f64>() / deviation_mm.len().max(1) as f64;
     let (rms_mm, last_mm) = (mean.sqrt(), deviation_mm.last().copied().unwrap_or(0.0));
     let said = format!(
-        "{} places of the burr, {most_mm:.2} mm off the planned path at most, {rms_mm:.2} r.m.s., {last_mm:.2} at the end",
+        "{} burr positions, deviation {most_mm:.2} mm maximum, {rms_mm:.2} mm RMS, {last_mm:.2} mm at the \
+         end",
         found.len()
     );
     let figures =
@@ -174,8 +176,8 @@ fn of_deviation(format: &str, arguments: &ExportArguments) -> Result<Exported, F
     Ok((said, figures, seen.verdict))
 }
 
-/// The states of a log up to the tick asked for: its scene, the burr's path, the last state, and what is wrong with the log if no tick
-/// was asked for.
+/// The states of a log up to the requested tick: its scene, the burr's path, the last state, and the log's
+/// verdict if no tick was requested.
 struct Seen {
     scene: Scene,
     places: Vec<Place>,
@@ -217,7 +219,8 @@ fn scene_of(reader: &LogReader, log: &Path) -> Result<Scene, Failure> {
 fn planned(log: &Path, scene: &Scene) -> Result<Vec<[f64; 3]>, Failure> {
     planned_path_in_bone_mm(scene).ok_or_else(|| {
         Failure::bad_input(format!(
-            "{}: the scene of this run plans no path: expected a controller `curved_drilling`, `skiving` or `tube_deployment`",
+            "{}: the scene of this run has no planned path; expected a controller `curved_drilling`, \
+             `skiving` or `tube_deployment`",
             log.display()
         ))
     })
@@ -244,7 +247,7 @@ fn curve(
         _ => mesh_files::curve_vtp(points_mm, &[]),
     };
     output_file::write(&arguments.output, text)?;
-    Ok((format!("a curve of {} points", points_mm.len()), json!({"points": points_mm.len()})))
+    Ok((format!("curve of {} points", points_mm.len()), json!({"points": points_mm.len()})))
 }
 
 /// Columns of the table of deviations.

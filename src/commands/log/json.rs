@@ -1,4 +1,4 @@
-//! What the commands on logs say, as JSON.
+//! JSON output of the `log` commands.
 
 use run_log::diff::DiffReport;
 use run_log::difference::Divergence;
@@ -6,7 +6,7 @@ use run_log::repair::RepairReport;
 use run_log::{LogInfo, Verdict, hash_text};
 use serde_json::{Value, json};
 
-/// A verdict: whether the log is intact, and what is wrong in words.
+/// A verdict: whether the log is intact, its faults as text, and how it ends.
 pub(crate) fn of_verdict(verdict: &Verdict) -> Value {
     let faults = (!verdict.is_intact()).then(|| verdict.to_string());
     json!({"intact": verdict.is_intact(), "faults": faults, "ending": verdict.ending.describe()})
@@ -66,7 +66,7 @@ pub(super) fn of_diff(report: &DiffReport) -> Value {
     })
 }
 
-/// What a repair found, kept and left out.
+/// The report of a repair.
 pub(super) fn of_repair(report: &RepairReport) -> Value {
     json!({
         "was_whole": report.was_whole(),

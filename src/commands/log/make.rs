@@ -19,7 +19,7 @@ use crate::say::Figures;
 pub struct RepairArguments {
     /// Log file, or the folder of a run.
     log: PathBuf,
-    /// The new log.
+    /// New log file.
     #[arg(short, long)]
     output: PathBuf,
     #[command(flatten)]
@@ -29,8 +29,8 @@ pub struct RepairArguments {
 /// Repairs a log and reports what is lost.
 ///
 /// # Errors
-/// Not a log, no header, or an output that already exists (2); a disk error (1); the log had faults, which the report
-/// lists (3).
+/// Not a log, no header, or an output that already exists (2); a disk error (1); the log had faults, which
+/// the report lists (3).
 pub fn repair_log(arguments: &RepairArguments, out: &mut Out<'_>) -> Result<(), Failure> {
     let report = repair(&log_path(&arguments.log), &arguments.output)?;
     if arguments.figures.json {
@@ -41,7 +41,7 @@ pub fn repair_log(arguments: &RepairArguments, out: &mut Out<'_>) -> Result<(), 
     super::concluded(out, if report.was_whole() { 0 } else { EXIT_GAP })
 }
 
-/// How to compress chunks: least, greatest and usual level, and the method at a level.
+/// Values of `--method`: minimum, maximum and default level, and the constructor for a level.
 type Method = (u32, u32, u32, fn(u32) -> Packing);
 
 const METHODS: [Choice<Method>; 3] = [
@@ -55,7 +55,7 @@ const METHODS: [Choice<Method>; 3] = [
 pub struct CompressArguments {
     /// Log file, or the folder of a run.
     log: PathBuf,
-    /// The new log.
+    /// New log file.
     #[arg(short, long)]
     output: PathBuf,
     /// Compression method.
@@ -71,19 +71,19 @@ pub struct CompressArguments {
 /// Recompresses a log.
 ///
 /// # Errors
-/// A level that the method does not have, not a log, an output that already exists (2); a log that is not whole (1).
+/// A level out of range, not a log, an output that already exists (2); an incomplete log (1).
 pub fn compress_log(arguments: &CompressArguments, out: &mut Out<'_>) -> Result<(), Failure> {
     let (lowest, highest, usual, packing) = arguments.method;
     let level = arguments.level.unwrap_or(usual);
     if !(lowest..=highest).contains(&level) {
-        return Err(Failure::bad_input(format!("--level is {level}, allowed is {lowest} to {highest}")));
+        return Err(Failure::bad_input(format!("--level is {level}; allowed: {lowest} to {highest}")));
     }
     let Sizes { before, after } = compress(&log_path(&arguments.log), &arguments.output, packing(level))?;
     let share = 100.0 * after as f64 / before.max(1) as f64;
     // Output errors are reported when the command ends.
     let _ = match arguments.figures.json {
         true => writeln!(out, "{}", serde_json::json!({"before_bytes": before, "after_bytes": after})),
-        false => writeln!(out, "{before} bytes before, {after} after ({share:.1} %), the same messages"),
+        false => writeln!(out, "{before} bytes before, {after} after ({share:.1} %), messages unchanged"),
     };
     Ok(())
 }
@@ -94,7 +94,7 @@ pub struct CatFilesArguments {
     /// Log files, or folders of runs.
     #[arg(required = true, num_args = 2..)]
     logs: Vec<PathBuf>,
-    /// The new file. Topics of the first log get the prefix /run1, those of the second /run2, and so on.
+    /// New file. Topics of the first log get the prefix /run1, those of the second /run2, and so on.
     #[arg(short, long)]
     output: PathBuf,
 }
@@ -102,7 +102,7 @@ pub struct CatFilesArguments {
 /// Concatenates logs into one file.
 ///
 /// # Errors
-/// Not a log, an output that already exists (2); a log that is not whole (1).
+/// Not a log, an output that already exists (2); an incomplete log (1).
 pub fn cat_files_log(arguments: &CatFilesArguments, out: &mut Out<'_>) -> Result<(), Failure> {
     let inputs: Vec<PathBuf> = arguments.logs.iter().map(|log| log_path(log)).collect();
     cat_files(&inputs, &arguments.output)?;
@@ -123,7 +123,7 @@ pub struct SplitArguments {
 /// Splits a file of several runs into one log per run.
 ///
 /// # Errors
-/// Not a log, the log of one run, an output that already exists (2); a file that is not whole (1).
+/// Not a log, the log of a single run, an output that already exists (2); an incomplete file (1).
 pub fn split_log(arguments: &SplitArguments, out: &mut Out<'_>) -> Result<(), Failure> {
     for path in split(&log_path(&arguments.log), &arguments.output)? {
         let _ = writeln!(out, "{}", path.display());

@@ -20,7 +20,7 @@ use run_log::{LogError, ReadOptions, Verdict, info};
 use crate::failure::Failure;
 use crate::say::{self, Figures, Out};
 
-/// What to do with a log.
+/// Arguments of `log`.
 #[derive(Debug, Subcommand)]
 pub enum LogCommand {
     /// Print a summary: scene, build, ticks, topics, sizes, gaps and how the log ends.
@@ -36,18 +36,19 @@ pub enum LogCommand {
     Diff {
         /// Log file, or the folder of a run.
         first: PathBuf,
-        /// The log to compare it with.
+        /// Log to compare with.
         second: PathBuf,
         #[command(flatten)]
         figures: Figures,
     },
-    /// Write a readable log from a cut or damaged one and report what is lost.
+    /// Recover a readable log from a truncated or damaged one, and report what is lost.
     Repair(make::RepairArguments),
-    /// Recompress a log, or store it uncompressed; the messages stay the same.
+    /// Recompress a log, or store it uncompressed; messages are unchanged.
     Compress(make::CompressArguments),
-    /// Export a topic as a table (.csv, .parquet), the X-ray frames as PNG files, or tunnel, tool and path as geometry (.stl, .obj, .vtp, .mrk.json).
+    /// Export a topic as a table (.csv, .parquet), the X-ray frames as PNG files, or tunnel, tool and path as
+    /// geometry (.stl, .obj, .vtp, .mrk.json).
     Export(export::ExportArguments),
-    /// Join several complete logs into one file.
+    /// Concatenate several complete logs into one file.
     CatFiles(make::CatFilesArguments),
     /// Split a file with several runs into one log per run.
     Split(make::SplitArguments),
@@ -56,8 +57,8 @@ pub enum LogCommand {
 /// Runs the command.
 ///
 /// # Errors
-/// Not a log, or an output that already exists (2); two logs that differ, a damaged log, a full disk (1); the work is
-/// done, but the log has a gap, is cut or was not ended (3).
+/// Not a log, or an output that already exists (2); two logs that differ, a damaged log, a full disk (1);
+/// done, but the log has a gap, is truncated or was not ended (3).
 pub fn run(command: &LogCommand) -> Result<(), Failure> {
     let mut out = say::out();
     match command {
@@ -75,7 +76,7 @@ pub fn run(command: &LogCommand) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Says what a log holds; given a run's folder, checks both lanes.
+/// Prints the summary of a log; for a run's folder, checks both lanes.
 fn told(log: &Path, figures: Figures, out: &mut Out<'_>) -> Result<(), Failure> {
     let read = ReadOptions::default();
     let summary = info(&LogFile::at(log_path(log)), read)?;
@@ -97,7 +98,7 @@ fn told(log: &Path, figures: Figures, out: &mut Out<'_>) -> Result<(), Failure> 
     concluded(out, worse(exit_code(&summary.verdict), of_lane))
 }
 
-/// Says where two logs differ first.
+/// Prints where two logs first differ.
 fn compared(logs: [&PathBuf; 2], figures: Figures, out: &mut Out<'_>) -> Result<(), Failure> {
     let [first, second] = logs.map(|log| LogFile::at(log_path(log)));
     let report = diff(&first, &second, ReadOptions::default())?;
@@ -107,7 +108,7 @@ fn compared(logs: [&PathBuf; 2], figures: Figures, out: &mut Out<'_>) -> Result<
         answered(report.write(out))?;
     }
     if !report.same_run() {
-        // The report has already said where.
+        // The report has already been printed.
         let _ = out.flush();
         return Err(Failure::failed("the logs differ"));
     }
@@ -123,17 +124,16 @@ fn worse(first: u8, second: u8) -> u8 {
     }
 }
 
-/// Ends a command that has finished its work, with the exit code of the log's verdict. The faults have already been
-/// printed.
+/// Ends a finished command with the exit code of the log's verdict, whose faults have already been printed.
 fn concluded(out: &mut Out<'_>, code: u8) -> Result<(), Failure> {
     let _ = out.flush();
     ended_with(code)
 }
 
-/// Ends a command that has done its work with what is wrong with the log, for standard error and as exit code.
+/// Ends a finished command: prints the log's faults to standard error and returns its exit code.
 ///
 /// # Errors
-/// The log is not intact: damaged (1), has a gap, is cut or was not ended (3).
+/// The log is damaged (1), or has a gap, is truncated or was not ended (3).
 pub(super) fn judged(log: &Path, verdict: &Verdict) -> Result<(), Failure> {
     if !verdict.is_intact() {
         tell!("trabecula: {}: {verdict}", log.display());
@@ -148,8 +148,7 @@ fn ended_with(code: u8) -> Result<(), Failure> {
     }
 }
 
-/// Ignores an answer that could not be written: a closed pipe is fine, and any other output error is reported when the
-/// command ends.
+/// Ignores output errors: a closed pipe is fine, and any other error is reported when the command ends.
 fn answered(result: Result<(), LogError>) -> Result<(), Failure> {
     match result {
         Err(LogError::Output { .. }) => Ok(()),

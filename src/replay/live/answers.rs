@@ -1,4 +1,4 @@
-//! What a log holds of the controllers' answers.
+//! The controllers' logged replies.
 
 use std::collections::BTreeMap;
 
@@ -10,17 +10,18 @@ use zerocopy::FromBytes;
 use crate::failure::Failure;
 use crate::replay::OpenedLog;
 
-/// What the log holds of the controllers' answers.
+/// The controllers' logged replies.
 pub(super) struct Answers {
-    /// Per live controller, by the tick of the state that it answers.
+    /// Per live controller, by the tick of the state that was answered.
     pub(super) expected: Vec<BTreeMap<u64, Command>>,
     /// By frame number.
     pub(super) replies: BTreeMap<u64, DrrReply>,
 }
 
 impl Answers {
-    /// Reads the commands as sent, if the timing lane lies beside the log: in real time not every command was latched,
-    /// and a controller must see the same states as in the run. Otherwise reads the latched ones.
+    /// Reads the commands as sent if the log has a timing lane, because in real time not every command was
+    /// latched, and a controller must see the same states as in the run. Otherwise reads the latched
+    /// commands.
     pub(super) fn read(log: &OpenedLog, indices: &[ControllerIndex]) -> Result<Answers, Failure> {
         let mut expected = vec![BTreeMap::new(); indices.len()];
         let mut replies = BTreeMap::new();

@@ -1,9 +1,9 @@
-//! Runs live controllers against a log: they receive its states, and their answers are compared with the latched
-//! commands.
+//! Runs live controllers against a log: they receive its states, and their commands are compared with the
+//! latched ones.
 //!
-//! Open loop: the states and frames come from the log. Closed loop: the physics is stepped in lockstep with the live
-//! controllers' answers, and the frames are rendered. Both stop at the first difference; up to there, both show the
-//! controllers the same states.
+//! Open loop: states and frames come from the log. Closed loop: the physics is stepped in lockstep with the
+//! live commands, and frames are rendered. Both stop at the first difference; up to there, the controllers
+//! see the same states in both.
 
 mod answers;
 mod stage;
@@ -31,11 +31,11 @@ use crate::launcher::part::Part;
 use answers::Answers;
 use stage::{Frames, Stage};
 
-/// How long a controller may take to connect.
+/// Timeout for a controller to connect.
 const CONNECT_LIMIT: Duration = Duration::from_secs(60);
-/// A longer wait for it is told.
+/// A longer wait is reported.
 const SILENT_LIMIT: Duration = Duration::from_secs(2);
-/// How long a controller may take to end.
+/// Timeout for a controller to end.
 const END_LIMIT: Duration = Duration::from_secs(5);
 const POLL_PERIOD: Duration = Duration::from_millis(20);
 
@@ -53,18 +53,19 @@ pub struct LivePlan {
 /// Runs the plan; returns how many commands of each controller were identical.
 ///
 /// # Errors
-/// The first difference; a controller that ends or does not answer; bad input, reported before anything is started.
+/// The first difference; a controller that ends or does not reply; bad input, reported before anything
+/// starts.
 pub fn run(log: &OpenedLog, plan: &LivePlan) -> Result<Vec<(String, u64)>, Failure> {
     let indices = indices(log, plan)?;
     let mode = log.reader()?.header().mode;
     if mode == RunMode::RealTime && !plan.closed_loop && plan.controllers.len() > 1 {
         return Err(Failure::bad_input(
-            "the log is of real time, where each controller saw other states: give one --controller at a time",
+            "in a real-time log each controller saw different states: give one --controller at a time",
         ));
     }
     let end = EndRequest::install().map_err(Failure::signals)?;
     let answers = Answers::read(log, &indices)?;
-    // In closed loop every tick needs an answer.
+    // In closed loop every tick needs a command.
     let asked = |expected: &BTreeMap<u64, Command>| match plan.closed_loop {
         true => plan.to_tick > Tick::START,
         false => expected.range(..plan.to_tick.0).next().is_some(),
@@ -107,15 +108,15 @@ pub fn run(log: &OpenedLog, plan: &LivePlan) -> Result<Vec<(String, u64)>, Failu
     Ok(plan.controllers.iter().map(|(name, _)| name.clone()).zip(play.identical).collect())
 }
 
-/// The log holds no command of this controller, so there was nothing to compare.
+/// Error for a log without commands of this controller, so that there was nothing to compare.
 fn nothing_to_compare(log: &OpenedLog, plan: &LivePlan, live: usize) -> Failure {
     let (name, log) = (&plan.controllers[live].0, log.path.display());
     Failure::bad_input(format!(
-        "--controller `{name}`: {log}: has no command of this controller in these ticks"
+        "--controller `{name}`: {log}: no commands of this controller in this range of ticks"
     ))
 }
 
-/// Indices of the live controllers in the scene.
+/// Returns the indices of the live controllers in the scene.
 fn indices(log: &OpenedLog, plan: &LivePlan) -> Result<Vec<ControllerIndex>, Failure> {
     let names = log.scene.controller_names();
     let find = |name: &String| {
@@ -140,7 +141,7 @@ struct ReplayedSession<'l> {
 }
 
 impl ReplayedSession<'_> {
-    /// Publishes the log's states and compares the answers.
+    /// Publishes the log's states and compares the commands.
     fn open_loop(&mut self, to_tick: Tick) -> Result<(), Failure> {
         let mut ticks = self.log.reader()?;
         let mut state = Box::new(*ticks.initial());
@@ -179,7 +180,7 @@ impl ReplayedSession<'_> {
         Ok(())
     }
 
-    /// u_k from the live answers; from the log for all other controllers.
+    /// Returns u_k: live commands for live controllers, logged commands for all others.
     fn latch(&mut self, record: &TickRecord, latch: &mut Latch) -> Result<Latched, Failure> {
         let tick = Tick(record.latched.tick);
         for live in 0..self.stage.live.len() {
@@ -196,13 +197,15 @@ impl ReplayedSession<'_> {
             let index = self.stage.live[live].index;
             let (recorded, mut answered) =
                 (record.latched.commands[index.slot()], decided.commands[index.slot()]);
-            // The recorded controller may have restarted and reset its numbers; the live one has not.
+            // The recorded controller may have restarted and reset its sequence numbers; the live one has
+            // not.
             answered.command.sequence = recorded.command.sequence;
             self.compare_command(live, tick, &recorded.command, &answered.command)?;
             if (recorded.source, recorded.age_ticks) != (answered.source, answered.age_ticks) {
                 let name = &self.stage.live[live].name;
                 return Err(self.differs(&format!(
-                    "first difference: tick {tick}, controller `{name}`, source and age_ticks: {} and {} against {} and {}",
+                    "first difference: tick {tick}, controller `{name}`, source and age_ticks: {} and {} vs \
+                     {} and {}",
                     recorded.source, recorded.age_ticks, answered.source, answered.age_ticks
                 )));
             }
@@ -240,7 +243,7 @@ impl ReplayedSession<'_> {
         Ok(())
     }
 
-    /// Waits for a live controller's answer to the state of this tick.
+    /// Waits for a live controller's command for the state of this tick.
     fn await_answer(&mut self, live: usize, tick: Tick) -> Result<Command, Failure> {
         let connects = self.identical[live] == 0;
         let began = Instant::now();
@@ -296,7 +299,7 @@ impl ReplayedSession<'_> {
             return Ok(());
         };
         let name = &self.stage.live[live].name;
-        let mut text = format!("first difference: tick {tick}, controller `{name}`, log against live:");
+        let mut text = format!("first difference: tick {tick}, controller `{name}`, log vs live:");
         difference.differences.iter().for_each(|field| text.push_str(&format!("\n  {field}")));
         Err(self.differs(&text))
     }
@@ -311,7 +314,7 @@ impl ReplayedSession<'_> {
         let _ = self.stage.say(Tick::START, Phase::Ended);
         for part in &mut self.parts {
             if !part.wait(END_LIMIT) {
-                tell!("trabecula: controller `{}` did not end and was killed", part.name);
+                tell!("trabecula: controller `{}` did not end in time and was killed", part.name);
             }
         }
     }

@@ -1,4 +1,4 @@
-//! What live controllers see of a replay: the physics' ports, and the log's frames.
+//! The side of a replay visible to live controllers: the physics' ports and the log's frames.
 
 use ipc_types::messages::services;
 use ipc_types::messages::{
@@ -13,7 +13,7 @@ use run_log::FrameRecord;
 use crate::failure::Failure;
 use crate::replay::frames::{FrameReplay, compare};
 
-/// The physics' ports, as far as a controller sees them.
+/// The physics' ports that a controller sees.
 pub(super) struct Stage {
     pub(super) states: Publisher<State>,
     pub(super) latched: Publisher<Latched>,
@@ -80,12 +80,12 @@ impl Stage {
 pub(super) struct Frames<'l> {
     pub(super) replay: Option<FrameReplay<'l>>,
     pub(super) next: Option<FrameRecord>,
-    /// Whether to render frames again even if the log holds the image.
+    /// Whether to re-render frames even if the log contains the image.
     pub(super) rendered: bool,
 }
 
 impl Frames<'_> {
-    /// The next frame with a tick up to this one.
+    /// Returns the next frame with a tick up to this one.
     pub(super) fn due(&mut self, tick: u64) -> Result<Option<FrameRecord>, Failure> {
         let Some(replay) = &mut self.replay else { return Ok(None) };
         if self.next.is_none() {

@@ -113,7 +113,7 @@ fn a_run_is_summed_up() {
     assert!(table.contains("2.000 s simulated in 4.000 s, 0.50 x real time"), "{table}");
 }
 
-/// Of a synthetic run with these states and commands, what is said of it in the table.
+/// Returns the cautions of a synthetic run with these states and commands.
 fn cautions_of(change: impl Fn(&mut State)) -> Vec<String> {
     let folder = tempfile::tempdir().unwrap();
     synthetic::write_states(folder.path(), 100, change);
@@ -121,7 +121,7 @@ fn cautions_of(change: impl Fn(&mut State)) -> Vec<String> {
     let table = summary.to_string();
     let rows = |caution: &String| table.contains(&format!("caution      {caution}\n"));
     assert!(summary.cautions.iter().all(rows), "{table}");
-    // The scene's model bends in one plane, which is said of every run.
+    // The scene's model bends in one plane, which is reported for every run.
     let (model, others) = summary.cautions.split_last().unwrap();
     assert!(model.starts_with("`planar` bends in one plane: up to "), "{model}");
     others.to_vec()
@@ -139,22 +139,22 @@ fn what_is_most_likely_wrong_with_a_run_is_said() {
             state.burr_force_n = 60.0;
         }
     });
-    assert_eq!(pressed, ["the burr pressed with up to 60.0 N, more than the arm's payload of 49.1 N"]);
+    assert_eq!(pressed, ["burr force reached 60.0 N, above the arm's payload of 49.1 N"]);
     let jammed = cautions_of(|state| {
         if state.tick == 40 {
             state.contacts[0].normal_force_n = 1000.0;
             state.contact_count = 1;
         }
     });
-    assert_eq!(jammed, ["a contact pressed with up to 1000.0 N, more than the arm's payload of 49.1 N"]);
+    assert_eq!(jammed, ["contact force reached 1000.0 N, above the arm's payload of 49.1 N"]);
     let still = cautions_of(|state| state.t_world_tip = Pose::IDENTITY);
-    assert_eq!(still, ["the tip never moved: at most 0.0000 mm from its start"]);
+    assert_eq!(still, ["the tip never moved more than 0.0000 mm from its start"]);
     let stopped = cautions_of(|state| {
         if state.tick > 75 {
             state.joint_position_rad[3] = -0.0873;
         }
     });
-    assert_eq!(stopped, ["the tool was on its stops in 25.0 % of the ticks: it bends no farther"]);
+    assert_eq!(stopped, ["the tool was at its stops in 25.0 % of the ticks and could not bend further"]);
 }
 
 #[test]
@@ -172,7 +172,7 @@ fn the_share_of_refused_commands_is_said() {
     lane.message(Topic::RunStatus, Tick(40), status.as_bytes()).unwrap();
     lane.finish(EndReason::Completed, &BTreeMap::new()).unwrap();
     let summary = write(folder.path(), &facts()).unwrap();
-    assert_eq!(summary.cautions[0], "10 of 40 commands were refused (25.0 %)");
+    assert_eq!(summary.cautions[0], "10 of 40 commands rejected (25.0 %)");
 }
 
 #[test]
@@ -180,8 +180,8 @@ fn the_middle_frame_is_the_one_nearest_the_middle() {
     let folder = tempfile::tempdir().unwrap();
     synthetic::write_run(folder.path(), TICKS);
     write(folder.path(), &facts()).unwrap();
-    // Frame n lies at tick 1 + 100 (n - 1); frame 11 is nearest to the middle of 2000 ticks. A frame's first pixel is
-    // its number.
+    // Frame n lies at tick 1 + 100 (n - 1); frame 11 is nearest to the middle of 2000 ticks. A frame's first
+    // pixel is its number.
     assert_eq!(FRAME_TICKS, 100);
     for (name, number) in [("before", 1), ("half", 11), ("after", 20)] {
         let (columns, rows, pixels) = picture(&folder.path().join(format!("drr_{name}.png")));
@@ -270,8 +270,7 @@ fn a_folder_that_is_not_there_costs_the_files_and_no_number() {
     assert!(report.missing.iter().all(named), "{:?}", report.missing);
 }
 
-/// Regression: one image that could not be written lost the table and the summary, and a report overwrote another file
-/// with the same name.
+/// Regression: one unwritable image lost the table and the summary, and a report overwrote an existing file.
 #[test]
 fn a_picture_that_cannot_be_written_costs_nothing_else_and_replaces_nothing() {
     let folder = tempfile::tempdir().unwrap();
@@ -296,7 +295,7 @@ fn a_picture_that_cannot_be_written_costs_nothing_else_and_replaces_nothing() {
     assert_eq!(report.summary.ticks, 500);
 }
 
-/// Every text of the page may be a stranger's: a scene's, a controller's.
+/// Any text of the page can be untrusted, such as a scene's or a controller's.
 #[test]
 fn the_page_holds_all_pictures_and_no_text_of_a_stranger_becomes_a_part_of_it() {
     let folder = tempfile::tempdir().unwrap();
@@ -309,7 +308,7 @@ fn the_page_holds_all_pictures_and_no_text_of_a_stranger_becomes_a_part_of_it() 
         !page.contains("<script") && (page.contains("&#60;script") || page.contains("&lt;script")),
         "{page:.400}"
     );
-    // What the browser loads is inside the page.
+    // Everything that the browser loads is embedded in the page.
     let sources: Vec<&str> =
         page.split("src=\"").skip(1).map(|rest| rest.split('"').next().unwrap()).collect();
     assert_eq!(sources.len(), 5);

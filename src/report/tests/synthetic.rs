@@ -10,7 +10,7 @@ use recorder_proc::log_file::{create_run, create_timing};
 use run_log::{EndReason, LogHeader, RunMode, Topic};
 use zerocopy::IntoBytes;
 
-/// The scene's text; its target lies 1 mm to the side of where the burr ends.
+/// The scene's text; its target is 1 mm to the side of the burr's final position.
 const SCENE: &str = r#"
 name = "synthetic"
 [run]
@@ -65,7 +65,7 @@ pub fn header() -> LogHeader {
     }
 }
 
-/// The state after `tick` of `ticks` ticks. The bend grows to 0.8 rad, the tension to 12 N.
+/// Returns the state after `tick` of `ticks` ticks. The bend grows to 0.8 rad, the tension to 12 N.
 pub fn state(tick: u64, ticks: u64, random: &mut Rng) -> State {
     let mut s = State::zeroed();
     let progress = ((tick as f64 / ticks.max(1) as f64 - 0.1) / 0.8).clamp(0.0, 1.0);
@@ -98,7 +98,7 @@ pub fn state(tick: u64, ticks: u64, random: &mut Rng) -> State {
     s
 }
 
-/// Timing of a tick: usually 40 µs, occasionally long; every 997th is missed.
+/// Returns the timing of a tick: usually 40 µs, occasionally long; every 997th is missed.
 pub fn timing(tick: u64, random: &mut Rng) -> TickTiming {
     let mut t = TickTiming::zeroed();
     let long = if random.f64() > 0.995 { 8.0 } else { 1.0 };
@@ -113,7 +113,7 @@ pub fn timing(tick: u64, random: &mut Rng) -> TickTiming {
     t
 }
 
-/// A frame as sent on the wire: a gradient that gets brighter with the frame number.
+/// Returns a frame as sent on the wire: a gradient that gets brighter with the frame number.
 pub fn frame(sequence: u64, tick: u64, columns: u32, rows: u32) -> Vec<u8> {
     let mut frame = Frame::zeroed();
     (frame.sequence, frame.tick) = (sequence, tick);
@@ -136,7 +136,7 @@ pub fn write_run(folder: &Path, ticks: u64) {
     write_states(folder, ticks, |_| {});
 }
 
-/// The same with changed states.
+/// Writes a run with changed states.
 pub fn write_states(folder: &Path, ticks: u64, change: impl Fn(&mut State)) {
     let changed = |tick: u64, random: &mut Rng| {
         let mut state = state(tick, ticks, random);

@@ -1,4 +1,4 @@
-//! A client of a running session: what a user's own program would be.
+//! A client of a running session, like a user's own program.
 
 use std::path::Path;
 use std::time::{Duration, Instant};
@@ -11,7 +11,7 @@ use ipc_types::wake::Waker;
 
 use super::program::{LIMIT, wait_for};
 
-/// Watches and steers a run.
+/// Observes and steers a run.
 pub struct Client {
     pub session: Session,
     pub states: Subscriber<State>,
@@ -38,7 +38,7 @@ impl Client {
         }
     }
 
-    /// Waits for a state that is as wanted, and returns it.
+    /// Waits for a state that satisfies a condition, and returns it.
     pub fn wait_for_state(&self, wanted: impl Fn(&State) -> bool) -> State {
         wait_for("a state", || {
             let mut found = None;
@@ -52,7 +52,7 @@ impl Client {
         })
     }
 
-    /// The next state within a while, if one comes.
+    /// Returns the next state, if one arrives within the limit.
     pub fn next_state_within(&self, limit: Duration) -> Option<State> {
         let end = Instant::now() + limit;
         loop {
@@ -66,23 +66,24 @@ impl Client {
         }
     }
 
-    /// Asks for an action and waits for the answer.
+    /// Requests an action and waits for the reply.
     pub fn ask(&self, action: u32, ticks: u64) -> RunControlReply {
-        // A look connects this client to a physics that came after it. Without one the physics may answer and go before the first.
+        // Polling connects this client to a physics that started after it. Otherwise the physics may answer
+        // and end before the first poll.
         while self.replies.receive().unwrap().is_some() {}
         let request_id = self.requests.get();
         self.requests.set(request_id + 1);
         self.control.send(&RunControl { request_id, ticks, action, reserved: 0 }).unwrap();
         self.physics.wake();
         wait_for("a reply to run control", || {
-            // All that are there: a program that floods run control is answered, too.
+            // All replies queued: a program that floods run control is answered, too.
             let replies =
                 std::iter::from_fn(|| self.replies.receive().unwrap().map(|reply| *reply.message()));
             replies.into_iter().find(|reply| reply.request_id == request_id)
         })
     }
 
-    /// Every event since the last call: code and text.
+    /// Returns all events since the last call: code and text.
     pub fn events(&self) -> Vec<(u32, String)> {
         let mut all = Vec::new();
         while let Some(event) = self.events.receive().unwrap() {
@@ -93,7 +94,7 @@ impl Client {
     }
 }
 
-/// A port of the transport itself, past our own library, which takes no port of a part.
+/// Opens a port of the transport itself, bypassing our library, which does not open a part's port.
 pub fn bare_port(session: &Session, service: &str, bytes: usize) -> BarePort {
     let service = session.node().service_builder(&service.try_into().unwrap()).publish_subscribe::<[u8]>();
     service.open().unwrap().publisher_builder().initial_max_slice_len(bytes).create().unwrap()
@@ -101,12 +102,12 @@ pub fn bare_port(session: &Session, service: &str, bytes: usize) -> BarePort {
 
 pub type BarePort = iceoryx2::port::publisher::Publisher<iceoryx2::prelude::ipc::Service, [u8], ()>;
 
-/// Sends bytes over it.
+/// Sends bytes over the port.
 pub fn send_bare(port: &BarePort, bytes: &[u8]) {
     port.loan_slice_uninit(bytes.len()).unwrap().write_from_slice(bytes).send().unwrap();
 }
 
-/// A controller that the test drives itself.
+/// A controller driven by the test itself.
 pub struct Pilot {
     pub client: Client,
     pub commands: Publisher<Command>,
@@ -120,12 +121,12 @@ impl Pilot {
         Pilot { client, commands, sequence: 0 }
     }
 
-    /// The next state.
+    /// Returns the next state.
     pub fn next_state(&self) -> State {
         self.client.next_state_within(LIMIT).expect("a state")
     }
 
-    /// Sends a command as it is.
+    /// Sends a command unchanged.
     pub fn send(&self, command: &Command) {
         self.commands.send(command).unwrap();
         self.client.physics.wake();
@@ -137,7 +138,7 @@ impl Pilot {
         self.send(&Command { sequence: self.sequence, state_tick: state.tick, ..command });
     }
 
-    /// Answers every state up to that of `tick`, which it returns unanswered.
+    /// Answers every state before that of `tick`, which it returns unanswered.
     pub fn drive_to(&mut self, tick: u64, command: impl Fn(&State) -> Command) -> State {
         loop {
             let state = self.next_state();

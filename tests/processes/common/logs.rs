@@ -1,4 +1,4 @@
-//! Logs: reading them, and making ones that are not right.
+//! Reads logs, and creates faulty ones.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -11,14 +11,14 @@ use zerocopy::FromBytes;
 
 use super::program::{Done, Place, trabecula};
 
-/// `run.mcap` whole: initial state, ticks, end marker.
+/// A complete `run.mcap`: initial state, ticks, end marker.
 pub struct Whole {
     pub initial: State,
     pub ticks: Vec<TickRecord>,
     pub marker: Option<EndMarker>,
 }
 
-/// The folder with the log of a scene without X-ray, run to its end in this process: no session.
+/// Runs a scene without X-ray to its end in this process, without a session; returns the folder with its log.
 pub fn recorded(place: &Place, scene: &str) -> PathBuf {
     let shared = SharedScene::load(Some(&place.scene(scene)), &[], None).unwrap();
     let mut sim = Sim::new(&shared, &Drive::Nothing).unwrap();
@@ -37,7 +37,7 @@ pub fn read(folder: &Path) -> Whole {
     Whole { initial, ticks, marker: reader.ending().marker.clone() }
 }
 
-/// Messages of a log by topic; the log must be complete and miss none.
+/// Returns the messages of a log by topic; the log must be complete, without losses.
 pub fn counts(log: &Path) -> BTreeMap<String, u64> {
     let mut stream = MessageStream::open(&LogFile::at(log), ReadOptions::default()).unwrap();
     while stream.next_message().unwrap().is_some() {}
@@ -46,7 +46,7 @@ pub fn counts(log: &Path) -> BTreeMap<String, u64> {
     stream.counts().into_iter().map(|(topic, count)| (topic, count.messages)).collect()
 }
 
-/// The events of a run with this code: `State.tick` and text.
+/// Returns the events of a run with this code: `State.tick` and text.
 pub fn events(folder: &Path, code: EventCode) -> Vec<(u64, String)> {
     let log = LogFile::at(folder.join("timing.mcap"));
     let mut stream = MessageStream::open(&log, ReadOptions::default()).unwrap();
@@ -67,18 +67,18 @@ pub fn verify(log: &Path) -> Done {
     trabecula(&[&"replay", &log, &"--verify"])
 }
 
-/// Replays a folder or log, which must be identical at every tick. Returns what the program said.
+/// Replays a folder or log, which must be identical at every tick. Returns the program's output.
 pub fn assert_replays(log: &Path) -> String {
     let done = verify(log);
-    // A log that is not whole says so, and its replay does.
-    let not_whole = ["gap: ", "cut after ", "not ended: "].iter().any(|fault| done.out.contains(fault));
+    // An incomplete log is reported as such, also by its replay.
+    let not_whole = ["gap: ", "truncated after ", "not ended: "].iter().any(|fault| done.out.contains(fault));
     assert_eq!(done.code, Some(if not_whole { 3 } else { 0 }), "{}\n{}", done.out, done.err);
     assert!(done.out.contains("all identical"), "{}", done.out);
     done.out
 }
 
-/// Writes a log again with the recorder's own writer, so that every length and CRC is right, but with changed
-/// commands and states. Frames are left out.
+/// Rewrites a log with the recorder's own writer, so that every length and CRC is right, but with changed
+/// commands and states. Frames are omitted.
 pub fn rewrite(from: &Path, to: &Path, latched: impl Fn(&mut Latched), state: impl Fn(&mut State)) {
     rewrite_as(from, to, |_| {}, latched, state);
 }
@@ -116,7 +116,8 @@ pub fn rewrite_as(
     log.finish(EndReason::Completed, &BTreeMap::new()).unwrap();
 }
 
-/// Writes a log again, every message at its place, as `edit` leaves its bytes; what it returns false of is left out.
+/// Rewrites a log with every message in its place and its bytes changed by `edit`; a message for which `edit`
+/// returns false is omitted.
 pub fn edited(from: &Path, to: &Path, mut edit: impl FnMut(&str, &mut Vec<u8>) -> bool) {
     let mut stream = MessageStream::open(&LogFile::at(from), ReadOptions::default()).unwrap();
     let mut log = create_run(to, stream.header()).unwrap();
@@ -147,8 +148,8 @@ pub fn edited(from: &Path, to: &Path, mut edit: impl FnMut(&str, &mut Vec<u8>) -
     log.finish(EndReason::Completed, &BTreeMap::new()).unwrap();
 }
 
-/// Writes a log again with other names of its attachments, of the same length, as a stranger's tool could: every checksum is
-/// right or, where MCAP permits it, absent (0). Returns how many there were.
+/// Rewrites a log with other attachment names of the same length, as a third-party tool could: every checksum
+/// is right or, where MCAP permits it, absent (0). Returns the number of names changed.
 pub fn rename_attachments(from: &Path, to: &Path, names: &[(&str, &str)]) -> usize {
     const MAGIC_BYTES: usize = 8;
     const FOOTER: u8 = 0x02;

@@ -1,10 +1,10 @@
-//! Libraries of ours that stand before the C library's functions (`LD_PRELOAD`).
+//! Libraries that override functions of the C library (`LD_PRELOAD`).
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use test_support::limited::Limited;
 
-/// Compiles one of `tests/`; the error is the reason why there is none.
+/// Compiles a library from `tests/`; the error says why that is not possible.
 pub fn library(source: &str) -> Result<PathBuf, String> {
     let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests").join(source);
     let library = tempfile::NamedTempFile::with_suffix_in(".so", env!("CARGO_TARGET_TMPDIR")).unwrap();

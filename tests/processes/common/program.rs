@@ -1,4 +1,4 @@
-//! Starting the program, looking at its processes, and what it leaves behind.
+//! Starts the program, and inspects its processes and what it leaves behind.
 
 use std::collections::btree_map::Entry;
 use std::collections::{BTreeMap, BTreeSet};
@@ -19,10 +19,10 @@ use tempfile::TempDir;
 pub const LIMIT: Duration = Duration::from_secs(90);
 const LOOK: Duration = Duration::from_millis(5);
 
-/// How a command ended and what it said.
+/// How a command ended, and its output.
 #[derive(Debug)]
 pub struct Done {
-    /// Exit code; none after a signal.
+    /// Exit code; `None` after a signal.
     pub code: Option<i32>,
     pub out: String,
     pub err: String,
@@ -39,14 +39,14 @@ pub fn trabecula(arguments: &[&dyn AsRef<OsStr>]) -> Done {
     Done { code: output.status.code(), out: text(&output.stdout), err: text(&output.stderr) }
 }
 
-/// Waits until `found` gives something.
+/// Waits until `found` returns something.
 pub fn wait_for<T>(what: &str, found: impl FnMut() -> Option<T>) -> T {
     wait_or_tell(found, || {
         format!("{what} did not happen within {LIMIT:?}\n{}", threads_of(std::process::id()))
     })
 }
 
-/// The same; `tell` says what did not happen, and what there is to say of it.
+/// The same; `tell` describes what did not happen, with details.
 fn wait_or_tell<T>(mut found: impl FnMut() -> Option<T>, tell: impl FnOnce() -> String) -> T {
     let end = Instant::now() + LIMIT;
     while Instant::now() < end {
@@ -58,12 +58,12 @@ fn wait_or_tell<T>(mut found: impl FnMut() -> Option<T>, tell: impl FnOnce() -> 
     panic!("{}", tell())
 }
 
-/// Sends a signal; the process may be gone already.
+/// Sends a signal; the process may have ended already.
 pub fn signal(pid: u32, signal: Signal) {
     let _ = kill_process(Pid::from_raw(pid as i32).unwrap(), signal);
 }
 
-/// A process that is killed when the test is over, however that ends.
+/// A process that is killed when the test ends, in any way.
 #[derive(Debug)]
 pub struct Guarded(pub Child);
 
@@ -74,7 +74,7 @@ impl Drop for Guarded {
     }
 }
 
-/// What a folder has one of.
+/// Returns the only entry of a folder.
 pub fn only_entry(folder: &Path) -> PathBuf {
     fs::read_dir(folder).unwrap().next().unwrap().unwrap().path()
 }
@@ -99,7 +99,7 @@ impl Place {
         path
     }
 
-    /// Names of all that lies in the folder.
+    /// Returns the names of everything in the folder.
     pub fn entries(&self) -> Vec<String> {
         let name = |entry: fs::DirEntry| entry.file_name().to_string_lossy().into_owned();
         let mut names: Vec<String> = fs::read_dir(self.0.path()).unwrap().flatten().map(name).collect();
@@ -113,7 +113,7 @@ impl Place {
         Run::start(&scene, self.path("out"), &[])
     }
 
-    /// Makes a whole run that must succeed.
+    /// Completes a run that must succeed.
     pub fn complete(&self, scene: &str) -> Ended {
         let ended = self.start(scene).end();
         assert_eq!(ended.code, Some(0), "{}", ended.err);
@@ -121,7 +121,7 @@ impl Place {
     }
 }
 
-/// A run under way.
+/// A running run.
 #[derive(Debug)]
 pub struct Run {
     child: Child,
@@ -129,16 +129,16 @@ pub struct Run {
     words: TempDir,
 }
 
-/// A run that is over.
+/// A run that has ended.
 #[derive(Debug)]
 pub struct Ended {
-    /// Exit code; none after a signal.
+    /// Exit code; `None` after a signal.
     pub code: Option<i32>,
     pub out: String,
     pub err: String,
     /// Folder of the run.
     pub folder: PathBuf,
-    /// Process of the launcher.
+    /// Process ID of the launcher.
     pub pid: u32,
 }
 
@@ -156,22 +156,22 @@ impl Run {
         let file = |name: &str| File::create(words.path().join(name)).unwrap();
         let command = command.stdin(Stdio::null()).stdout(file("out")).stderr(file("err"));
         let child = command.spawn().unwrap();
-        // The number may have been another launcher's.
+        // The process ID may have been another launcher's.
         SEEN.lock().unwrap_or_else(PoisonError::into_inner).remove(&child.id());
         Run { child, output, words }
     }
 
-    /// What the launcher has said on standard error so far.
+    /// What the launcher has written to standard error so far.
     pub fn said(&self) -> String {
         fs::read_to_string(self.words.path().join("err")).unwrap()
     }
 
-    /// What it has shown on standard output so far.
+    /// What the launcher has written to standard output so far.
     pub fn shown(&self) -> String {
         fs::read_to_string(self.words.path().join("out")).unwrap()
     }
 
-    /// The log of the run, once it is there.
+    /// The log of the run, once it exists.
     pub fn log(&self) -> Option<PathBuf> {
         let folder = fs::read_dir(&self.output).ok()?.flatten().next()?.path();
         Some(folder.join("run.mcap")).filter(|log| log.exists())
@@ -182,7 +182,7 @@ impl Run {
         self.child.try_wait().unwrap().is_some()
     }
 
-    /// Process of the launcher.
+    /// Process ID of the launcher.
     pub fn pid(&self) -> u32 {
         self.child.id()
     }
@@ -192,7 +192,7 @@ impl Run {
         wait_for("the session's announcement", || session_of(self.pid()))
     }
 
-    /// The process of a part (`physics`, `drr`, `controller`, `recorder`), once it is there.
+    /// Process ID of a part (`physics`, `drr`, `controller`, `recorder`), once it exists.
     pub fn part(&self, name: &str) -> u32 {
         let session = self.session();
         wait_for(name, || parts_of(&session).into_iter().find(|(part, _)| part == name).map(|(_, pid)| pid))
@@ -202,7 +202,7 @@ impl Run {
     pub fn end(mut self) -> Ended {
         let pid = self.pid();
         let over = || {
-            // For whoever looks afterwards whether anything of it is left.
+            // So that leftovers can be searched for afterwards.
             let _ = session_of(pid);
             self.child.try_wait().unwrap()
         };
@@ -214,7 +214,7 @@ impl Run {
         let text = |name: &str| fs::read_to_string(self.words.path().join(name)).unwrap();
         let folders = fs::read_dir(&self.output).map(|entries| entries.flatten().map(|e| e.path()).collect());
         let folders: Vec<PathBuf> = folders.unwrap_or_default();
-        // Of several runs of a test the last; the order in which a folder lists them is any.
+        // Of several runs of a test, the last one; a folder lists them in any order.
         let written = |folder: &PathBuf| fs::metadata(folder).and_then(|it| it.modified()).ok();
         let folder = folders.into_iter().max_by_key(written).unwrap_or_default();
         Ended { code: status.code(), out: text("out"), err: text("err"), folder, pid }
@@ -223,7 +223,7 @@ impl Run {
 
 impl Drop for Run {
     fn drop(&mut self) {
-        // A test that fails leaves nothing running: the parts end with the launcher.
+        // A failing test leaves nothing running: the parts end with the launcher.
         if matches!(self.child.try_wait(), Ok(None)) {
             let _ = self.child.kill();
             let _ = self.child.wait();
@@ -234,8 +234,8 @@ impl Drop for Run {
 /// Sessions by their launchers.
 static SEEN: Mutex<BTreeMap<u32, PathBuf>> = Mutex::new(BTreeMap::new());
 
-/// The session of a launcher, which its announcement names. It is remembered: what is left behind is looked for under its
-/// name.
+/// Returns the session of a launcher, from its announcement. It is remembered, so that leftovers can be
+/// searched for by its name.
 fn session_of(launcher: u32) -> Option<PathBuf> {
     let mut seen = SEEN.lock().unwrap_or_else(PoisonError::into_inner);
     if let Entry::Vacant(place) = seen.entry(launcher) {
@@ -250,12 +250,12 @@ fn session_of(launcher: u32) -> Option<PathBuf> {
     seen.get(&launcher).cloned()
 }
 
-/// Where the session of a launcher lies; before its announcement a path where nothing is.
+/// Returns the path of a launcher's session; before its announcement, a path where nothing exists.
 pub fn session_folder(launcher: u32) -> PathBuf {
     session_of(launcher).unwrap_or_else(|| PathBuf::from(format!("/nowhere/session-of-{launcher}")))
 }
 
-/// Processes that were started for a session: the part's name and its number.
+/// Returns the processes that were started for a session: the part's name and the process ID.
 pub fn parts_of(session: &Path) -> Vec<(String, u32)> {
     let mut parts = Vec::new();
     for entry in fs::read_dir("/proc").unwrap().flatten() {
@@ -274,7 +274,7 @@ pub fn parts_of(session: &Path) -> Vec<(String, u32)> {
     parts
 }
 
-/// What each thread of a process and of its descendants waits for, as the kernel says it.
+/// Returns what each thread of a process and of its descendants waits for, according to the kernel.
 fn threads_of(root: u32) -> String {
     let root = Pid::from_raw(root as i32).unwrap();
     let mut text = String::new();
@@ -297,11 +297,12 @@ fn names_in_shared_memory() -> impl Iterator<Item = String> {
     fs::read_dir("/dev/shm").unwrap().flatten().map(|entry| entry.file_name().to_string_lossy().into_owned())
 }
 
-/// What lay in /dev/shm before the first run of these tests. A new process may get the number of one that left something there.
+/// The content of /dev/shm before the first run of these tests. A new process may get the ID of one that left
+/// something there.
 static BEFORE: LazyLock<BTreeSet<String>> = LazyLock::new(|| names_in_shared_memory().collect());
 
-/// Names in /dev/shm that belong to the sessions of a launcher. The transport numbers what it makes, and bits 64 to 95 of
-/// each number are the process that has made it.
+/// Returns the names in /dev/shm that belong to the sessions of a launcher. The transport numbers its files,
+/// and bits 64 to 95 of each number are the ID of the process that created it.
 pub fn shared_memory_of(launcher: u32) -> Vec<String> {
     let made_by = |number: &str| number.parse::<u128>().map(|number| (number >> 64) as u32);
     let is_its = |name: &String| {
@@ -316,7 +317,7 @@ pub fn segments_of(session: &Path) -> Vec<String> {
     names_in_shared_memory().filter(|name| name.starts_with(&prefix)).collect()
 }
 
-/// The session that a run-time folder holds, once it is announced.
+/// Returns the session in a run-time folder, once it is announced.
 pub fn session_below(runtime: &Path) -> PathBuf {
     wait_for("a session", || {
         let folders = fs::read_dir(runtime.join("trabecula-hubs")).ok()?.flatten();
@@ -324,7 +325,7 @@ pub fn session_below(runtime: &Path) -> PathBuf {
     })
 }
 
-/// Kills a launcher and all its parts, so that none of them clears up anything.
+/// Kills a launcher and all its parts, so that none of them cleans up.
 pub fn kill_all(launcher: u32, session: &Path) {
     signal(launcher, Signal::STOP);
     parts_of(session).iter().for_each(|(_, pid)| signal(*pid, Signal::KILL));
@@ -339,7 +340,7 @@ pub fn assert_nothing_left(launcher: u32) {
     assert_eq!(shared_memory_of(launcher), Vec::<String>::new());
 }
 
-/// Processes that burn a core each until dropped.
+/// Processes that keep a core busy each until dropped.
 #[derive(Debug)]
 pub struct BusyLoops(Vec<Child>);
 

@@ -1,6 +1,6 @@
 //! Small scenes.
 
-/// Where the tool starts: in front of the block, 3.25 mm of air between burr and bone.
+/// The tool's start: in front of the block, with 3.25 mm of air between burr and bone.
 const TOOL: &str = "
 [tool]
 burr_start_mm = [0.0, 0.0, -34.0]
@@ -40,7 +40,8 @@ ramp_end_mm = 15.0
 burr_speed_rpm = 8000.0
 ";
 
-/// A plan in the ball of `phantom sphere`, which is 10 mm in radius and lies at the origin: straight to its centre.
+/// A plan in the ball of `phantom sphere`, whose radius is 10 mm and whose centre is the origin: straight to
+/// its centre.
 pub const PLAN_OF_THE_BALL: &str =
     "# CoordinateSystem = LPS\n1,0,0,-12,0,0,0,1,1,1,0,entry,,\n2,0,0,0,0,0,0,1,1,1,0,target,,\n";
 
@@ -64,13 +65,13 @@ pub fn drill_unseen(mode: &str, duration_s: f64) -> String {
     format!("{}{BLOCK}{TOOL}{DRILL}", run("drill", mode, duration_s))
 }
 
-/// The same in a volume file beside the scene.
+/// The same with a volume file next to the scene.
 pub fn drill_in_file(mode: &str, duration_s: f64, file: &str) -> String {
     let volume = format!("[volume]\npath = {file:?}\n");
     format!("{}{volume}{TOOL}{DRR}{DRILL}", run("drill", mode, duration_s))
 }
 
-/// The block, drilled by a controller `pilot` that the test itself is; `more` follows the `[run]` keys.
+/// The block, drilled by a controller `pilot`, which is the test itself; `more` follows the `[run]` keys.
 pub fn piloted(mode: &str, duration_s: f64, more: &str) -> String {
     let run = run("piloted", mode, duration_s);
     let pilot =
@@ -94,16 +95,17 @@ hold = { tension_n = 0.0 }
     format!("{}{TOOL}{controllers}", run("shared", mode, duration_s))
 }
 
-/// Keyframes every so many seconds; to be put behind a scene's text.
+/// Keyframes at an interval in seconds; to be appended to a scene's text.
 pub fn keyframes(interval_s: f64) -> String {
     format!("\n[recording]\nkeyframe_interval_s = {interval_s:?}\n")
 }
 
-/// The block in real time, driven by an external `pilot`, with or without X-ray, late commands soon replaced.
+/// The block in real time, driven by an external `pilot`, with or without X-ray; late commands are soon
+/// replaced.
 pub fn scheduled(duration_s: f64, with_frames: bool) -> String {
     let frames = if with_frames { DRR } else { "" };
     let scene = piloted("realtime", duration_s, "hold_ticks = 20");
-    // 2.55 mm from the bone: what moves forward soon drills.
+    // 2.55 mm from the bone, so that moving forward soon drills.
     let scene = scene.replace("[0.0, 0.0, -34.0]", "[0.0, 0.0, -33.3]");
     format!("{scene}{frames}{}", keyframes(0.3))
 }

@@ -1,4 +1,4 @@
-//! A run in a terminal of its own.
+//! A run in its own terminal.
 
 use std::io::{BufRead, BufReader, Lines, Write};
 use std::path::{Path, PathBuf};
@@ -8,12 +8,12 @@ use test_support::limited::{COMMAND_LIMIT, Watchdog};
 
 use super::program::{Guarded, session_folder, wait_for};
 
-/// What is done to the terminal when the test tells so, in Python.
+/// Action on the terminal at the test's request, in Python.
 #[derive(Debug, Clone, Copy)]
 pub enum Act {
-    /// It is stopped as by Ctrl-S; then the script says `stopped`.
+    /// Stops it as by Ctrl-S; then the script prints `stopped`.
     Stop,
-    /// It is closed.
+    /// Closes it.
     Close,
 }
 
@@ -26,8 +26,8 @@ impl Act {
     }
 }
 
-/// Starts its arguments in a new terminal (Python's standard library has one), says their process, reads what they write, acts at a line
-/// from standard input, and then says how they ended.
+/// Returns a script that starts its arguments in a new terminal (with Python's standard library), prints
+/// their process ID, reads their output, acts at a line from standard input, and then prints how they ended.
 fn script(act: Act) -> String {
     format!(
         "
@@ -46,11 +46,11 @@ print(os.waitstatus_to_exitcode(status), flush=True)
     )
 }
 
-/// A run in a terminal, to which something is done once.
+/// A run in a terminal, on which one action is performed.
 pub struct Terminal {
     script: Guarded,
     said: Lines<BufReader<ChildStdout>>,
-    /// The launcher's process.
+    /// The launcher's process ID.
     pub launcher: u32,
     /// Its session's folder.
     pub session: PathBuf,
@@ -58,7 +58,7 @@ pub struct Terminal {
 }
 
 impl Terminal {
-    /// Runs a scene there, until its session is there.
+    /// Runs a scene there, until its session exists.
     pub fn new(act: Act, scene: &Path, output: &Path) -> Terminal {
         let mut command = Command::new("python3");
         command.args(["-c", &script(act), env!("CARGO_BIN_EXE_trabecula"), "run"]);
@@ -72,12 +72,12 @@ impl Terminal {
         Terminal { script, said, launcher, session, _watchdog: watchdog }
     }
 
-    /// Tells the script to act, once.
+    /// Makes the script act, once.
     pub fn tell(&mut self, what: &str) {
         writeln!(self.script.0.stdin.take().unwrap(), "{what}").unwrap();
     }
 
-    /// The next line that the script says.
+    /// Returns the next line that the script prints.
     pub fn next_line(&mut self) -> String {
         self.said.next().unwrap().unwrap()
     }

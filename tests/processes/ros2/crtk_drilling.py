@@ -1,8 +1,9 @@
-"""A CRTK program: curved drilling through ROS 2 alone. Knows arm, bend motor and burr by CRTK's topics, and nothing of Trabecula.
+"""A CRTK program: curved drilling through ROS 2 alone. Uses arm, bend motor and burr through CRTK's topics only.
 
     python crtk_drilling.py INSERTION_M FEED_M_PER_S TENSION_N
 
-Feeds the arm along the tool's axis by `servo_cp`, pulls the tendon by `servo_jf` as the tool goes in, and prints what it measured.
+Feeds the arm along the tool's axis with `servo_cp`, pulls the tendon with `servo_jf` as the tool goes in, and prints
+its measurements.
 """
 
 import json
@@ -77,7 +78,7 @@ nodes = node.get_node_names()
 
 
 def drill():
-    """One step of the feed, at the time of the newest state. Whether it is over."""
+    """Performs one step of the feed, at the time of the newest state. Returns whether it is finished."""
     rclpy.spin_once(node, timeout_sec=0.02)
     depth_m = min((seconds(newest["/UR5/measured_cp"]) - begun_s) * feed_m_per_s, insertion_m)
     goal = PoseStamped()

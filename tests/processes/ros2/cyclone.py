@@ -1,8 +1,9 @@
-"""A peer on Eclipse Cyclone DDS, with the message types of cyclone_peer.py: no ROS at all.
+"""A peer on Eclipse Cyclone DDS, with the message types of cyclone_peer.py, without ROS.
 
     python cyclone.py TENSION_N
 
-Reads frames, clock and operating state; sends what must be refused; pulls the tendon; disables, pauses, resumes; prints what it saw.
+Reads frames, clock and operating state; sends messages that must be rejected; pulls the tendon; disables, pauses,
+resumes; prints its results.
 """
 
 import json
@@ -95,7 +96,7 @@ until("slack", lambda: pull([0.0, 0.0]) or tension() < 0.05)
 
 
 def chain(child):
-    """Position of a frame in the world, up its parents."""
+    """Returns the position of a frame in the world, through its parents."""
     position = [0.0, 0.0, 0.0]
     while child != "world":
         t = frames[child].transform

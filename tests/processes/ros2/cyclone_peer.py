@@ -1,4 +1,4 @@
-"""The bridge's messages for Eclipse Cyclone DDS, written down as their .msg files have them, and its qualities of service."""
+"""The bridge's messages for Eclipse Cyclone DDS, defined as in their .msg files, and its qualities of service."""
 
 import os
 from dataclasses import dataclass

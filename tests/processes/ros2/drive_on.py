@@ -1,4 +1,5 @@
-"""A peer on Eclipse Cyclone DDS that pulls the tendon, turns the burr and one joint of the arm, says "moving" once all do, and goes on.
+"""A peer on Eclipse Cyclone DDS that pulls the tendon, turns the burr and one joint of the arm, prints "moving" once all
+move, and continues.
 
     python drive_on.py TENSION_N
 """

@@ -1,4 +1,4 @@
-//! Programs and libraries of Debian packages, unpacked below the target folder: nothing is installed.
+//! Programs and libraries of Debian packages, unpacked below the target folder without installing them.
 
 use std::fs::File;
 use std::path::{Path, PathBuf};
@@ -7,8 +7,8 @@ use std::process::Command;
 use crate::limited::Limited;
 use crate::python::downloads;
 
-/// A program of this name on the `PATH` or in a Debian package that is fetched and unpacked once; where there is none, the reason is said,
-/// loudly.
+/// Returns a program of this name on the `PATH` or in a Debian package, which is fetched and unpacked once.
+/// If it is not available, prints the reason prominently.
 pub fn program_or_skip(package: &str, program: &str) -> Option<PathBuf> {
     let on_path = std::env::var_os("PATH").and_then(|folders| {
         std::env::split_paths(&folders).map(|folder| folder.join(program)).find(|file| file.is_file())
@@ -23,8 +23,8 @@ pub fn program_or_skip(package: &str, program: &str) -> Option<PathBuf> {
         .ok()
 }
 
-/// A library's headers and objects: the folder below which the packages lie as they would below `/`. `probe` is a file of theirs. Where
-/// there is none, the reason is said, loudly.
+/// Returns a library's headers and objects: the folder in which the packages are unpacked as below `/`.
+/// `probe` is one of their files. If it is not available, prints the reason prominently.
 pub fn library_or_skip(packages: &[&str], probe: &str) -> Option<PathBuf> {
     unpacked(packages.first()?, packages, Path::new(probe))
         .inspect_err(|reason| println!("\n*** SKIPPED: no Debian packages {packages:?}: {reason} ***\n"))
@@ -33,7 +33,7 @@ pub fn library_or_skip(packages: &[&str], probe: &str) -> Option<PathBuf> {
 
 fn unpacked(name: &str, packages: &[&str], probe: &Path) -> Result<PathBuf, String> {
     let folder = downloads().join(name);
-    // One at a time fetches it: tests of several programs may want the same.
+    // Only one process fetches it: tests in several binaries may need the same package.
     let lock = File::create(downloads().join(format!("{name}.lock"))).map_err(|error| error.to_string())?;
     lock.lock().map_err(|error| error.to_string())?;
     if folder.join(probe).is_file() {

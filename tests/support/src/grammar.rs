@@ -1,9 +1,9 @@
-//! One grammar for every command, by the command line's own description.
+//! Checks the grammar that all commands share, using the command line's own description.
 
 use clap::Command;
 
-/// Calls `look` with each command that does something, and its path such as `log export`; hidden ones, the parts of a session (`proc`)
-/// and those that only pass their words on are left out.
+/// Calls `look` with each command that does something, and its path such as `log export`. Skips hidden
+/// commands, the parts of a session (`proc`) and commands that only forward their arguments.
 fn each(command: &Command, path: &str, forwarded: &[&str], look: &mut dyn FnMut(&str, &Command)) {
     let below: Vec<&Command> =
         command.get_subcommands().filter(|command| command.get_name() != "help").collect();
@@ -19,10 +19,11 @@ fn each(command: &Command, path: &str, forwarded: &[&str], look: &mut dyn FnMut(
     }
 }
 
-/// Each command's help ends with examples, which the command line accepts, and with the exit codes.
+/// Asserts that each command's help ends with examples, which the command line accepts, and with the exit
+/// codes.
 ///
 /// # Panics
-/// One does not.
+/// A command violates this.
 pub fn assert_helpful(command_line: &Command, forwarded: &[&str]) {
     let mut count = 0;
     each(command_line, "", forwarded, &mut |path, command| {
@@ -44,10 +45,10 @@ pub fn assert_helpful(command_line: &Command, forwarded: &[&str]) {
     assert!(count > 3, "{count} commands");
 }
 
-/// What a command writes is named by `-o` and `--output`, and by no other argument.
+/// Asserts that outputs are named by `-o` and `--output`, and by no other argument.
 ///
 /// # Panics
-/// It is not.
+/// A command violates this.
 pub fn assert_outputs(command_line: &Command) {
     each(command_line, "", &[], &mut |path, command| {
         for argument in command.get_arguments() {
@@ -64,7 +65,7 @@ pub fn assert_outputs(command_line: &Command) {
     });
 }
 
-/// The commands that have no `--json`, in the order of the alphabet.
+/// Returns the commands without `--json`, in alphabetical order.
 pub fn without_json(command_line: &Command, forwarded: &[&str]) -> Vec<String> {
     let mut found = Vec::new();
     each(command_line, "", forwarded, &mut |path, command| {

@@ -1,14 +1,14 @@
-//! What the tests of several crates share.
+//! Helpers shared by the tests of several crates.
 //!
-//! | module | what it holds |
+//! | module | contents |
 //! |---|---|
 //! | [`debian`] | programs of Debian packages, unpacked once below the target folder |
-//! | [`grammar`] | what every command of a command line has: examples, exit codes, `-o`, `--json` |
-//! | [`limited`] | programs that must end: who exceeds the limit is killed with all it started, and the test says what it waited for |
-//! | [`python`] | virtual environments with pinned packages, made once below the target folder |
-//! | [`scenes`] | parts of scenes |
+//! | [`grammar`] | rules for every command: examples, exit codes, `-o`, `--json` |
+//! | [`limited`] | programs with a time limit, killed with everything they started |
+//! | [`python`] | virtual environments with pinned packages, created once below the target folder |
+//! | [`scenes`] | fragments of scenes |
 
-// Only tests call this crate: a test that cannot go on panics.
+// Only tests call this crate: a test that cannot continue panics.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 pub mod debian;

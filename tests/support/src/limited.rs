@@ -1,4 +1,4 @@
-//! Programs that must end.
+//! Runs programs with a time limit.
 
 use std::io::{self, Read};
 use std::os::unix::process::CommandExt;
@@ -8,26 +8,26 @@ use std::time::{Duration, Instant};
 
 use rustix::process::{Pid, Signal, kill_process, kill_process_group};
 
-/// For a command that does real work. Only a hang reaches it, also on a loaded machine.
+/// Limit for a command that does real work. Only a hang reaches it, even on a loaded machine.
 pub const COMMAND_LIMIT: Duration = Duration::from_secs(600);
 const LOOK: Duration = Duration::from_millis(5);
-/// How long output may still come from a program that has ended.
+/// How long to wait for the remaining output of a program that has ended.
 const OUTPUT_LIMIT: Duration = Duration::from_secs(10);
 
 /// [`Command::output`] and [`Command::status`] with a limit.
 pub trait Limited {
-    /// The command's output; standard input is empty.
+    /// Returns the command's output; standard input is empty.
     ///
     /// # Errors
     /// The program cannot be started.
     ///
     /// # Panics
-    /// It has not ended within [`COMMAND_LIMIT`]: it is killed with all that it has started.
+    /// It has not ended within [`COMMAND_LIMIT`]: it is killed with all programs that it has started.
     fn limited_output(&mut self) -> io::Result<Output> {
         self.output_within(COMMAND_LIMIT)
     }
 
-    /// [`Limited::limited_output`] with another limit.
+    /// Like [`Limited::limited_output`], with another limit.
     ///
     /// # Errors
     /// The program cannot be started.
@@ -39,7 +39,7 @@ pub trait Limited {
 
 impl Limited for Command {
     fn output_within(&mut self, limit: Duration) -> io::Result<Output> {
-        // A group of its own, so that a kill reaches what the program has started.
+        // A separate process group, so that a kill reaches all programs started by this one.
         let child = self
             .process_group(0)
             .stdin(Stdio::null())
@@ -50,7 +50,8 @@ impl Limited for Command {
     }
 }
 
-/// The output of a child whose standard output and error are pipes; it leads a process group of its own or has started nothing.
+/// Returns the output of a child whose standard output and error are pipes. The child leads a process group
+/// or has started nothing.
 ///
 /// # Panics
 /// It has not ended within the limit: it is killed.
@@ -76,7 +77,7 @@ pub fn limited_output_of(mut child: Child, limit: Duration, what: &str) -> Outpu
     Output { status, stdout, stderr }
 }
 
-/// How a child ended.
+/// Waits for a child and returns how it ended.
 ///
 /// # Panics
 /// It has not ended within the limit: it is killed.
@@ -100,12 +101,12 @@ fn poll(child: &mut Child, limit: Duration) -> Option<ExitStatus> {
     }
 }
 
-/// Kills a program when a limit is exceeded, so that whoever reads its output line by line waits no longer than that.
+/// Kills a program when a limit is exceeded, so that reading its output line by line cannot block for longer.
 #[derive(Debug)]
 pub struct Watchdog(Sender<()>);
 
 impl Watchdog {
-    /// From now on until this is dropped; drop it before the child is waited for.
+    /// Watches until dropped; drop it before waiting for the child.
     pub fn over(child: &Child, limit: Duration) -> Watchdog {
         let pid = Pid::from_child(child);
         let (sender, receiver) = channel();
@@ -125,7 +126,7 @@ impl Drop for Watchdog {
     }
 }
 
-/// Kills a child, and its group where it leads one.
+/// Kills a child, and its group if it leads one.
 fn kill_with_group(child: &mut Child) {
     // No such group: the child leads none, and is killed alone.
     let _ = kill_process_group(Pid::from_child(child), Signal::KILL);
@@ -133,19 +134,19 @@ fn kill_with_group(child: &mut Child) {
     let _ = child.wait();
 }
 
-/// Reads a pipe to its end in a thread of its own; what it has read comes then.
+/// Reads a pipe to its end in a separate thread; the receiver then gets the content.
 pub fn read_all(mut pipe: impl Read + Send + 'static) -> Receiver<Vec<u8>> {
     let (sender, receiver) = channel();
     std::thread::spawn(move || {
         let mut bytes = Vec::new();
         let _ = pipe.read_to_end(&mut bytes);
-        // Nobody listens any more where the limit was exceeded.
+        // There is no receiver any more if the limit was exceeded.
         let _ = sender.send(bytes);
     });
     receiver
 }
 
-/// All that [`read_all`] reads of a pipe, as text.
+/// Returns everything that [`read_all`] reads from a pipe, as text.
 ///
 /// # Panics
 /// The pipe has not ended within the limit.

@@ -1,7 +1,7 @@
-//! Which commands of a program write files, by its command line's own description.
+//! Lists the commands that write files, using the command line's own description.
 
-/// The commands with an output and the argument that names it, such as `plot --output`, in the order of the alphabet. Hidden commands
-/// and the parts of a session (`proc`) are left out.
+/// Returns the commands with an output and the argument that names it, such as `plot --output`, in
+/// alphabetical order. Skips hidden commands and the parts of a session (`proc`).
 pub fn outputs_of(command: &clap::Command) -> Vec<String> {
     let mut found = Vec::new();
     collect(command, "", &mut found);

@@ -1,4 +1,4 @@
-//! Python with pinned packages.
+//! Python environments with pinned packages.
 
 use std::fs::File;
 use std::path::{Path, PathBuf};
@@ -6,10 +6,11 @@ use std::process::Command;
 
 use crate::limited::Limited;
 
-/// The interpreter of [`environment`]; where there is none (never in CI) the reason is said, loudly.
+/// Returns the interpreter of [`environment`]. If it is not available (never in CI), prints the reason
+/// prominently.
 ///
 /// # Panics
-/// There is none, in CI.
+/// It is not available, in CI.
 pub fn or_skip(name: &str, packages: &[&str], probe: &str) -> Option<PathBuf> {
     environment(name, packages, probe)
         .inspect_err(|reason| {
@@ -19,10 +20,10 @@ pub fn or_skip(name: &str, packages: &[&str], probe: &str) -> Option<PathBuf> {
         .ok()
 }
 
-/// `target/tmp`: what tests fetch lies there, is fetched once and reused.
+/// Returns `target/tmp`, where tests keep what they fetch for reuse.
 ///
 /// # Panics
-/// The test's own program lies in no target folder.
+/// The test binary is not in a target folder.
 pub fn downloads() -> PathBuf {
     // target/<profile>/deps/<test>
     let program = std::env::current_exe().unwrap();
@@ -32,13 +33,14 @@ pub fn downloads() -> PathBuf {
     folder
 }
 
-/// A virtual environment with exactly these packages in [`downloads`]: made once, and again when they change. The error is the reason.
+/// Returns a virtual environment with exactly these packages in [`downloads`], created once, and again when
+/// they change.
 ///
 /// # Errors
-/// Why there is none, in the words of the program that failed.
+/// The reason why it is not available, as printed by the program that failed.
 pub fn environment(name: &str, packages: &[&str], probe: &str) -> Result<PathBuf, String> {
     let folder = downloads().join(name);
-    // One at a time makes it: tests of several programs may want the same.
+    // Only one process creates it: tests in several binaries may need the same environment.
     let lock = File::create(downloads().join(format!("{name}.lock"))).map_err(|error| error.to_string())?;
     lock.lock().map_err(|error| error.to_string())?;
     let python = folder.join("bin/python3");
@@ -51,7 +53,7 @@ pub fn environment(name: &str, packages: &[&str], probe: &str) -> Result<PathBuf
     if said(pip(&python).arg("--version")).is_err() {
         said(Command::new(&python).args(["-m", "ensurepip", "--default-pip"]))?;
     }
-    // Only what is imported is compiled, and then by its import.
+    // Only imported modules are compiled, on import.
     let quickly = ["install", "-q", "--no-compile", "--retries", "1", "--timeout", "10"];
     said(pip(&python).args(quickly).args(packages))?;
     said(Command::new(&python).args(["-c", &format!("import {probe}")]))?;
@@ -59,7 +61,8 @@ pub fn environment(name: &str, packages: &[&str], probe: &str) -> Result<PathBuf
     Ok(python)
 }
 
-/// The pip that installs into an environment: its own, or else the machine's. A pip for each environment takes as long as many packages.
+/// Returns the pip that installs into an environment: its own, or else the machine's. Installing a pip in
+/// each environment takes as long as many packages.
 pub fn pip(python: &Path) -> Command {
     let own = said(Command::new(python).args(["-c", "import pip"])).is_ok();
     let mut pip = Command::new(if own { python } else { Path::new("python3") });
@@ -70,7 +73,7 @@ pub fn pip(python: &Path) -> Command {
     pip
 }
 
-/// Runs a program; the error is the last line that it said.
+/// Runs a program; the error is its last line of output.
 fn said(command: &mut Command) -> Result<(), String> {
     let output = command.limited_output().map_err(|error| error.to_string())?;
     let text = String::from_utf8_lossy(&output.stderr);

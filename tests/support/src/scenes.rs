@@ -1,6 +1,7 @@
-//! Parts of scenes.
+//! Fragments of scenes.
 
-/// The tool along +z with the burr at the origin, tendon 0 toward +x, and a controller that drives everything.
+/// The tool along +z with the burr at the origin, tendon 0 toward +x, and a controller that drives
+/// everything.
 pub const TOOL: &str = r#"
 [tool]
 burr_start_mm = [0.0, 0.0, 0.0]
@@ -12,7 +13,8 @@ drives = ["tendon", "arm", "burr"]
 external = true
 "#;
 
-/// A tool file whose numbers are in their ranges and whose tendon, pulled by newtons on flexures of a micronewton metre, overflows.
+/// A tool file whose numbers are within their ranges, but whose tendon, pulled by newtons on flexures of a
+/// micronewton metre, overflows.
 pub const LIMP_TOOL: &str = "name = \"limp\"
 tube = { outer_diameter_mm = 6.2, inner_diameter_mm = 3.1, linear_density_kg_per_m = 0.0001 }
 stop = { angle_deg = 0.01, stiffness_nm_per_rad = 0.001 }

@@ -14,7 +14,7 @@ fn main() -> ExitCode {
             return ExitCode::from(2);
         }
     };
-    #[allow(clippy::disallowed_methods, reason = "a program of its own")]
+    #[allow(clippy::disallowed_methods, reason = "standalone program")]
     let mut out = std::io::stdout();
     match out.write_all(text.as_bytes()) {
         Ok(()) => ExitCode::SUCCESS,

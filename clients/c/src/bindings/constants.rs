@@ -1,4 +1,4 @@
-//! The constants that clients need, by name.
+//! The constants for clients, by name.
 
 use ipc_types::messages::*;
 
@@ -6,13 +6,13 @@ macro_rules! named {
     ($($name:ident),* $(,)?) => { &[$((stringify!($name), $name as u64)),*] };
 }
 
-/// Integers that are no codes of fields: senders, lengths of arrays.
+/// Integers other than field codes: senders, array lengths.
 pub(super) fn lengths() -> Vec<(&'static str, u64)> {
     let senders = SENDERS.iter().map(|(name, number)| (*name, u64::from(*number)));
     senders.chain(LENGTHS.iter().copied()).collect()
 }
 
-/// Integers: codes of fields, senders, lengths of arrays.
+/// Integers: field codes, senders, array lengths.
 pub(super) fn whole() -> Vec<(&'static str, u64)> {
     let codes =
         CLIENT_CODES.iter().flat_map(|set| set.codes).map(|code| (code.constant, u64::from(code.number)));
@@ -44,7 +44,7 @@ pub(super) const LIMITS: &[(&str, f64)] = &[
 mod tests {
     use super::*;
 
-    /// C, C++, Python and Zig must get all codes, such as those of `servo_jv`, `insert` and `rcm`.
+    /// C, C++, Python and Zig must have all codes, such as those of `servo_jv`, `insert` and `rcm`.
     #[test]
     fn every_code_of_a_message_has_its_name_in_every_language() {
         let source =

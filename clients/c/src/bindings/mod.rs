@@ -13,10 +13,11 @@ use ipc_types::reference::every_message;
 use crate::error::ClientError;
 use crate::ffi::{FUNCTIONS, STATUSES, VIEWS};
 
-/// Entry among the layouts for the library's own functions, structures and statuses.
+/// Name of the entry for the library's own functions, structures and statuses.
 const ABI: &str = "Abi";
 
-/// Layouts of all messages, and of the C interface itself: `State=729b226247fc0784;Command=…;Abi=…`.
+/// Returns the layouts of all messages, and of the C interface itself:
+/// `State=729b226247fc0784;Command=…;Abi=…`.
 pub fn layouts() -> String {
     let all = every_message();
     let messages = all.iter().map(|message| (message.short_name(), message.layout_hash()));
@@ -25,7 +26,7 @@ pub fn layouts() -> String {
     each.join(";")
 }
 
-/// Hash of the functions with their types, the structures with their offsets, and the statuses.
+/// Returns a hash of the functions with their types, the structures with their offsets, and the statuses.
 fn abi_hash() -> String {
     let mut text = String::new();
     for function in FUNCTIONS {
@@ -64,11 +65,11 @@ pub fn check_layouts(given: &str) -> Result<(), ClientError> {
             return differs(name, layout, ours);
         }
     }
-    // A program built with a header without this entry has another version, too.
+    // A header without this entry also means another version.
     if abi == abi_hash() { Ok(()) } else { differs(ABI, abi, abi_hash()) }
 }
 
-/// Every message, after the messages it contains.
+/// Returns all messages, each after the messages it contains.
 fn nested_first() -> Vec<&'static Description> {
     fn add(message: &'static Description, all: &mut Vec<&'static Description>) {
         if all.iter().any(|known| known.name == message.name) {
@@ -98,7 +99,7 @@ fn snake_case(name: &str) -> String {
     text
 }
 
-/// A doc comment as plain lines of at most `width` characters, without rustdoc links.
+/// Splits a doc comment into plain lines of at most `width` characters, without rustdoc links.
 fn wrapped(doc: &str, width: usize) -> Vec<String> {
     let plain = doc.replace("[`", "`").replace("`]", "`");
     let mut lines = vec![String::new()];
@@ -129,7 +130,7 @@ mod tests {
         let refusal = check_layouts(&changed).unwrap_err().to_string();
         assert!(["State", "0123456789abcdef", &state].iter().all(|word| refusal.contains(word)), "{refusal}");
         assert!(check_layouts("Nonsense=1").unwrap_err().to_string().contains("no such message"));
-        assert!(check_layouts("").is_err(), "no layouts at all is no agreement");
+        assert!(check_layouts("").is_err(), "empty layouts must be refused");
     }
 
     /// A program built against other functions or structures must be refused even if all messages match.

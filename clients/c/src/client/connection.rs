@@ -1,4 +1,4 @@
-//! Which session a client joins, as whom, and what it then knows of the run.
+//! The session a client joins, its role, and its knowledge of the run.
 
 use ipc_types::messages::ControllerIndex;
 use std::path::{Path, PathBuf};
@@ -14,15 +14,16 @@ use crate::error::ClientError;
 
 const RETRY_TIME: Duration = Duration::from_millis(10);
 
-/// Which session to join, and as which controller.
+/// The session to join, and the controller to join as.
 #[derive(Debug, Clone)]
 pub struct Connection {
-    /// The session's folder or name. `None` uses the folder in `TRABECULA_SESSION`, or else this user's only running session.
+    /// Folder or name of the session. `None` uses the folder in `TRABECULA_SESSION`, or else this user's only
+    /// running session.
     pub session: Option<String>,
-    /// The controller's name in the scene, or empty for an observer, which sends no commands. `None` uses the name in
-    /// `TRABECULA_CONTROLLER`, or else the scene's only external controller.
+    /// Name of the controller in the scene, or empty for an observer, which sends no commands. `None` uses
+    /// the name in `TRABECULA_CONTROLLER`, or else the scene's only external controller.
     pub controller: Option<String>,
-    /// How long to wait for the session.
+    /// Time to wait for the session.
     pub limit: Duration,
 }
 
@@ -33,13 +34,13 @@ impl Default for Connection {
 }
 
 impl Connection {
-    /// An observer of the same session.
+    /// Returns a connection to the same session as an observer.
     pub fn observer() -> Connection {
         Connection { controller: Some(String::new()), ..Connection::default() }
     }
 }
 
-/// Facts that stay constant during a session.
+/// Constant properties of a session.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Info {
     /// Folder of the session.
@@ -52,7 +53,7 @@ pub struct Info {
     pub lockstep: bool,
     /// Simulated time of a tick.
     pub dt_s: f64,
-    /// Ticks of the whole run.
+    /// Number of ticks of the complete run.
     pub tick_count: u64,
     /// Ticks between two scheduled frames; 0 if there are none.
     pub frame_period_ticks: u64,
@@ -71,7 +72,7 @@ pub(super) fn await_folder(connection: &Connection) -> Result<PathBuf, ClientErr
     if let Some(given) = &named {
         SessionId::can_be(Path::new(given))?;
     }
-    // A path is one folder; a name may be in any of this user's places.
+    // A path is a single folder; a name can be in any of this user's session locations.
     let look = || match &named {
         Some(path) if path.contains('/') => {
             Ok(Some(PathBuf::from(path)).filter(|folder| host_is_alive(folder)))

@@ -13,17 +13,19 @@ use crate::error::ClientError;
 pub(super) struct Control {
     publisher: Publisher<RunControl>,
     replies: Subscriber<RunControlReply>,
-    /// The newest request: its number and its action.
+    /// The newest request: its id and action.
     asked: Option<(u64, u32)>,
-    /// A request held back until the physics has been heard.
+    /// A request held back until the physics has sent a message.
     unsent: Option<RunControl>,
 }
 
 impl Client {
-    /// Sends a run-control request (one of the `CONTROL_` constants; `ticks` is for a step) and waits for the reply.
+    /// Sends a run-control request (one of the `CONTROL_` constants; `ticks` applies to a step) and waits for
+    /// the reply.
     ///
     /// # Errors
-    /// [`ClientError::ControlRefused`], [`ClientError::TimedOut`], [`ClientError::Ended`]; the transport's.
+    /// [`ClientError::ControlRefused`], [`ClientError::TimedOut`], [`ClientError::Ended`]; or a transport
+    /// error.
     pub fn run_control(
         &mut self,
         action: u32,
@@ -35,7 +37,7 @@ impl Client {
             Some(control) => control,
             none => none.insert(Control {
                 publisher: self.session.publisher(&services::RUN_CONTROL)?,
-                // Replies to other clients must not push out the one to this client.
+                // Replies to other clients must not evict the one to this client.
                 replies: self.session.lossless_subscriber(&services::RUN_CONTROL_REPLY)?,
                 asked: None,
                 unsent: None,
@@ -47,19 +49,19 @@ impl Client {
         self.await_control(limit)
     }
 
-    /// Continues to wait for the reply to the last request, after a timeout.
+    /// Continues to wait for the reply to the last request after a timeout.
     ///
     /// # Errors
-    /// [`ClientError::Misuse`] if no reply is due; otherwise as [`Client::run_control`].
+    /// [`ClientError::Misuse`] if no reply is pending; otherwise as [`Client::run_control`].
     pub fn await_control(&mut self, limit: Duration) -> Result<RunControlReply, ClientError> {
         let deadline = Instant::now() + limit;
         loop {
-            // The reply is published before the end: if it is not here by then, it never will be.
+            // The reply is published before the end: if it has not arrived by then, it never will.
             let ended = self.has_ended()?;
             let control =
                 self.control.as_mut().and_then(|control| control.asked.map(|asked| (control, asked)));
             let Some((control, (request_id, action))) = control else {
-                return Err(ClientError::Misuse("no action has been asked for whose answer is due"));
+                return Err(ClientError::Misuse("no run-control reply is pending"));
             };
             // The physics announces itself first; a request sent before that is lost.
             if self.newest_status.is_some()

@@ -1,4 +1,4 @@
-//! Events, remarks, removed voxels and readings of sensors.
+//! Events, remarks, removed voxels and sensor readings.
 
 use ipc_types::messages::services;
 use ipc_types::messages::{Event, EventCode, Participant, Removed, SensorReading, Severity, Tick};
@@ -9,11 +9,11 @@ use super::{Client, put};
 use crate::error::ClientError;
 
 impl Client {
-    /// The oldest event not yet taken. Events are queued from this client's first call on. The event stays in shared memory until the next
-    /// one is returned.
+    /// Returns the oldest event not yet taken. Events are queued from this client's first call on. The event
+    /// stays in shared memory until the next one is returned.
     ///
     /// # Errors
-    /// [`ClientError::Forked`]; the transport's.
+    /// [`ClientError::Forked`]; or a transport error.
     pub fn next_event(&mut self) -> Result<Option<(&Event, &str)>, ClientError> {
         self.check_process()?;
         if self.events.is_none() {
@@ -27,10 +27,10 @@ impl Client {
         Ok(Some((event.message(), event_text(event))))
     }
 
-    /// Adds a line to the session's events, which the log records.
+    /// Adds a text to the session's events, which are recorded in the log.
     ///
     /// # Errors
-    /// [`ClientError::Observer`]; [`ClientError::BadArgument`] for an unknown severity; the transport's.
+    /// [`ClientError::Observer`]; [`ClientError::BadArgument`] for an unknown severity; or a transport error.
     pub fn remark(&mut self, severity: u32, text: &str) -> Result<(), ClientError> {
         self.check_process()?;
         let severity = Severity::try_from(severity).map_err(|unknown| ClientError::BadArgument {
@@ -50,11 +50,12 @@ impl Client {
         Ok(())
     }
 
-    /// The oldest message about removed voxels not yet taken, with the voxels' indices in place. Messages are queued from this client's
-    /// first call on. The message stays in shared memory until the next one is returned.
+    /// Returns the oldest message about removed voxels not yet taken, with the voxel indices in place.
+    /// Messages are queued from this client's first call on. The message stays in shared memory until the
+    /// next one is returned.
     ///
     /// # Errors
-    /// [`ClientError::Forked`]; the transport's.
+    /// [`ClientError::Forked`]; or a transport error.
     pub fn next_removed(&mut self) -> Result<Option<&Received<Removed>>, ClientError> {
         self.check_process()?;
         if self.removed.is_none() {
@@ -68,11 +69,12 @@ impl Client {
         Ok(None)
     }
 
-    /// The oldest reading of any sensor not yet taken, if the scene has sensors. Readings are queued from the connection on, at most 1024;
-    /// those that arrive with a state are there when the state is. The reading stays in shared memory until the next one is returned.
+    /// Returns the oldest reading of any sensor not yet taken, if the scene has sensors. Readings are queued
+    /// from the connection on, at most 1024; readings that arrive with a state are available when the state
+    /// is. The reading stays in shared memory until the next one is returned.
     ///
     /// # Errors
-    /// [`ClientError::Forked`]; the transport's.
+    /// [`ClientError::Forked`]; or a transport error.
     pub fn next_reading(&mut self) -> Result<Option<&SensorReading>, ClientError> {
         self.check_process()?;
         while let Some(reading) = self.readings.as_ref().map_or(Ok(None), Subscriber::receive)? {
@@ -84,7 +86,8 @@ impl Client {
     }
 }
 
-/// The text of an event, in place. Its sender is another process, so invalid UTF-8 is shown as empty.
+/// Returns the text of an event, in place; empty if it is not valid UTF-8, because its sender is another
+/// process.
 pub(crate) fn event_text(event: &Received<Event>) -> &str {
     let bytes = event.tail();
     std::str::from_utf8(bytes.strip_suffix(&[0]).unwrap_or(bytes)).unwrap_or("")

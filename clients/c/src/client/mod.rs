@@ -1,4 +1,4 @@
-//! A program's connection to a session: states, commands, and how the run goes.
+//! A program's connection to a session: states, commands, and the state of the run.
 
 mod connection;
 mod control;
@@ -28,15 +28,15 @@ use control::Control;
 
 use crate::error::ClientError;
 
-/// How often a waiting client checks that the hub is alive.
+/// Interval at which a waiting client checks that the hub is alive.
 const HUB_CHECK_PERIOD: Duration = Duration::from_millis(100);
-/// Poll interval of an observer, which nobody wakes.
+/// Poll interval of an observer, which is never woken.
 const OBSERVER_POLL_PERIOD: Duration = Duration::from_micros(200);
-/// Longest wait a caller may request; longer ones overflow clocks.
+/// Maximum wait; longer ones overflow clocks.
 const LONGEST_WAIT_S: f64 = 1e9;
 
-/// A connection. It belongs to the thread and process that made it: in a `fork` child every call fails with [`ClientError::Forked`], and
-/// dropping it there disconnects nobody.
+/// A connection. It belongs to the thread and process that created it: in a `fork` child every call fails
+/// with [`ClientError::Forked`], and dropping it there does not disconnect it.
 #[derive(Debug)]
 pub struct Client {
     pub(crate) session: Own<Session>,
@@ -48,8 +48,8 @@ pub struct Client {
     physics: Waker,
     commands: Option<Publisher<Command>>,
     state: Option<Received<State>>,
-    /// Filled in by the caller and copied when sent, so later writes have no effect. Boxed, because callers of the C interface hold its
-    /// address.
+    /// Filled in by the caller and copied when sent, so later writes have no effect. Boxed, because callers
+    /// of the C interface hold its address.
     command: Box<Command>,
     /// Whether a command has been requested and not yet sent.
     is_begun: bool,
@@ -58,7 +58,7 @@ pub struct Client {
     states_missed: u64,
     newest_status: Option<RunStatus>,
     hub_seen: Instant,
-    /// When this client learned that the run is over.
+    /// Time at which this client learned that the run is over.
     pub(crate) ended: Option<Instant>,
     control: Option<Control>,
     events: Option<Subscriber<Event>>,
@@ -66,7 +66,7 @@ pub struct Client {
     remarks: Option<EventSender>,
     removed: Option<Subscriber<Removed>>,
     pub(crate) removal: Option<Received<Removed>>,
-    /// None without sensors.
+    /// `None` without sensors.
     readings: Option<Subscriber<SensorReading>>,
     pub(crate) reading: Option<Received<SensorReading>>,
     pub(crate) frames: Option<Subscriber<Frame>>,
@@ -81,13 +81,13 @@ pub(crate) struct Requests {
     pub(crate) publisher: Publisher<DrrRequest>,
     pub(crate) replies: Subscriber<DrrReply>,
     pub(crate) drr: Waker,
-    /// The newest request that the DRR process has accepted for rendering.
+    /// Id of the newest request that the DRR process has accepted for rendering.
     pub(crate) accepted: u64,
 }
 
-/// A duration from a foreign caller's seconds.
+/// Converts a foreign caller's seconds to a duration.
 pub(crate) fn limit_of(seconds: f64) -> Result<Duration, ClientError> {
-    // Written so that NaN fails.
+    // Written so that NaN fails the check.
     if !(0.0..=f64::INFINITY).contains(&seconds) {
         let expected = "0 or more seconds";
         return Err(ClientError::BadArgument { name: "timeout_s", value: seconds, expected });
@@ -99,8 +99,8 @@ impl Client {
     /// Joins a session.
     ///
     /// # Errors
-    /// No session within the limit, several and none named, another layout or transport version (by name), a controller that the scene does
-    /// not name or that is already connected.
+    /// No session within the limit; several sessions and none named; another layout or transport version (the
+    /// error names it); an unknown controller, or one that is already connected.
     pub fn connect(connection: &Connection) -> Result<Client, ClientError> {
         let folder = await_folder(connection)?;
         let named = folder.clone();
@@ -129,7 +129,7 @@ impl Client {
             status: session.subscriber(&services::RUN_STATUS)?,
             waiter: index.map(|index| session.waiter(Reader::Controller(index))).transpose()?,
             physics: session.waker(Reader::Physics)?,
-            // Last, because from here on the name is taken.
+            // Last, because this claims the name.
             commands: info
                 .controller
                 .as_ref()
@@ -165,17 +165,17 @@ impl Client {
         })
     }
 
-    /// Whether this process made the connection, rather than a parent that forked it.
+    /// Whether this process created the connection, rather than a parent that forked it.
     pub(crate) fn is_ours(&self) -> bool {
         self.session.is_ours()
     }
 
-    /// Fails in a child of the process that made the connection.
+    /// Fails in a child of the process that created the connection.
     pub(crate) fn check_process(&self) -> Result<(), ClientError> {
         if self.is_ours() { Ok(()) } else { Err(ClientError::Forked) }
     }
 
-    /// Facts that stay constant during the session.
+    /// Returns the constant properties of the session.
     pub fn info(&self) -> &Info {
         &self.info
     }
@@ -185,11 +185,11 @@ impl Client {
         &self.scene
     }
 
-    /// The newest state, if one has arrived since the last call. Skips older ones and counts them ([`Client::states_missed`]). The state
-    /// stays in shared memory, unchanged, until the next one is taken.
+    /// Returns the newest state if one has arrived since the last call. Skips older ones and counts them
+    /// ([`Client::states_missed`]). The state stays in shared memory, unchanged, until the next one is taken.
     ///
     /// # Errors
-    /// [`ClientError::Ended`] after the last state; the transport's.
+    /// [`ClientError::Ended`] after the last state; or a transport error.
     pub fn poll_state(&mut self) -> Result<Option<&State>, ClientError> {
         self.check_process()?;
         let mut came = false;
@@ -204,10 +204,11 @@ impl Client {
         Ok(self.state.as_ref().filter(|_| came).map(Received::message))
     }
 
-    /// Waits for the newest state, as [`Client::poll_state`] returns it: yields for 20 µs, then sleeps until woken.
+    /// Waits for the newest state, like [`Client::poll_state`]: yields for 20 µs, then sleeps until woken.
     ///
     /// # Errors
-    /// [`ClientError::TimedOut`], [`ClientError::Ended`] after the last state, [`ClientError::HubGone`]; the transport's.
+    /// [`ClientError::TimedOut`], [`ClientError::Ended`] after the last state, [`ClientError::HubGone`]; or a
+    /// transport error.
     pub fn wait_state(&mut self, limit: Duration) -> Result<&State, ClientError> {
         self.await_state(limit)?;
         while self.take_state()? {}
@@ -215,10 +216,11 @@ impl Client {
         self.state.as_ref().map(Received::message).ok_or(ClientError::Ended)
     }
 
-    /// Waits for the oldest state not yet taken, for clients that need every state. The queue holds 512.
+    /// Waits for the oldest state not yet taken, for clients that need every state. The queue holds 512
+    /// states.
     ///
     /// # Errors
-    /// As [`Client::wait_state`].
+    /// Same as [`Client::wait_state`].
     pub fn next_state(&mut self, limit: Duration) -> Result<&State, ClientError> {
         self.await_state(limit)?;
         self.count_missed();
@@ -250,12 +252,12 @@ impl Client {
         }
     }
 
-    /// The last state taken.
+    /// Returns the last state taken.
     pub fn state(&self) -> Option<&State> {
         self.state.as_ref().filter(|_| self.is_ours()).map(Received::message)
     }
 
-    /// States that were skipped or overwritten before this client took them.
+    /// Returns the number of states skipped or overwritten before this client took them.
     pub fn states_missed(&self) -> u64 {
         self.states_missed
     }
@@ -277,7 +279,7 @@ impl Client {
         }
     }
 
-    /// Fails if no more states will come.
+    /// Fails if no more states will arrive.
     fn check_end(&mut self) -> Result<(), ClientError> {
         // The last state is published before the status; it may have arrived since the queue was polled.
         if self.has_ended()? && !self.states.has_message() { Err(ClientError::Ended) } else { Ok(()) }
@@ -306,8 +308,8 @@ impl Client {
         self.session.name()
     }
 
-    /// Why the run is over, once [`ClientError::Ended`] has been returned: a controller that did not join or was late, by name; a stop;
-    /// or its last tick.
+    /// Returns why the run is over, once [`ClientError::Ended`] has been returned: a controller that did not
+    /// join or was late, by name; a stop; or its last tick.
     pub fn end_reason(&self) -> String {
         let name = self.session_name();
         let tick = self.newest_status.map_or(0, |status| status.tick);
@@ -320,10 +322,10 @@ impl Client {
         }
     }
 
-    /// The run's newest status, if one has arrived.
+    /// Returns the run's newest status, or `None` if none has arrived.
     ///
     /// # Errors
-    /// The transport's.
+    /// A transport error.
     pub fn status(&mut self) -> Result<Option<RunStatus>, ClientError> {
         self.check_process()?;
         if let Some(status) = self.status.receive_newest()? {
@@ -332,8 +334,8 @@ impl Client {
         Ok(self.newest_status)
     }
 
-    /// The next command to send: every mode at "none", `sequence` and `state_tick` filled in. Returns the same one until it is sent or
-    /// discarded.
+    /// Returns the next command to send: every mode is "none", `sequence` and `state_tick` are filled in. The
+    /// same command is returned until it is sent or discarded.
     ///
     /// # Errors
     /// [`ClientError::Observer`], [`ClientError::Forked`].
@@ -350,14 +352,15 @@ impl Client {
         Ok(&mut self.command)
     }
 
-    /// Sends the command from [`Client::command`] as it is now, and wakes the physics. After an error it can be sent again.
+    /// Sends the current content of the command from [`Client::command`] and wakes the physics. After an
+    /// error it can be sent again.
     ///
     /// # Errors
-    /// [`ClientError::Misuse`] without a command, [`ClientError::Forked`]; the transport's.
+    /// [`ClientError::Misuse`] without a command, [`ClientError::Forked`]; or a transport error.
     pub fn send(&mut self) -> Result<(), ClientError> {
         self.check_process()?;
         let publisher = self.commands.as_ref().filter(|_| self.is_begun);
-        publisher.ok_or(ClientError::Misuse("no command to send; ask for one first"))?.send(&self.command)?;
+        publisher.ok_or(ClientError::Misuse("no command to send; request one first"))?.send(&self.command)?;
         self.is_begun = false;
         self.sequence = self.command.sequence;
         self.physics.wake();
@@ -369,10 +372,10 @@ impl Client {
         self.is_begun = false;
     }
 
-    /// Waits for the newest state, lets the callback answer it, and sends the answer.
+    /// Waits for the newest state, calls `step` to fill in the command, and sends it.
     ///
     /// # Errors
-    /// As [`Client::wait_state`] and [`Client::send`].
+    /// Same as [`Client::wait_state`] and [`Client::send`].
     pub fn answer(
         &mut self,
         limit: Duration,
@@ -386,7 +389,7 @@ impl Client {
         self.send()
     }
 
-    /// Leaves the session, but keeps what the caller has been given.
+    /// Leaves the session, but keeps the messages given to the caller.
     pub(crate) fn leave(self) -> Kept {
         Kept {
             _state: self.state.map(|state| (state, self.states)),
@@ -400,7 +403,8 @@ impl Client {
     }
 }
 
-/// The last message of each kind given to the caller, and its port: the memory is not reused before these are dropped.
+/// The last message of each kind given to the caller, with its port; the memory is not reused before these
+/// are dropped.
 #[derive(Debug)]
 pub(crate) struct Kept {
     _state: Option<(Received<State>, Subscriber<State>)>,
@@ -412,11 +416,11 @@ pub(crate) struct Kept {
     _command: Box<Command>,
 }
 
-/// Replaces the held message with a new one. Only now is the old one released: the caller may still be reading it, and the memory of a
-/// departed sender is unmapped with its last message.
+/// Replaces the held message with a new one. The old one is only released now: the caller may still be
+/// reading it, and the memory of a departed sender is unmapped with its last message.
 ///
-/// Returns false and skips the message if it has another sender. A session has one sender of each held kind, and a stranger in its place
-/// must not unmap what the caller is reading.
+/// Returns false and skips the message if it has another sender. A session has one sender per held kind, and
+/// another sender must not cause the caller's data to be unmapped.
 pub(crate) fn put<M: Message>(held: &mut Option<Received<M>>, new: Received<M>) -> bool {
     let is_foreign = held.as_ref().is_some_and(|held| held.sender() != new.sender());
     if !is_foreign {
@@ -425,14 +429,14 @@ pub(crate) fn put<M: Message>(held: &mut Option<Received<M>>, new: Received<M>) 
     !is_foreign
 }
 
-/// A request number unique among the session's clients, in all processes.
+/// Returns a request id unique among the session's clients, in all processes.
 pub(crate) fn new_request_id() -> u64 {
     static COUNT: AtomicU64 = AtomicU64::new(1);
     let count = COUNT.fetch_add(1, Ordering::Relaxed) & u64::from(u32::MAX);
     (u64::from(std::process::id()) << 32) | count
 }
 
-/// Polls with sleeps in between.
+/// Polls, sleeping in between.
 pub(crate) fn poll_until(deadline: Instant, mut ready: impl FnMut() -> bool) {
     while !ready() && Instant::now() < deadline {
         std::thread::sleep(OBSERVER_POLL_PERIOD);

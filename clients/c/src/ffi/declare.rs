@@ -1,4 +1,4 @@
-//! Macros whose declarations yield both a Rust item and a line of the C header.
+//! Macros that declare both a Rust item and an entry of the C header.
 
 use std::ffi::c_char;
 
@@ -8,7 +8,7 @@ use ipc_types::messages::{
 
 /// A type's spelling in C.
 pub trait CType {
-    /// Its C name; a pointer ends in `*`.
+    /// C name; a pointer ends in `*`.
     const C: &'static str;
 }
 
@@ -39,7 +39,7 @@ c_types! {
 pub struct Function {
     /// Name.
     pub name: &'static str,
-    /// What the function does.
+    /// Documentation of the function.
     pub doc: &'static str,
     /// Arguments: name and C type.
     pub arguments: &'static [(&'static str, &'static str)],
@@ -52,7 +52,7 @@ pub struct Function {
 pub struct View {
     /// Name in C.
     pub name: &'static str,
-    /// What the structure holds.
+    /// Documentation of the structure.
     pub doc: &'static str,
     /// Fields: name, C type, offset, documentation.
     pub fields: &'static [(&'static str, &'static str, usize, &'static str)],
@@ -104,7 +104,7 @@ macro_rules! views {
             }
         )*
 
-        /// Every structure that is not a message, in the order of the header.
+        /// All structures that are not messages, in header order.
         pub const VIEWS: &[crate::ffi::View] = &[$(
             crate::ffi::View {
                 name: $c,

@@ -1,5 +1,5 @@
-//! Keeps the messages that a client gave to its caller mapped after the client's end, for languages in which memory lives as long as
-//! anything refers to it.
+//! Keeps the messages that a client gave to its caller mapped after the client's end, for languages in which
+//! memory lives as long as it is referenced.
 
 use std::sync::atomic::{AtomicPtr, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -10,17 +10,18 @@ use super::outcome::Failure;
 use super::table::{Open, Texts};
 use crate::client::Kept;
 
-/// What remains of a client that has left.
+/// Memory of a client that has left.
 #[derive(Debug)]
 struct Left {
     _kept: Kept,
     _texts: Texts,
 }
 
-// SAFETY: the only obstacle to another thread is the transport's non-atomic reference count, which a port and its samples share.
-// `Client::leave` took each port together with its only sample, so both owners of each count are in here and the previous thread has none;
-// the lock below orders its counting before ours. Everything else in a port is `Send`, declared by the transport (`SubscriberSharedState`,
-// `Node`) or as a value of ours.
+// SAFETY: the only obstacle to another thread is the transport's non-atomic reference count, which a port and
+// its samples share. `Client::leave` took each port together with its only sample, so both owners of each
+// count are in here and the previous thread has none; the lock below orders its counting before ours.
+// Everything else in a port is `Send`, declared by the transport (`SubscriberSharedState`, `Node`) or as a
+// value of ours.
 unsafe impl Send for Left {}
 
 /// A client whose memory is held.
@@ -28,7 +29,7 @@ unsafe impl Send for Left {}
 struct Held {
     handle: u64,
     holds: u64,
-    /// What to keep once the client has left.
+    /// Memory to keep once the client has left.
     left: Option<Left>,
 }
 
@@ -38,7 +39,8 @@ struct Registry {
     held: Mutex<Vec<Held>>,
 }
 
-/// This process's registry. A `fork` child makes its own, because another thread may have held the lock of its parent's.
+/// Returns this process's registry. A `fork` child creates its own, because another thread may have held the
+/// lock of its parent's registry.
 fn registry() -> &'static Registry {
     static CURRENT: AtomicPtr<Registry> = AtomicPtr::new(core::ptr::null_mut());
     let known = CURRENT.load(Ordering::Acquire);
@@ -60,7 +62,7 @@ fn held() -> MutexGuard<'static, Vec<Held>> {
     registry().held.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Adds one hold on the memory of a connected client.
+/// Adds a hold on the memory of a connected client.
 pub(super) fn hold(handle: u64) {
     let mut all = held();
     match all.iter_mut().find(|held| held.handle == handle) {
@@ -69,7 +71,7 @@ pub(super) fn hold(handle: u64) {
     }
 }
 
-/// Drops one hold; the last one frees what the client left.
+/// Drops one hold; dropping the last one frees the client's memory.
 pub(super) fn release(handle: u64) -> Result<(), Failure> {
     let mut all = held();
     let index = all.iter().position(|held| held.handle == handle).ok_or(Failure::NotHeld(handle))?;
@@ -81,7 +83,7 @@ pub(super) fn release(handle: u64) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Ends a client, but keeps its memory if held.
+/// Ends a client, but keeps its memory if it is held.
 pub(super) fn end(handle: u64, open: Open) {
     if !open.client.is_ours() {
         // The parent's: dropping it here has no effect.

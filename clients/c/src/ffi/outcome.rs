@@ -18,27 +18,27 @@ macro_rules! statuses {
     };
 }
 statuses! {
-    /// Done.
+    /// Success.
     OK = 0;
-    /// Nothing came in time; not an error.
+    /// Timed out; not an error.
     TIMEOUT = 1;
     /// The run is over; not an error.
     ENDED = 2;
-    /// A pointer that is needed is null.
+    /// A required pointer is null.
     ERROR_NULL = -1;
     /// Not a client of this thread: never connected, disconnected, or connected by another thread.
     ERROR_HANDLE = -2;
-    /// A number or text is not one that can be used.
+    /// An invalid number or text.
     ERROR_ARGUMENT = -3;
-    /// No session is running there.
+    /// No running session found.
     ERROR_NO_SESSION = -4;
-    /// Program, library and hub are not of one version: a message's layout or the transport differs.
+    /// Version mismatch of program, library and hub: a message's layout or the transport differs.
     ERROR_VERSION = -5;
-    /// The scene has no such controller, or leaves open which one is meant.
+    /// The scene has no such controller, or the choice of controller is ambiguous.
     ERROR_CONTROLLER = -6;
-    /// A controller of this name is connected already.
+    /// A controller of this name is already connected.
     ERROR_TAKEN = -7;
-    /// A request for a frame or an action of run control was refused.
+    /// A frame request or a run-control action was refused.
     ERROR_REFUSED = -8;
     /// The scene has no X-ray or no volume, or the client is an observer.
     ERROR_ABSENT = -9;
@@ -48,11 +48,11 @@ statuses! {
     ERROR_HUB_GONE = -11;
     /// A defect of this library.
     ERROR_DEFECT = -12;
-    /// The client is of the process that this one was forked from.
+    /// The client belongs to the process that this one was forked from.
     ERROR_FORKED = -13;
-    /// This thread is in a call already: a signal handler's call is refused, without a text.
+    /// This thread is already in a call: a call from a signal handler is refused, without a text.
     ERROR_BUSY = -14;
-    /// Several sessions are running, and none is named; the text lists them.
+    /// Several sessions are running and none is named; the text lists them.
     ERROR_SEVERAL_SESSIONS = -15;
 }
 
@@ -63,7 +63,7 @@ pub(super) enum Failure {
     Client(#[from] ClientError),
     #[error("session {session}: {cause}")]
     Joined { session: String, cause: ClientError },
-    /// With the reason.
+    /// The run is over, with the reason.
     #[error("{0}")]
     Ended(String),
     #[error("`{0}` is a null pointer")]
@@ -122,21 +122,20 @@ thread_local! {
     static LAST_ERROR: RefCell<CString> = RefCell::default();
 }
 
-/// Runs a function's body; a failure becomes a status and this thread's last error.
+/// Runs a function's body; converts a failure to a status and this thread's last error.
 pub(super) fn outcome(body: impl FnOnce() -> Result<(), Failure>) -> i32 {
-    // What a panic leaves half done stays inside this library, because the client's fields are plain values and ports.
+    // Partial changes of a panic stay inside this library, because the client's fields are plain values and
+    // ports.
     let (status, text) = match catch_unwind(AssertUnwindSafe(body)) {
         Ok(Ok(())) => return OK,
         // A signal handler must not allocate.
         Ok(Err(Failure::Busy)) => return ERROR_BUSY,
-        // It occurs on every iteration of a loop, so it gets no text.
+        // No text, because this occurs on every iteration of a loop.
         Ok(Err(Failure::Client(ClientError::TimedOut(_)))) => return TIMEOUT,
         Ok(Err(failure)) => (failure.status(), failure.to_string()),
-        Err(_) => {
-            (ERROR_DEFECT, "a defect of libtrabecula_client; its message is on standard error".to_owned())
-        }
+        Err(_) => (ERROR_DEFECT, "internal error in libtrabecula_client; see standard error".to_owned()),
     };
-    // A thread that is ending no longer has a last error.
+    // An ending thread has no last error any more.
     let _ = LAST_ERROR.try_with(|last| {
         *last.borrow_mut() = CString::new(text.replace('\0', " ")).unwrap_or_default();
     });

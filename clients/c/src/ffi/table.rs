@@ -9,7 +9,7 @@ use super::outcome::Failure;
 use crate::client::Client;
 use crate::error::ClientError;
 
-/// Texts that the client's caller has pointers to.
+/// Texts to which the client's caller has pointers.
 #[derive(Debug)]
 pub(super) struct Texts {
     pub(super) folder: CString,
@@ -26,7 +26,8 @@ pub(super) struct Open {
     pub(super) texts: Texts,
 }
 
-/// A slot in the table. Held memory outlives it, however it ends (trb_disconnect, the thread, the program).
+/// A slot in the table. Held memory outlives it, regardless of how the slot ends (trb_disconnect, the thread,
+/// the program).
 #[derive(Debug)]
 struct Slot {
     handle: u64,
@@ -45,13 +46,13 @@ thread_local! {
     static SLOTS: RefCell<Vec<Slot>> = const { RefCell::new(Vec::new()) };
 }
 
-/// Handles are unique across all threads; 0 is never one.
+/// Handles are unique across all threads; 0 is never used.
 static NEXT_HANDLE: AtomicU64 = AtomicU64::new(1);
 
-/// Runs `body` on this thread's table. Only a signal handler can find it in use.
+/// Runs `body` on this thread's table. The table can only be in use if the caller is a signal handler.
 fn with_slots<T>(handle: u64, body: impl FnOnce(&mut Vec<Slot>) -> Result<T, Failure>) -> Result<T, Failure> {
     let done = SLOTS.try_with(|slots| body(&mut *slots.try_borrow_mut().map_err(|_| Failure::Busy)?));
-    // A thread that is ending no longer has a table.
+    // An ending thread has no table any more.
     done.unwrap_or(Err(Failure::Handle(handle)))
 }
 

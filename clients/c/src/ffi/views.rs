@@ -7,19 +7,19 @@ use ipc_types::messages::{Event, Frame, Removed, Volume};
 use super::CType;
 
 views! {
-    /// Constant facts of a session. The texts stay valid until trb_disconnect.
+    /// Constant properties of a session. The texts stay valid until trb_disconnect.
     struct SessionInfo = "trb_session_info" {
         /// Folder of the session.
         folder: *const c_char,
-        /// Name of the controller that this client is; empty for an observer.
+        /// Name of this client's controller; empty for an observer.
         controller: *const c_char,
-        /// The whole scene as TOML.
+        /// The complete scene as TOML.
         scene_toml: *const c_char,
         /// Simulated time of a tick.
         dt_s: f64,
-        /// Ticks of the whole run.
+        /// Number of ticks of the complete run.
         tick_count: u64,
-        /// Ticks between two scheduled frames; 0 without.
+        /// Ticks between two scheduled frames; 0 if there are none.
         frame_period_ticks: u64,
         /// Index of the controller in the scene; -1 for an observer.
         controller_index: i32,
@@ -59,7 +59,7 @@ views! {
     struct EventPointers = "trb_event_view" {
         /// The event.
         event: *const Event,
-        /// Its text in UTF-8, with a final NUL.
+        /// Text of the event in UTF-8, with a final NUL.
         text: *const c_char,
     }
 

@@ -1,4 +1,4 @@
-//! Many simulations.
+//! Batches of simulations.
 
 use ::sim::SimError;
 use pyo3::prelude::*;
@@ -39,7 +39,7 @@ impl Batch {
         batch.map(Batch).map_err(|error| raised(py, &error))
     }
 
-    /// Makes ticks with every simulation; the bytes of all states, one after the other.
+    /// Runs ticks in every simulation; returns the concatenated bytes of all states.
     #[pyo3(signature = (given, ticks))]
     fn step<'py>(&self, py: Python<'py>, given: Option<&[u8]>, ticks: u64) -> PyResult<Bound<'py, PyBytes>> {
         let given = given.map(|bytes| commands(py, bytes)).transpose()?;
@@ -47,7 +47,7 @@ impl Batch {
         Ok(PyBytes::new(py, states.as_bytes()))
     }
 
-    /// The bytes of all states, one after the other.
+    /// The concatenated bytes of all states.
     fn states<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
         let states = self.with(py, ::sim::Batch::states)?;
         Ok(PyBytes::new(py, states.as_bytes()))
@@ -61,7 +61,7 @@ impl Batch {
         self.0.threads()
     }
 
-    /// The state of one simulation.
+    /// A snapshot of one simulation.
     fn snapshot(&self, py: Python<'_>, index: usize) -> PyResult<Snapshot> {
         self.with(py, |batch| batch.with(index, |sim| Ok(sim.snapshot()))).map(Snapshot)
     }
@@ -75,7 +75,7 @@ impl Batch {
         self.with(py, |batch| batch.reset(which))
     }
 
-    /// Indices of the voxels that one simulation has drilled, as bytes of uint32.
+    /// Indices of the voxels drilled by one simulation, as bytes of uint32.
     fn drilled<'py>(&self, py: Python<'py>, index: usize) -> PyResult<Bound<'py, PyBytes>> {
         let drilled = self.with(py, |batch| batch.with(index, |sim| Ok(sim.drilled().to_vec())))?;
         Ok(PyBytes::new(py, drilled.as_bytes()))

@@ -1,11 +1,11 @@
-//! Errors as the package raises them.
+//! Conversion of errors to the package's exceptions.
 
 use pyo3::prelude::*;
 use sim::SimError;
 
-/// What kind of error the package raises.
+/// The package's exception for an error.
 enum Kind {
-    /// `ArgumentError`: another value would do.
+    /// `ArgumentError`: another value would be accepted.
     Argument,
     /// `Error` with this constant of the package.
     Status(&'static str),
@@ -40,7 +40,7 @@ fn kind(error: &SimError) -> Kind {
     }
 }
 
-/// The package's error for this one.
+/// Converts an error to the package's exception.
 pub(crate) fn raised(py: Python<'_>, error: &SimError) -> PyErr {
     let made = match kind(error) {
         Kind::Argument => argument(py, &error.to_string()),
@@ -53,7 +53,7 @@ pub(crate) fn raised(py: Python<'_>, error: &SimError) -> PyErr {
     made.map_or_else(|broken| broken, PyErr::from_value)
 }
 
-/// An argument of the wrong size or value.
+/// Creates an `ArgumentError`, for an argument of the wrong size or value.
 pub(crate) fn refused(py: Python<'_>, text: &str) -> PyErr {
     argument(py, text).map_or_else(|broken| broken, PyErr::from_value)
 }

@@ -1,8 +1,9 @@
 //! The native half of the Python module `trabecula.sim`: simulations as Python objects, messages as bytes.
 //!
-//! The Python half (`clients/python/trabecula/sim.py`) gives the bytes their names, types and documentation. Everything that goes to Python
-//! is a copy in memory of Python's own, so no view can dangle or change; a state is 7 kB, a tenth of a percent of a tick. **Invariants:**
-//! no `unsafe` (pyo3's macros bring what Python's C interface needs); the interpreter lock is released while a simulation works.
+//! The Python half (`clients/python/trabecula/sim.py`) adds names, types and documentation. Everything passed
+//! to Python is a copy in Python's own memory, so no view can dangle or change; a state has 7 kB, a tenth of
+//! a percent of a tick. **Invariants:** no `unsafe` (pyo3's macros contain what Python's C interface needs);
+//! the interpreter lock is released while a simulation works.
 
 mod batch;
 mod failing;

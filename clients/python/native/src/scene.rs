@@ -10,7 +10,7 @@ use zerocopy::IntoBytes;
 
 use crate::failing::raised;
 
-/// A checked scene with its volume, which simulations share.
+/// A checked scene with its volume, shared by simulations.
 #[pyclass(frozen, module = "trabecula._sim")]
 pub(crate) struct Scene(pub(crate) Arc<SharedScene>);
 
@@ -38,12 +38,12 @@ impl Scene {
         self.0.toml().map_err(|error| raised(py, &error))
     }
 
-    /// What is noteworthy about scene and volume.
+    /// Notes on scene and volume.
     fn notes(&self) -> Vec<String> {
         self.0.notes().to_vec()
     }
 
-    /// Name of the scene, tick in seconds, ticks of a whole run, seed.
+    /// Returns name of the scene, tick in seconds, number of ticks of a complete run, and seed.
     fn facts(&self) -> (String, f64, u64, u64) {
         let scene = self.0.scene();
         (scene.name.clone(), scene.dt_s(), scene.tick_count(), scene.run.seed)
@@ -54,7 +54,7 @@ impl Scene {
         self.0.scene().controller_names()
     }
 
-    /// Header and Hounsfield units of the volume; `None` without one.
+    /// Returns header and Hounsfield units of the volume, or `None` without one.
     fn volume<'py>(&self, py: Python<'py>) -> Option<(Bound<'py, PyBytes>, Bound<'py, PyBytes>)> {
         let header = self.0.volume()?;
         Some((PyBytes::new(py, header.as_bytes()), PyBytes::new(py, self.0.hu().as_bytes())))

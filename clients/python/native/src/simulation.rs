@@ -13,7 +13,7 @@ use zerocopy::{FromBytes, IntoBytes};
 use crate::failing::{raised, refused};
 use crate::scene::Scene;
 
-/// A simulation, on a thread of its own. Calls from several threads wait for each other.
+/// A simulation on its own thread. Concurrent calls wait for each other.
 #[pyclass(frozen, module = "trabecula._sim")]
 pub(crate) struct Sim(Batch);
 
@@ -29,7 +29,7 @@ impl Snapshot {
     }
 }
 
-/// `everything` or the controllers of these names.
+/// Returns `everything`, or the controllers with these names.
 pub(crate) fn drive(everything: bool, names: Vec<String>) -> Drive {
     match (everything, names.is_empty()) {
         (true, _) => Drive::Everything,
@@ -38,7 +38,7 @@ pub(crate) fn drive(everything: bool, names: Vec<String>) -> Drive {
     }
 }
 
-/// Commands one after the other.
+/// Parses concatenated commands.
 pub(crate) fn commands(py: Python<'_>, bytes: &[u8]) -> PyResult<Vec<Command>> {
     let size = Command::DESCRIPTION.size;
     if !bytes.len().is_multiple_of(size) {
@@ -49,8 +49,8 @@ pub(crate) fn commands(py: Python<'_>, bytes: &[u8]) -> PyResult<Vec<Command>> {
     Ok(bytes.chunks_exact(size).filter_map(|bytes| Command::read_from_bytes(bytes).ok()).collect())
 }
 
-/// Makes ticks while other Python threads run. A signal handler that raises, as that of Ctrl-C does, ends it at the tick to which it has
-/// come.
+/// Runs ticks while other Python threads run. A signal handler that raises, such as that of Ctrl-C, stops the
+/// simulation at the tick reached.
 pub(crate) fn stepped(
     py: Python<'_>,
     batch: &Batch,
@@ -60,7 +60,8 @@ pub(crate) fn stepped(
     watched(py, |is_raised| batch.step_watched(given, ticks, is_raised))
 }
 
-/// Works while other Python threads run. The work asks now and then whether a signal handler has raised, which is then the result.
+/// Works while other Python threads run. The work polls whether a signal handler has raised an exception,
+/// which is then the result.
 fn watched<R: Send>(
     py: Python<'_>,
     work: impl FnOnce(&mut dyn FnMut() -> bool) -> Result<R, SimError> + Send,
@@ -80,14 +81,14 @@ fn watched<R: Send>(
     }
 }
 
-/// A C-arm as Python gives it: its bytes or its angles, or neither for the scene's.
+/// A C-arm as passed from Python: its bytes or its angles, or neither for the scene's.
 type Given = (Option<Vec<u8>>, Option<(f64, f64)>);
 
-/// From where a picture is taken: from a C-arm by its bytes or angles, or from the scene's.
+/// Returns the viewpoint: a C-arm given by its bytes or angles, or the scene's.
 fn view_of(py: Python<'_>, geometry: Option<&[u8]>, angles_deg: Option<(f64, f64)>) -> PyResult<View> {
     match (geometry.map(CArmGeometry::read_from_bytes), angles_deg) {
         (Some(Ok(geometry)), _) => Ok(View::Geometry(geometry)),
-        (Some(Err(_)), _) => Err(refused(py, "the C-arm has not the size of a CArmGeometry")),
+        (Some(Err(_)), _) => Err(refused(py, "the C-arm does not have the size of a CArmGeometry")),
         (None, Some((primary_deg, secondary_deg))) => Ok(View::Angles { primary_deg, secondary_deg }),
         (None, None) => Ok(View::Scene),
     }
@@ -116,7 +117,7 @@ impl Sim {
         Sim::of(py, Box::new(move || ::sim::Sim::new(&scene, &drive)))
     }
 
-    /// The simulation of a log at a tick.
+    /// Recreates the simulation of a log at a tick.
     #[staticmethod]
     #[pyo3(signature = (log, tick, everything, names))]
     fn from_log(
@@ -136,7 +137,7 @@ impl Sim {
         made.map(Sim)
     }
 
-    /// Makes ticks; returns the state's bytes.
+    /// Runs ticks; returns the state's bytes.
     fn step<'py>(&self, py: Python<'py>, given: &[u8], ticks: u64) -> PyResult<Bound<'py, PyBytes>> {
         let given = commands(py, given)?;
         let states = stepped(py, &self.0, Some(given), ticks)?;
@@ -164,7 +165,7 @@ impl Sim {
         self.with(py, |sim| Ok(sim.refusals().to_vec()))
     }
 
-    /// The readings' bytes, one after the other.
+    /// The concatenated bytes of the readings.
     fn readings<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
         let readings = self.with(py, |sim| Ok(sim.readings()))?;
         Ok(PyBytes::new(py, readings.as_bytes()))
@@ -194,7 +195,8 @@ impl Sim {
         Sim::of(py, maker)
     }
 
-    /// Bytes of the frame, and of its pixels; from a C-arm by its bytes or angles, or from the scene's.
+    /// Returns the bytes of the frame and of its pixels, from a C-arm given by its bytes or angles, or the
+    /// scene's.
     #[pyo3(signature = (geometry, angles_deg))]
     fn render<'py>(
         &self,
@@ -207,7 +209,7 @@ impl Sim {
         Ok((PyBytes::new(py, rendered.frame.as_bytes()), PyBytes::new(py, rendered.pixels.as_bytes())))
     }
 
-    /// As `render` for each of several: a C-arm by its bytes or angles, or the scene's.
+    /// `render` for several C-arms, each given by its bytes or angles, or the scene's.
     fn render_many<'py>(
         &self,
         py: Python<'py>,
@@ -226,8 +228,8 @@ impl Sim {
         Ok(rendered.iter().map(|one| (bytes(one.frame.as_bytes()), bytes(one.pixels.as_bytes()))).collect())
     }
 
-    /// As `render`; then of its labels the mask, six images of float32 one after the other in the order of `xray::Labels`, and column, row,
-    /// depth and visibility of each keypoint as float64.
+    /// `render`, followed by the labels: the mask, six float32 images concatenated in the order of
+    /// `xray::Labels`, and column, row, depth and visibility of each keypoint as float64.
     #[pyo3(signature = (geometry, angles_deg, bone_from_hu))]
     fn labels<'py>(
         &self,

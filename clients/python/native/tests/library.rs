@@ -1,6 +1,7 @@
-//! The library is where `tests/processes/python.rs` installs it from, and is the module that Python looks for.
+//! The library is where `tests/processes/python.rs` installs it from, and is the module that Python looks
+//! for.
 
-#![allow(clippy::unwrap_used, reason = "a test fails")]
+#![allow(clippy::unwrap_used, reason = "a panic fails the test")]
 
 #[test]
 fn the_library_exports_the_module() {

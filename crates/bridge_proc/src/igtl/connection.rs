@@ -1,4 +1,4 @@
-//! One peer: a thread that reads and one that writes.
+//! The connection to one peer: a reader thread and a writer thread.
 
 use std::io::{ErrorKind, Read, Write};
 use std::net::{Shutdown, TcpStream};
@@ -13,30 +13,30 @@ use openigtlink::{Body, Decoder, HeaderVersion, Message, Status, StatusCode};
 use super::incoming::{self, Request};
 use super::outbox::Outbox;
 
-/// Largest body taken from a peer: plans and poses are below 100 kB.
+/// Largest message body accepted from a peer, in bytes: plans and poses are below 100 kB.
 const MOST_BODY_BYTES: usize = 1 << 20;
-/// How long a peer may take none of a message before it is given up.
+/// How long a peer may stop reading before it is disconnected.
 const WRITE_LIMIT: Duration = Duration::from_secs(5);
-/// How often the threads look whether they are to end.
+/// How often the threads check whether to end.
 const LOOK_PERIOD: Duration = Duration::from_millis(100);
-/// Wrong messages of a peer that are answered; of further ones it hears no more.
+/// Number of a peer's invalid messages that are answered; later ones are only counted.
 const MOST_COMPLAINTS: u64 = 100;
 
-/// A request, and whose.
+/// A request and the peer that sent it.
 #[derive(Debug)]
 pub(crate) struct Asked {
     pub(crate) peer: Arc<Peer>,
     pub(crate) request: Request,
 }
 
-/// A connected peer as the bridge sees it.
+/// A connected peer.
 #[derive(Debug)]
 pub(crate) struct Peer {
     pub(crate) outbox: Outbox,
-    /// Set once it has proved that it may control.
+    /// Set once the peer has proved that it may control.
     pub(crate) may_control: OnceLock<()>,
     refused: AtomicU64,
-    /// Header version of what it sends; until then 1, which every receiver understands.
+    /// Header version of the peer's messages; until one arrives 1, which every receiver understands.
     version: AtomicU8,
 }
 
@@ -52,14 +52,14 @@ impl Peer {
         }
     }
 
-    /// Refuses a message; a flood of them is answered only so often.
+    /// Rejects a message. The number of answers is limited, in case of a flood.
     pub(crate) fn refuse(&self, code: StatusCode, text: &str) {
         if self.refused.fetch_add(1, Ordering::Relaxed) < MOST_COMPLAINTS {
             self.answer("Trabecula", code, text);
         }
     }
 
-    /// Messages that were refused.
+    /// Returns the number of messages rejected.
     pub(crate) fn refused(&self) -> u64 {
         self.refused.load(Ordering::Relaxed)
     }
@@ -77,7 +77,7 @@ impl Connection {
     /// Starts the threads of a peer.
     ///
     /// # Errors
-    /// The operating system's: no thread, no second handle.
+    /// The operating system's error: no thread, no second handle.
     pub(crate) fn start(stream: TcpStream, requests: SyncSender<Asked>) -> std::io::Result<Connection> {
         stream.set_read_timeout(Some(LOOK_PERIOD))?;
         stream.set_write_timeout(Some(WRITE_LIMIT))?;
@@ -102,8 +102,8 @@ impl Connection {
         Ok(())
     }
 
-    /// Whether nothing is sent to the peer any more: its threads have ended, or it was given the write limit after it was given up. To
-    /// drop this then waits for nobody.
+    /// Returns whether nothing more is sent to the peer: its threads have ended, or the write limit has
+    /// passed since it was disconnected. Dropping the connection then does not block.
     pub(crate) fn is_over(&self) -> bool {
         self.threads.iter().all(JoinHandle::is_finished)
             || self.peer.outbox.closed().is_some_and(|closed| closed.elapsed() >= WRITE_LIMIT)
@@ -111,7 +111,7 @@ impl Connection {
 }
 
 impl Drop for Connection {
-    /// Closes at once: what still waits is not sent.
+    /// Closes immediately: queued messages are not sent.
     fn drop(&mut self) {
         self.peer.outbox.close();
         let _ = self.stream.shutdown(Shutdown::Both);
@@ -145,7 +145,7 @@ fn read(mut stream: TcpStream, peer: &Arc<Peer>, requests: &SyncSender<Asked>) {
     peer.outbox.close();
 }
 
-/// Whether the stream can be read on.
+/// Reads all complete messages; returns whether the stream can be read further.
 fn take_all(decoder: &mut Decoder, peer: &Arc<Peer>, requests: &SyncSender<Asked>) -> bool {
     loop {
         let message = match decoder.next() {
@@ -170,7 +170,7 @@ fn take_all(decoder: &mut Decoder, peer: &Arc<Peer>, requests: &SyncSender<Asked
             Ok(None) => {}
             Ok(Some(request)) => match requests.try_send(Asked { peer: Arc::clone(peer), request }) {
                 Ok(()) => {}
-                Err(TrySendError::Full(_)) => peer.refuse(StatusCode::NotReady, "too many requests wait"),
+                Err(TrySendError::Full(_)) => peer.refuse(StatusCode::NotReady, "too many pending requests"),
                 Err(TrySendError::Disconnected(_)) => return false,
             },
             Err(problem) => peer.refuse(StatusCode::Unknown, &problem),
@@ -218,7 +218,7 @@ mod tests {
         }
     }
 
-    /// A peer that sent garbage while more waited for it than the buffers of both sockets hold.
+    /// A peer that sent garbage while more was queued for it than the buffers of both sockets hold.
     fn given_up() -> (Connection, TcpStream) {
         let listener = TcpListener::bind(("127.0.0.1", 0)).unwrap();
         let mut peer = TcpStream::connect(listener.local_addr().unwrap()).unwrap();
@@ -233,7 +233,8 @@ mod tests {
         (connection, peer)
     }
 
-    /// Bug: the bridge's loop, which answers the physics, waited for the writer of a peer that was given up and read nothing.
+    /// Regression: the bridge's loop, which answers the physics, waited for the writer of a disconnected peer
+    /// that read nothing.
     #[test]
     fn a_peer_that_is_given_up_and_does_not_read_is_over_only_when_its_writer_is() {
         let (connection, peer) = given_up();

@@ -1,18 +1,18 @@
-//! Why the bridge ends otherwise than with its session.
+//! Errors of the OpenIGTLink bridge.
 
 use std::net::SocketAddr;
 
 use thiserror::Error;
 use trabecula_client::ClientError;
 
-/// Why the bridge cannot start or go on.
+/// Why the bridge cannot start or continue.
 #[derive(Debug, Error)]
 pub enum IgtlError {
     /// The session cannot be joined, or was lost.
     #[error(transparent)]
     Client(#[from] ClientError),
-    /// The address cannot be listened at.
-    #[error("cannot listen at {address}: {cause}; --port names another port")]
+    /// The port cannot be opened.
+    #[error("cannot listen on {address}: {cause}; choose another port with --port")]
     Listen {
         /// The address.
         address: SocketAddr,
@@ -22,7 +22,7 @@ pub enum IgtlError {
 }
 
 impl IgtlError {
-    /// Whether the user's input is at fault: no session, a controller that is not there, a port in use.
+    /// Returns whether the user's input is at fault: no session, an unknown controller, a port in use.
     pub fn is_bad_input(&self) -> bool {
         match self {
             IgtlError::Listen { .. } => true,

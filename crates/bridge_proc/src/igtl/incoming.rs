@@ -1,58 +1,60 @@
-//! What a peer asks for.
+//! Parses the requests of a peer.
 
 use ipc_types::messages::Pose;
 use openigtlink::{Body, Message, Point};
 
 use crate::ras;
 
-/// Device names of messages that a peer sends, and what they mean. A test compares `docs/slicer.md` with it.
+/// Device names of the messages that a peer can send, and their meanings. A test compares `docs/slicer.md`
+/// with it.
 pub const UNDERSTOOD: [(&str, &str, &str); 5] = [
-    ("STRING", "Token", "the control token; once a connection"),
-    ("STRING", "Command", "`pause`, `resume`, `stop`, or `halt` (gives up the plan in hand)"),
+    ("STRING", "Token", "the control token; once per connection"),
+    ("STRING", "Command", "`pause`, `resume`, `stop`, or `halt` (abandons the current plan)"),
     (
         "TRANSFORM",
         "CArmToRAS",
-        "takes an X-ray, sent as `XRayOnRequest`, with the C-arm at this pose (origin: isocentre; +z: to the source)",
+        "takes an X-ray, sent as `XRayOnRequest`, with the C-arm at this pose (origin: isocentre; +z: \
+         toward the source)",
     ),
     ("TRANSFORM", "BaseGoalToRAS", "the arm moves the tool's base there"),
     (
         "POINT",
         "Plan",
-        "points named `Entry` and `Target`: the arm moves the tip to the entry and feeds straight to the target; `Target` \
-         alone: straight from where the tip is",
+        "points named `Entry` and `Target`: the arm moves the tip to the entry and feeds straight to the \
+         target; `Target` alone: straight from the tip's current position",
     ),
 ];
 
 /// A request of a peer.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) enum Request {
-    /// A token that is to prove the right to control.
+    /// A token that proves the right to control.
     Token(String),
     /// Stop at the next tick.
     Pause,
-    /// Go on.
+    /// Continue.
     Resume,
     /// End the run.
     Stop,
-    /// Give up the plan in hand and hold the arm.
+    /// Abandon the current plan and hold the arm.
     Halt,
-    /// A frame with the C-arm there.
+    /// Render a frame with the C-arm at this pose.
     Frame(Pose),
-    /// The arm's goal for the tool base.
+    /// Move the tool base to this goal.
     BaseGoal(Pose),
     /// Feed the tip to the target, from the entry if there is one.
     Plan {
-        /// Where the tip is to enter.
+        /// Where the tip enters.
         entry_m: Option<[f64; 3]>,
-        /// Where it is to end.
+        /// Where the tip ends.
         target_m: [f64; 3],
     },
 }
 
-/// What a message asks for; `Ok(None)` if it is addressed to somebody else.
+/// Parses a message; returns `Ok(None)` if it is addressed to another program.
 ///
 /// # Errors
-/// A sentence on what is wrong with it.
+/// A sentence that describes what is wrong with the message.
 pub(crate) fn request(message: &Message) -> Result<Option<Request>, String> {
     match (&message.body, message.device.as_str()) {
         (Body::Text(text), "Token") => Ok(Some(Request::Token(text.clone()))),
@@ -75,7 +77,7 @@ fn command(text: &str) -> Result<Request, String> {
         "halt" => Ok(Request::Halt),
         other => {
             let other = foreign_text::foreign(other);
-            Err(format!("Command: {other} is none of pause, resume, stop, halt"))
+            Err(format!("Command: unknown command {other}; expected pause, resume, stop or halt"))
         }
     }
 }
@@ -86,11 +88,11 @@ fn plan(points: &[Point]) -> Result<Request, String> {
         let mut named = points.iter().filter(|point| point.name == name);
         *place = named.next().map(|point| ras::position_m(point.position_mm));
         if named.next().is_some() {
-            return Err(format!("Plan: two points are named {name}"));
+            return Err(format!("Plan: duplicate point {name}"));
         }
     }
     let [entry_m, target_m] = found;
-    let target_m = target_m.ok_or("Plan: no point is named Target")?;
+    let target_m = target_m.ok_or("Plan: missing point Target")?;
     Ok(Request::Plan { entry_m, target_m })
 }
 
@@ -118,11 +120,11 @@ mod tests {
         let ask = |device: &str, body: Body| request(&Message::new(device, body).unwrap());
         assert_eq!(
             ask("Command", Body::Text("jump".into())).unwrap_err(),
-            "Command: jump is none of pause, resume, stop, halt"
+            "Command: unknown command jump; expected pause, resume, stop or halt"
         );
-        assert_eq!(ask("Plan", Body::Points(vec![])).unwrap_err(), "Plan: no point is named Target");
+        assert_eq!(ask("Plan", Body::Points(vec![])).unwrap_err(), "Plan: missing point Target");
         let twice = vec![point("Target", [0.0; 3]), point("Target", [1.0; 3])];
-        assert_eq!(ask("Plan", Body::Points(twice)).unwrap_err(), "Plan: two points are named Target");
+        assert_eq!(ask("Plan", Body::Points(twice)).unwrap_err(), "Plan: duplicate point Target");
         let mirrored = Transform {
             rotation: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, -1.0]],
             translation_mm: [0.0; 3],

@@ -1,4 +1,4 @@
-//! OpenIGTLink: poses, tool, X-rays and figures out; plans, pauses and C-arm poses in.
+//! The OpenIGTLink bridge: sends poses, tool, X-rays and figures; receives plans, pauses and C-arm poses.
 
 mod connection;
 mod error;
@@ -23,62 +23,63 @@ use peers::Peers;
 use plan::Speeds;
 use session::Joined;
 
-/// Whom the bridge talks to.
+/// Which peers the bridge talks to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Where {
     /// Peers connect here; port 0 picks a free one.
     Listen(SocketAddr),
-    /// The bridge connects there, again and again until somebody listens.
+    /// The bridge connects to this address, and retries until a peer listens.
     Connect(SocketAddr),
 }
 
-/// Who may pause, stop, take X-rays and drive.
+/// Who may pause, stop, take X-rays and drive the arm.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Permission {
     /// Nobody.
     WatchOnly,
-    /// Whoever has sent this as a STRING named `Token`.
+    /// A peer that has sent this as a STRING named `Token`.
     Token(String),
     /// Everybody who is connected.
     Anyone,
 }
 
-/// What the bridge is to do.
+/// Options of the bridge.
 #[derive(Debug, Clone)]
 pub struct IgtlOptions {
-    /// The session's folder or name; `None`: as a client finds it.
+    /// The session's folder or name; `None`: discovered as by any client.
     pub session: Option<String>,
-    /// The scene's controller that the bridge is; `None`: it only watches the run.
+    /// The scene's controller that the bridge acts as; `None`: it only observes the run.
     pub controller: Option<String>,
-    /// Whom it talks to.
+    /// The peers to talk to.
     pub peers: Where,
     /// Who may control.
     pub permission: Permission,
-    /// Poses a second, 0.1 to 1000.
+    /// Poses per second, 0.1 to 1000.
     pub rate_hz: f64,
-    /// Speed of the arm to a plan's entry.
+    /// Speed of the arm on the way to a plan's entry.
     pub approach_m_per_s: f64,
-    /// Feed from a plan's entry to its target.
+    /// Feed rate from a plan's entry to its target.
     pub feed_m_per_s: f64,
-    /// Burr on the way to a plan's target.
+    /// Burr speed on the way to a plan's target.
     pub burr_rad_per_s: f64,
 }
 
-/// What a bridge did.
+/// Statistics of a bridge.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Summary {
-    /// Peers that were connected.
+    /// Number of peers that connected.
     pub peers: u64,
-    /// Messages that peers did not read before a newer one of the same name came.
+    /// Messages replaced by a newer one of the same name before the peer read them.
     pub replaced: u64,
-    /// Messages of peers that were refused.
+    /// Messages of peers that were rejected.
     pub refused: u64,
 }
 
-/// Runs the bridge until the session ends or an end is requested. `ready` hears the address that is listened at.
+/// Runs the bridge until the session ends or an end is requested. `ready` is called with the address of the
+/// open port.
 ///
 /// # Errors
-/// No session, a port in use; the session's loss.
+/// No session; a port in use; the session was lost.
 pub fn serve(
     options: &IgtlOptions,
     end: &EndRequest,
@@ -100,7 +101,7 @@ pub fn serve(
         }
         peers.requests().into_iter().for_each(|asked| joined.obey(&asked, &options.permission));
         if Instant::now() >= due {
-            // A late tick is not made up for: peers want what is newest.
+            // A late turn is not made up for: peers want the newest state.
             due = Instant::now() + period;
             joined.outgoing(now()).into_iter().for_each(|message| peers.send(&message));
         }

@@ -1,4 +1,4 @@
-//! What waits to be sent to a peer.
+//! The queue of messages to be sent to a peer.
 
 use std::collections::VecDeque;
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
@@ -6,11 +6,11 @@ use std::time::{Duration, Instant};
 
 use openigtlink::{Body, Message};
 
-/// Most messages of different names that wait; the oldest goes first.
+/// Maximum number of messages with different names in the queue; the oldest is sent first.
 const MOST_WAITING: usize = 256;
 
-/// A queue that holds the newest message of each device and type, so a peer that reads slowly gets fewer messages and none that are old.
-/// Answers to requests (STATUS) are not replaced: each is said.
+/// A queue that holds the newest message of each device and type, so that a slow peer gets fewer messages,
+/// but no outdated ones. Answers to requests (STATUS) are never replaced: each is sent.
 #[derive(Debug, Default)]
 pub(crate) struct Outbox {
     state: Mutex<Waiting>,
@@ -25,7 +25,7 @@ struct Waiting {
 }
 
 impl Outbox {
-    /// Queues a message in the place of an older one of its name and type.
+    /// Queues a message, replacing an older one of its name and type.
     pub(crate) fn put(&self, message: Message) {
         let mut waiting = self.lock();
         let same = |other: &Message| {
@@ -50,7 +50,8 @@ impl Outbox {
         self.changed.notify_one();
     }
 
-    /// The next message; waits for one. `None` once the outbox is closed and empty, or nothing came within the limit.
+    /// Waits for the next message and returns it. Returns `None` once the outbox is closed and empty, or if
+    /// no message was queued within the limit.
     pub(crate) fn take(&self, limit: Duration) -> Option<Message> {
         let idle = |waiting: &mut Waiting| waiting.messages.is_empty() && waiting.closed.is_none();
         let waited = self.changed.wait_timeout_while(self.lock(), limit, idle);
@@ -58,7 +59,7 @@ impl Outbox {
         waiting.messages.pop_front()
     }
 
-    /// Lets the last messages go and takes no more waits.
+    /// Closes the queue: queued messages are still sent, new ones are rejected.
     pub(crate) fn close(&self) {
         self.lock().closed.get_or_insert_with(Instant::now);
         self.changed.notify_all();
@@ -73,7 +74,7 @@ impl Outbox {
         self.lock().closed
     }
 
-    /// Messages that a newer one replaced before they were sent.
+    /// Number of messages replaced by a newer one before they were sent.
     pub(crate) fn replaced(&self) -> u64 {
         self.lock().replaced
     }

@@ -1,4 +1,4 @@
-//! What the bridge sends of a session.
+//! Builds the messages that the bridge sends.
 
 use ipc_types::messages::{Frame, Phase, Pose, RunStatus, State};
 use ipc_types::scene::{Scene, ToolRadii, planned_path_mm};
@@ -6,25 +6,27 @@ use openigtlink::{Body, Coordinates, Image, Message, Point, PolyData, Timestamp}
 
 use crate::ras;
 
-/// Device names of messages that a peer receives, and what they hold. A test compares `docs/slicer.md` with it.
+/// Device names of the messages that a peer receives, and their contents. A test compares `docs/slicer.md`
+/// with it.
 pub const SENT: [(&str, &str, &str); 11] = [
     ("TRANSFORM", "BurrToRAS", "the burr's centre, axes of the last link"),
     ("TRANSFORM", "TipToRAS", "the front of the burr"),
     ("TRANSFORM", "BaseToRAS", "the tool's base"),
     ("TRANSFORM", "FlangeToRAS", "the arm's flange"),
-    ("TRANSFORM", "Link01ToRAS and so on", "each link behind its flexure, base to tip"),
+    ("TRANSFORM", "Link01ToRAS and so on", "each link after its flexure, base to tip"),
     ("POLYDATA", "Tool", "the tool's surface in RAS, five times a second"),
     ("IMAGE", "XRay", "the newest scheduled X-ray frame, 16 bit, at its detector"),
-    ("IMAGE", "XRayOnRequest", "the newest frame that somebody asked for, as with `CArmToRAS`"),
+    ("IMAGE", "XRayOnRequest", "the newest requested frame, as with `CArmToRAS`"),
     (
         "POINT",
         "Scene",
-        "the scene's points: `BurrStart`, `Target` where a controller has one, ends of predrilled holes",
+        "the scene's points: `BurrStart`, `Target` if a controller has one, ends of predrilled holes",
     ),
     (
         "POLYDATA",
         "PlannedPath",
-        "the planned path of the burr's centre as a line, where a built-in controller drills; once a connection",
+        "the planned path of the burr's centre as a line, if a built-in controller drills; once per \
+         connection",
     ),
     ("STRING", "State", "tick, time, phase, force and removal as `name=value`, five times a second"),
 ];
@@ -32,18 +34,18 @@ pub const SENT: [(&str, &str, &str); 11] = [
 /// Corners of the tube's cross-section.
 const SIDES: u32 = 12;
 
-/// A message of ours. The names in this module are short enough and of ASCII, so making one does not fail.
+/// Builds a message. The names in this module are short ASCII, so building one does not fail.
 pub(crate) fn message(device: &str, timestamp: Timestamp, body: Body) -> Message {
     Message { device: device.to_owned(), timestamp, body }
 }
 
-/// Links in use.
+/// Returns the links in use.
 fn links(state: &State) -> &[Pose] {
     let count = usize::try_from(state.joint_count).unwrap_or(usize::MAX);
     &state.t_world_link[..count.min(state.t_world_link.len())]
 }
 
-/// The poses of a state.
+/// Returns the poses of a state.
 pub(crate) fn poses(state: &State, timestamp: Timestamp) -> Vec<Message> {
     let pose = |device: &str, pose: &Pose| message(device, timestamp, Body::Transform(ras::transform(pose)));
     let mut messages = vec![
@@ -57,11 +59,12 @@ pub(crate) fn poses(state: &State, timestamp: Timestamp) -> Vec<Message> {
     messages
 }
 
-/// Figures of a state as text.
+/// Formats figures of a state as text.
 pub(crate) fn figures(state: &State, status: Option<&RunStatus>, timestamp: Timestamp) -> Message {
     let phase = status.and_then(|status| status.phase().ok()).unwrap_or(Phase::Running).word();
     let text = format!(
-        "tick={} sim_time_s={:.6} phase={phase} bend_deg={:.3} burr_force_n={:.4} burr_speed_rpm={:.1} removed_voxels={}",
+        "tick={} sim_time_s={:.6} phase={phase} bend_deg={:.3} burr_force_n={:.4} burr_speed_rpm={:.1} \
+         removed_voxels={}",
         state.tick,
         state.sim_time_s,
         state.bend_rad.to_degrees(),
@@ -72,11 +75,11 @@ pub(crate) fn figures(state: &State, status: Option<&RunStatus>, timestamp: Time
     message("State", timestamp, Body::Text(text))
 }
 
-/// A circle across a pose's z axis: radius, and how far behind the pose, m.
+/// A circle perpendicular to a pose's z axis: radius, and distance behind the pose, m.
 type Ring<'p> = (&'p Pose, f64, f64);
 
-/// The tool as a surface: a tube through base, links and burr, closed by the widest circle of the burr, or of its balls, and its tip; and the
-/// outer tube about it if there is one.
+/// Builds the tool's surface: a tube through base, links and burr, closed by the widest circle of the burr,
+/// or of its balls, and its tip; and the surrounding outer tube if there is one.
 pub(crate) fn tool(state: &State, radii: &ToolRadii, timestamp: Timestamp) -> Message {
     let tube_m = radii.tube_outer_m;
     let mut rings: Vec<Ring> = vec![(&state.t_world_base, tube_m, 0.0)];
@@ -93,7 +96,7 @@ pub(crate) fn tool(state: &State, radii: &ToolRadii, timestamp: Timestamp) -> Me
     message("Tool", timestamp, Body::PolyData(surface))
 }
 
-/// Adds the surface through circles one ahead of the other.
+/// Adds the surface through a sequence of circles, one ahead of the other.
 fn add_tube(surface: &mut PolyData, rings: &[Ring]) {
     let first = surface.points_mm.len() as u32;
     for (pose, radius_m, behind_m) in rings {
@@ -118,7 +121,8 @@ fn add_tube(surface: &mut PolyData, rings: &[Ring]) {
     }
 }
 
-/// An X-ray at its detector: axis i along the rows, j down the columns, k from the detector toward the source.
+/// Places an X-ray at its detector: axis i along the rows, j down the columns, k from the detector toward the
+/// source.
 pub(crate) fn x_ray(frame: &Frame, pixels: &[u16], timestamp: Timestamp) -> Option<Message> {
     let geometry = &frame.geometry;
     let size = [u16::try_from(geometry.columns).ok()?, u16::try_from(geometry.rows).ok()?, 1];
@@ -141,12 +145,12 @@ fn cross([ax, ay, az]: [f32; 3], [bx, by, bz]: [f32; 3]) -> [f32; 3] {
     [ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx]
 }
 
-/// A place of the scene's, LPS and mm, in Slicer's frame.
+/// Converts a position of the scene (LPS, mm) to Slicer's frame.
 fn scene_mm(place_mm: [f64; 3]) -> [f32; 3] {
     ras::position_mm(place_mm.map(|component| component / 1000.0))
 }
 
-/// The scene's points.
+/// Returns the scene's points.
 pub(crate) fn scene_points(scene: &Scene, timestamp: Timestamp) -> Message {
     let point = |name: String, group: &str, position_mm: [f32; 3]| Point {
         name,
@@ -169,7 +173,7 @@ pub(crate) fn scene_points(scene: &Scene, timestamp: Timestamp) -> Message {
     message("Scene", timestamp, Body::Points(points))
 }
 
-/// The planned path of the burr's centre; `None` where no built-in controller drills.
+/// Returns the planned path of the burr's centre; `None` without a built-in controller that drills.
 pub(crate) fn planned_path(scene: &Scene, timestamp: Timestamp) -> Option<Message> {
     let points_mm: Vec<[f32; 3]> = planned_path_mm(scene)?.into_iter().map(scene_mm).collect();
     let lines = vec![(0..points_mm.len() as u32).collect()];

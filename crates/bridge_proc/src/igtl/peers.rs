@@ -1,4 +1,4 @@
-//! The peers: accepted or sought, sent to, and let go.
+//! The connected peers: accepts or connects to them, sends to them, and closes them.
 
 use std::net::{SocketAddr, TcpListener, TcpStream};
 use std::sync::Arc;
@@ -10,13 +10,13 @@ use openigtlink::{Message, StatusCode};
 use super::connection::{Asked, Connection, Peer};
 use super::{IgtlError, Permission, Summary, Where};
 
-/// Most peers at a time; further ones are closed at once.
+/// Maximum number of peers at a time; further ones are closed immediately.
 const MOST_PEERS: usize = 16;
-/// How often the end looks whether all is sent.
+/// How often the shutdown checks whether everything has been sent.
 const SENT_PERIOD: Duration = Duration::from_millis(5);
-/// Requests that may wait for the bridge.
+/// Capacity of the request queue.
 const MOST_REQUESTS: usize = 64;
-/// How often a peer that is to listen is sought, and how long for.
+/// How often the bridge tries to connect to a peer, and the timeout of each try.
 const SEEK_PERIOD: Duration = Duration::from_secs(1);
 const SEEK_LIMIT: Duration = Duration::from_millis(200);
 
@@ -59,7 +59,7 @@ impl Peers {
         })
     }
 
-    /// Where it listens.
+    /// Returns the address it listens on.
     pub(crate) fn address(&self) -> Option<SocketAddr> {
         match &self.source {
             Source::Listener(listener) => listener.local_addr().ok(),
@@ -67,7 +67,7 @@ impl Peers {
         }
     }
 
-    /// Lets go who has gone, and takes in who has come.
+    /// Drops peers that have disconnected, and accepts new ones.
     pub(crate) fn admit(&mut self) -> Vec<Arc<Peer>> {
         let (over, here) = std::mem::take(&mut self.connections).into_iter().partition(Connection::is_over);
         self.connections = here;
@@ -77,7 +77,7 @@ impl Peers {
             if self.connections.len() >= MOST_PEERS {
                 continue;
             }
-            // A stream that is gone again fails here; it is nobody's loss.
+            // A stream that has already been closed fails here; nothing is lost.
             let Ok(connection) = Connection::start(stream, self.sender.clone()) else { continue };
             if self.open_to_all {
                 let _ = connection.peer.may_control.set(());
@@ -107,7 +107,7 @@ impl Peers {
         }
     }
 
-    /// What peers ask for, in the order in which it came.
+    /// Returns the requests of all peers in order of arrival.
     pub(crate) fn requests(&self) -> Vec<Asked> {
         self.requests.try_iter().take(MOST_REQUESTS).collect()
     }
@@ -117,7 +117,7 @@ impl Peers {
         self.connections.iter().for_each(|connection| connection.peer.outbox.put(message.clone()));
     }
 
-    /// Sends what waits, to all at the same time, and closes all.
+    /// Sends all queued messages, to all peers at the same time, and closes all connections.
     pub(crate) fn close(mut self) -> Summary {
         let all = std::mem::take(&mut self.connections);
         all.iter().for_each(|connection| connection.peer.outbox.close());

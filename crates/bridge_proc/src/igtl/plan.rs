@@ -1,21 +1,21 @@
-//! A straight plan, followed by the arm: to the entry, then to the target.
+//! A straight plan that the arm follows: to the entry, then to the target.
 
 use ipc_types::messages::{ArmMode, ArmStatus, BurrMode, Command, Pose, State};
 use nalgebra::{UnitQuaternion, Vector3};
 use ros_interface::robot::isometry;
 
-/// What the arm is to do.
+/// Speeds of the arm and the burr along a plan.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Speeds {
-    /// Of the way to the entry.
+    /// On the way to the entry.
     pub(crate) approach_m_per_s: f64,
-    /// Of the way to the target.
+    /// On the way to the target.
     pub(crate) feed_m_per_s: f64,
     /// Of the burr on the way to the target.
     pub(crate) burr_rad_per_s: f64,
 }
 
-/// Where a plan stands.
+/// Progress of a plan.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Stage {
     Idle,
@@ -24,7 +24,8 @@ enum Stage {
         goal: Pose,
         told: bool,
     },
-    /// To the entry, the tool's axis along the way to the target; `told` since a command went out.
+    /// To the entry, with the tool's axis along the path to the target; `told` is set once a command has been
+    /// sent.
     Approach {
         goal: Pose,
         target_m: Vector3<f64>,
@@ -39,7 +40,7 @@ enum Stage {
     Halt,
 }
 
-/// The arm's part of a command, state by state.
+/// Computes the arm's part of a command, state by state.
 #[derive(Debug)]
 pub(crate) struct Follower {
     speeds: Speeds,
@@ -56,15 +57,16 @@ impl Follower {
         self.stage = Stage::Base { goal, told: false };
     }
 
-    /// Gives up what it does and holds the arm, burr off.
+    /// Abandons the current motion and holds the arm, burr off.
     pub(crate) fn halt(&mut self) {
         self.stage = Stage::Halt;
     }
 
-    /// Takes a plan. The tip's way to the target is straight, so the tool must be straight: what bends it is not this bridge's.
+    /// Starts a plan. The tip's path to the target is straight, so the tool must be straight: this bridge
+    /// does not bend the tool.
     ///
     /// # Errors
-    /// Entry (or tip) and target are the same place.
+    /// Entry (or tip) and target are the same point.
     pub(crate) fn plan(
         &mut self,
         entry_m: Option<[f64; 3]>,
@@ -75,7 +77,7 @@ impl Follower {
         let tip_m = Vector3::from(state.t_world_tip.position_m);
         let from_m = entry_m.map_or(tip_m, Vector3::from);
         let Some(axis) = (target_m - from_m).try_normalize(1e-6) else {
-            return Err("Plan: the target is where the way to it begins".into());
+            return Err("Plan: the path to the target has zero length".into());
         };
         self.stage = match entry_m {
             None => Stage::Feed { axis, depth_m: (target_m - from_m).norm() },
@@ -84,7 +86,7 @@ impl Follower {
         Ok(())
     }
 
-    /// Fills in what this state asks for; untouched if there is nothing to do.
+    /// Fills in the command for this state; leaves it unchanged if there is nothing to do.
     pub(crate) fn fill(&mut self, state: &State, command: &mut Command) {
         self.advance(state);
         match &mut self.stage {
@@ -134,16 +136,17 @@ fn spin(command: &mut Command, burr_rad_per_s: f64) {
     command.burr_speed_rad_per_s = burr_rad_per_s;
 }
 
-/// Whether the base stands where it was told to: an answer to an older goal does not count.
+/// Returns whether the base is at its goal: a report for an older goal does not count.
 fn is_near(base: &Pose, goal: &Pose) -> bool {
     (Vector3::from(base.position_m) - Vector3::from(goal.position_m)).norm() < 1e-3
 }
 
-/// The base's pose with the tip at a point and the tool's +z along an axis, turned from today's pose the shortest way.
+/// Returns the base's pose with the tip at a point and the tool's +z along an axis, turned from the current
+/// pose by the smallest angle.
 fn base_at(state: &State, tip_m: Vector3<f64>, axis: Vector3<f64>) -> Pose {
     let (base, tip) = (isometry(&state.t_world_base), isometry(&state.t_world_tip));
     let z = base.rotation * Vector3::z();
-    // Opposite directions leave the axis of the turn open: any across.
+    // For opposite directions the axis of rotation is undetermined; use any perpendicular one.
     let turn = UnitQuaternion::rotation_between(&z, &axis).unwrap_or_else(|| {
         UnitQuaternion::from_axis_angle(&(base.rotation * Vector3::x_axis()), core::f64::consts::PI)
     });
@@ -189,7 +192,7 @@ mod tests {
 
         (state.arm_mode, state.arm_status) = (ArmMode::MoveCp.code(), ArmStatus::Moving.code());
         assert_eq!(command(&mut follower, &state).arm_mode(), Ok(ArmMode::MoveCp));
-        // "Done" of an older goal is not this goal's.
+        // "Done" of an older goal does not apply to this one.
         state.arm_status = ArmStatus::Done.code();
         assert_eq!(command(&mut follower, &state).arm_mode(), Ok(ArmMode::MoveCp));
         state.t_world_base = approach.t_world_base;

@@ -1,4 +1,4 @@
-//! The session as the bridge joins it.
+//! The bridge's side of the session.
 
 use std::time::{Duration, Instant};
 
@@ -15,9 +15,9 @@ use super::{IgtlError, IgtlOptions, Permission};
 
 /// How long one turn of the loop waits for a state.
 const TURN: Duration = Duration::from_millis(5);
-/// How long run control may take to answer.
+/// Timeout for a reply of run control.
 const CONTROL_LIMIT: Duration = Duration::from_secs(2);
-/// Time between two surfaces of the tool and two lines of figures.
+/// Interval between two surfaces of the tool, and between two lines of figures.
 const SLOW_PERIOD: Duration = Duration::from_millis(200);
 
 #[derive(Debug)]
@@ -48,7 +48,7 @@ impl Joined {
         })
     }
 
-    /// Takes the newest state and, as a controller, answers it. Whether the run goes on.
+    /// Receives the newest state and, as a controller, answers it. Returns whether the run continues.
     pub(crate) fn advance(&mut self) -> Result<bool, IgtlError> {
         let follower = &mut self.follower;
         let outcome = if self.client.info().controller.is_some() {
@@ -63,13 +63,13 @@ impl Joined {
         }
     }
 
-    /// The scene's points and planned path, for a peer that has just connected.
+    /// Returns the scene's points and planned path, for a peer that has just connected.
     pub(crate) fn introduction(&self, now: Timestamp) -> impl Iterator<Item = Message> + use<> {
         let scene = self.client.scene();
         [Some(outgoing::scene_points(scene, now)), outgoing::planned_path(scene, now)].into_iter().flatten()
     }
 
-    /// What has changed since the last call.
+    /// Returns the messages for everything that has changed since the last call.
     pub(crate) fn outgoing(&mut self, now: Timestamp) -> Vec<Message> {
         let mut messages = Vec::new();
         let status = self.client.status().ok().flatten();
@@ -93,11 +93,11 @@ impl Joined {
         messages
     }
 
-    /// The newest scheduled frame and the newest one that was asked for. A scheduled frame never takes the place of the other: it
-    /// shows another pose.
+    /// Returns the newest scheduled frame and the newest requested one. A scheduled frame never replaces a
+    /// requested one: it shows another pose.
     fn frames(&mut self, now: Timestamp) -> impl Iterator<Item = Message> + use<> {
         let (mut scheduled, mut asked_for) = (None, None);
-        // Older ones that wait too are of no use to a peer.
+        // Older queued frames are of no use to a peer.
         while let Ok(view) = self.client.wait_frame(0, Duration::ZERO) {
             let newest = if view.frame.request_id == 0 { &mut scheduled } else { &mut asked_for };
             *newest = outgoing::x_ray(view.frame, view.pixels, now);
@@ -105,7 +105,7 @@ impl Joined {
         scheduled.into_iter().chain(asked_for)
     }
 
-    /// The end of the run, for all peers.
+    /// Returns the messages that announce the end of the run to all peers.
     pub(crate) fn last_words(&mut self, now: Timestamp) -> Vec<Message> {
         let mut messages = self.outgoing(now);
         let status = self.client.status().ok().flatten();
@@ -113,23 +113,23 @@ impl Joined {
         messages
     }
 
-    /// Does what a peer asks for, if it may, and answers.
+    /// Executes a peer's request, if permitted, and answers it.
     pub(crate) fn obey(&mut self, asked: &Asked, permission: &Permission) {
         let peer = &asked.peer;
         if let Request::Token(given) = &asked.request {
             return match permission {
                 Permission::Token(token) if is_same(token, given) => {
                     let _ = peer.may_control.set(());
-                    peer.answer("Token", StatusCode::Ok, "this connection may control");
+                    peer.answer("Token", StatusCode::Ok, "control granted to this connection");
                 }
-                Permission::Anyone => peer.answer("Token", StatusCode::Ok, "no token is needed"),
-                _ => peer.refuse(StatusCode::AccessDenied, "Token: not the token of this bridge"),
+                Permission::Anyone => peer.answer("Token", StatusCode::Ok, "no token required"),
+                _ => peer.refuse(StatusCode::AccessDenied, "Token: wrong token"),
             };
         }
         if peer.may_control.get().is_none() {
             let why = match permission {
                 Permission::WatchOnly => {
-                    "this bridge only shows the run; start it with --control-token-file or --control-by-anyone"
+                    "this bridge is read-only; start it with --control-token-file or --control-by-anyone"
                 }
                 _ => "send the control token first, as a STRING named Token",
             };
@@ -160,15 +160,15 @@ impl Joined {
             Request::BaseGoal(goal) => {
                 self.drives()?;
                 self.follower.go(*goal);
-                return Ok("goal taken");
+                return Ok("goal accepted");
             }
             Request::Plan { entry_m, target_m } => {
                 self.drives()?;
-                let not_ready = || (StatusCode::NotReady, "no state has come yet".to_owned());
+                let not_ready = || (StatusCode::NotReady, "no state received yet".to_owned());
                 let state = self.client.state().ok_or_else(not_ready)?;
                 let refuse = |why| (StatusCode::Unknown, why);
                 self.follower.plan(*entry_m, *target_m, state).map_err(refuse)?;
-                return Ok("plan taken");
+                return Ok("plan accepted");
             }
         }
         Ok("done")
@@ -182,12 +182,13 @@ impl Joined {
         if self.client.info().controller.is_some() {
             return Ok(());
         }
-        let why = "this bridge watches; to drive, start it with --controller and a name of the scene's";
+        let why = "this bridge does not drive the arm; start it with --controller and a controller of the \
+                   scene";
         Err((StatusCode::ManualMode, why.into()))
     }
 }
 
-/// Compares in a time that says nothing about where they differ.
+/// Compares in constant time, so that the duration does not reveal where the tokens differ.
 fn is_same(token: &str, given: &str) -> bool {
     let differ = token.bytes().zip(given.bytes()).fold(0, |differ, (a, b)| differ | (a ^ b));
     token.len() == given.len() && differ == 0

@@ -1,20 +1,20 @@
-//! Why the bridge ends otherwise than with its session.
+//! Errors of the ROS 2 bridge.
 
 use thiserror::Error;
 use trabecula_client::ClientError;
 
-/// Why the bridge cannot start or go on.
+/// Why the bridge cannot start or continue.
 #[derive(Debug, Error)]
 pub enum Ros2Error {
     /// The session cannot be joined, or was lost.
     #[error(transparent)]
     Client(#[from] ClientError),
-    /// DDS refuses a participant, a topic, a publisher or a subscription.
+    /// DDS cannot create a participant, a topic, a publisher or a subscription.
     #[error("DDS domain {domain}: {what}: {cause}")]
     Dds {
         /// The domain.
         domain: u16,
-        /// What was to be made.
+        /// What could not be created.
         what: String,
         /// The reason.
         cause: String,
@@ -25,7 +25,7 @@ pub enum Ros2Error {
 }
 
 impl Ros2Error {
-    /// Whether the user's input is at fault: no session, a controller that is not there.
+    /// Returns whether the user's input is at fault: no session, an unknown controller.
     pub fn is_bad_input(&self) -> bool {
         match self {
             Ros2Error::Client(error) => matches!(

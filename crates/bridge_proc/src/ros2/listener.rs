@@ -1,4 +1,4 @@
-//! The other side of a bridge, for measurements: it takes all that a bridge on this machine publishes.
+//! The subscriber's side, for measurements: receives everything that a bridge on this machine publishes.
 
 use ros_interface::topics::{Names, OUTPUTS};
 use rustdds::DomainParticipant;
@@ -11,15 +11,16 @@ use super::{Reach, Ros2Error};
 /// Subscriptions to every topic that a bridge publishes.
 pub struct Listener {
     readers: Vec<SimpleDataReader<Came, Raw>>,
-    // Behind all that belong to it.
+    // Declared last, so that it is dropped after everything that belongs to it.
     _participant: DomainParticipant,
 }
 
 impl Listener {
-    /// Subscribes to the topics with these names in a domain, on this machine. `rate_hz`: of the bridge's states.
+    /// Subscribes to the topics with these names in a domain, on this machine. `rate_hz` is that of the
+    /// bridge's states.
     ///
     /// # Errors
-    /// No place on the domain.
+    /// The domain cannot be joined.
     pub fn open(domain_id: u16, names: &Names, rate_hz: f64) -> Result<Listener, Ros2Error> {
         let place = Place::open(domain_id, Reach::Localhost)?;
         let reader = |row: &ros_interface::topics::Row<_>| {
@@ -29,7 +30,7 @@ impl Listener {
         Ok(Listener { readers, _participant: place.participant })
     }
 
-    /// Bytes of the messages that have come since the last call.
+    /// Returns the size of the messages received since the last call, in bytes.
     pub fn take(&mut self) -> u64 {
         let mut bytes = 0;
         for reader in &self.readers {

@@ -1,17 +1,19 @@
-//! Keeps the network out. DDS binds its unicast sockets to every address, whatever networks it announces, so a datagram from elsewhere
-//! would be read. Bound to the device `lo`, the kernel hands a socket nothing else, and lets nothing else out.
+//! Restricts DDS to this machine. DDS binds its unicast sockets to every address, whatever networks it
+//! announces, so datagrams from elsewhere would be read. A socket bound to the device `lo` receives nothing
+//! else from the kernel, and sends nothing else.
 
 use std::os::fd::OwnedFd;
 
 use rustix::process::{PidfdFlags, PidfdGetfdFlags, getpid, pidfd_getfd, pidfd_open};
 use socket2::{Domain, SockRef, Type};
 
-/// Binds every UDP socket of this process to the loopback device. Linux from 5.7 on lets every process do that.
+/// Binds every UDP socket of this process to the loopback device. Since Linux 5.7 any process may do that.
 ///
 /// # Errors
-/// The kernel's reason: an older kernel, or a container whose seccomp profile forbids `pidfd_getfd`.
+/// The kernel's error: an older kernel, or a container whose seccomp profile forbids `pidfd_getfd`.
 pub(crate) fn close_to_others() -> std::io::Result<usize> {
-    // A second descriptor of the same socket: options are the socket's, whichever descriptor they are set through.
+    // Get a second descriptor of the same socket: options belong to the socket, whichever descriptor sets
+    // them.
     let myself = pidfd_open(getpid(), PidfdFlags::empty())?;
     let mut bound = 0;
     for entry in std::fs::read_dir("/proc/self/fd")? {

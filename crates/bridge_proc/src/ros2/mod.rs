@@ -1,4 +1,5 @@
-//! ROS 2 over DDS: states, images and transforms out; CRTK commands in. No ROS installation is needed.
+//! The ROS 2 bridge over DDS: publishes states, images and transforms; receives CRTK commands. Needs no ROS
+//! installation.
 
 mod error;
 mod listener;
@@ -21,62 +22,63 @@ use node::Node;
 use notices::Notices;
 use session::Joined;
 
-/// Who can hear the bridge and, where it is a controller, command it.
+/// Which programs can receive the bridge's messages and, if it is a controller, command it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Reach {
     /// Programs on this machine.
     #[default]
     Localhost,
-    /// Programs in the networks that this machine is in.
+    /// Programs on the networks of this machine.
     Subnet,
 }
 
-/// What the bridge is to do.
+/// Options of the bridge.
 #[derive(Debug, Clone)]
 pub struct Ros2Options {
-    /// The session's folder or name; `None`: as a client finds it.
+    /// The session's folder or name; `None`: discovered as by any client.
     pub session: Option<String>,
-    /// The scene's controller that the bridge is; `None`: it only shows the run.
+    /// The scene's controller that the bridge acts as; `None`: it only observes the run.
     pub controller: Option<String>,
-    /// Names in topics and frames.
+    /// Names used in topics and frames.
     pub names: Names,
     /// The DDS domain, 0 to 232.
     pub domain_id: u16,
-    /// Who can reach it.
+    /// Which programs can reach it.
     pub reach: Reach,
-    /// States a second, 0.1 to 1000.
+    /// States per second, 0.1 to 1000.
     pub rate_hz: f64,
     /// How images are sent.
     pub image: ImageForm,
 }
 
-/// What a bridge did.
+/// Statistics of a bridge.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Summary {
-    /// Messages that were published.
+    /// Messages published.
     pub published: u64,
-    /// Messages that were left out, because a reliable subscriber has not acknowledged older ones.
+    /// Messages skipped because a reliable subscriber has not acknowledged older ones.
     pub left_out: u64,
-    /// Messages that came in.
+    /// Messages received.
     pub received: u64,
-    /// How many of them were refused.
+    /// Received messages that were rejected.
     pub refused: u64,
 }
 
-/// What the bridge says when it is ready.
+/// Reported when the bridge is ready.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Ready {
-    /// Whether the operating system keeps everybody but this machine's programs out; `None` where that was not asked for.
+    /// Whether the operating system restricts access to programs of this machine; `None` if that was not
+    /// requested.
     pub is_closed: Option<bool>,
-    /// Topics that it listens to.
+    /// Number of topics it subscribes to.
     pub listens: usize,
 }
 
-/// Runs the bridge until the session ends or an end is requested. `ready` hears when its topics are there; `note` gets lines on what was
-/// refused, at most one a second.
+/// Runs the bridge until the session ends or an end is requested. `ready` is called once its topics exist;
+/// `note` receives lines about rejected messages, at most one per second.
 ///
 /// # Errors
-/// No session, no place on the domain; the session's loss.
+/// No session; the domain cannot be joined; the session was lost.
 pub fn serve(
     options: &Ros2Options,
     end: &EndRequest,
@@ -85,7 +87,7 @@ pub fn serve(
 ) -> Result<Summary, Ros2Error> {
     let mut notices = Notices::new(note);
     let mut joined = Joined::connect(options)?;
-    // What stands in topics and frames is known with the first state.
+    // The names in topics and frames are known with the first state.
     while !joined.has_begun() {
         if end.is_set() || !joined.advance()? {
             return Ok(Summary::default());
@@ -100,7 +102,8 @@ pub fn serve(
         joined.obey(&mut node, &mut notices);
         let now = Instant::now();
         if now >= due {
-            // The mean rate is kept, but what was missed for longer is not made up for: subscribers want what is newest.
+            // The mean rate is kept, but longer delays are not made up for: subscribers want the newest
+            // state.
             due = (due + period).max(now);
             joined.publish(&mut node);
         }

@@ -18,38 +18,39 @@ use super::{Reach, Ros2Error, Ros2Options, Summary, loopback};
 
 /// The node's name, as `ros2 node list` shows it.
 pub(crate) const NODE: &str = "trabecula_bridge";
-/// Seconds of states that wait for a subscriber that acknowledges none: longer than the lease after which Fast DDS and Cyclone DDS hold a
-/// silent participant for dead (20 s and 10 s), so that one that was stopped costs the others nothing.
+/// Seconds of states queued for a subscriber that acknowledges none: longer than the lease after which Fast
+/// DDS and Cyclone DDS drop a silent participant (20 s and 10 s), so that a stopped subscriber does not
+/// affect the others.
 const STATE_WINDOW_S: f64 = 30.0;
-/// Images that wait.
+/// Number of images queued.
 const IMAGE_WINDOW: i32 = 16;
-/// Most messages of one topic taken in one turn.
+/// Maximum number of messages of one topic processed in one turn.
 const MOST_A_TURN: usize = 64;
 
 type Writer = DataWriter<Sent, Raw>;
 
-/// Something that came in.
+/// An event of a subscription.
 #[derive(Debug)]
 pub(crate) enum Incoming {
     /// A message of a topic.
     Message { topic: Input, cdr: Vec<u8>, order: Order, from: GUID },
-    /// A message that DDS could not hand over.
+    /// A message that DDS could not deliver.
     Broken { topic: Input, why: String },
-    /// A publisher that asks for less than the bridge needs.
+    /// A publisher with a lower quality of service than the bridge needs.
     Unfit { topic: Input },
-    /// A publisher that has gone.
+    /// A publisher that has disconnected.
     Gone { from: GUID },
 }
 
-/// Publishers and subscriptions. Dropping it takes leave of the domain.
+/// The node's publishers and subscriptions. Dropping it leaves the domain.
 pub(crate) struct Node {
     writers: BTreeMap<Output, Writer>,
     readers: Vec<(Input, SimpleDataReader<Came, Raw>)>,
-    /// Keeps what makes the node known to `ros2 node list` there.
+    /// Announces the node, for `ros2 node list`.
     _known: Writer,
     is_closed: Option<bool>,
     summary: Summary,
-    // Behind all that belong to it.
+    // Declared last, so that it is dropped after everything that belongs to it.
     _participant: DomainParticipant,
 }
 
@@ -72,7 +73,7 @@ impl Node {
         Ok(Node { writers, readers, _known: known, is_closed, summary, _participant: place.participant })
     }
 
-    /// Whether the operating system keeps other machines out, where that was asked for.
+    /// Whether the operating system keeps other machines out, if that was requested.
     pub(crate) fn is_closed(&self) -> Option<bool> {
         self.is_closed
     }
@@ -81,7 +82,7 @@ impl Node {
         self.readers.len()
     }
 
-    /// Publishes messages; one that finds no room is left out, never waited for.
+    /// Publishes messages; a message for which there is no room is skipped, never waited for.
     pub(crate) fn publish(&mut self, messages: Vec<Outgoing>) {
         for message in messages {
             let Some(writer) = self.writers.get(&message.topic) else { continue };
@@ -92,7 +93,7 @@ impl Node {
         }
     }
 
-    /// What has come in since the last call.
+    /// Returns everything received since the last call.
     pub(crate) fn take(&mut self) -> Vec<Incoming> {
         let mut all = Vec::new();
         let mut arrived = Vec::new();
@@ -122,7 +123,7 @@ impl Node {
                 }
             }
         }
-        // Across topics in the order of arrival: what stands before an `enable` is still refused.
+        // Sort across topics by time of arrival: a command sent before an `enable` must still be rejected.
         arrived.sort_by_key(|(when, _)| *when);
         let all: Vec<Incoming> = arrived.into_iter().map(|(_, message)| message).chain(all).collect();
         let messages =
@@ -131,7 +132,7 @@ impl Node {
         all
     }
 
-    /// Counts a message that was refused.
+    /// Counts a rejected message.
     pub(crate) fn refuse(&mut self) {
         self.summary.refused += 1;
     }
@@ -150,7 +151,7 @@ pub(super) fn qos(kind: Qos, rate_hz: f64) -> QosPolicies {
     };
     QosPolicyBuilder::new()
         .durability(durability)
-        // Publishing never waits: what finds no room is left out.
+        // Publishing never blocks: a message for which there is no room is skipped.
         .reliability(Reliability::Reliable { max_blocking_time: Duration::from_millis(0) })
         .history(History::KeepLast { depth })
         .resource_limits(ResourceLimits {
@@ -161,7 +162,7 @@ pub(super) fn qos(kind: Qos, rate_hz: f64) -> QosPolicies {
         .build()
 }
 
-/// The domain, and the bridge's place in it.
+/// The domain, and the bridge's participant in it.
 pub(super) struct Place {
     domain: u16,
     pub(super) participant: DomainParticipant,
@@ -213,7 +214,8 @@ impl Place {
         made.map_err(|cause| self.failed(name, &cause.to_string()))
     }
 
-    /// Says which publishers and subscriptions make up the node, as ROS 2's middleware does (rmw_dds_common, from Iron on).
+    /// Announces which publishers and subscriptions make up the node, as ROS 2's middleware does
+    /// (rmw_dds_common, since Iron).
     fn make_known(
         &self,
         writers: &BTreeMap<Output, Writer>,

@@ -1,4 +1,4 @@
-//! Lines on what was refused, rationed: whoever floods a topic must not flood a terminal or a log.
+//! Rate-limited lines about rejected messages: flooding a topic must not flood a terminal or a log.
 
 use std::time::{Duration, Instant};
 
@@ -15,7 +15,7 @@ impl<F: FnMut(&str)> Notices<F> {
         Notices { say, next: Instant::now(), held_back: 0 }
     }
 
-    /// Says a line, if none was said within the last second. Returns it as it was said, for the log.
+    /// Prints a line, unless one was printed within the last second. Returns it as printed, for the log.
     pub(crate) fn say(&mut self, line: &str) -> Option<String> {
         if Instant::now() < self.next {
             self.held_back += 1;
@@ -29,10 +29,10 @@ impl<F: FnMut(&str)> Notices<F> {
         Some(line)
     }
 
-    /// Says how many lines were held back since the last one.
+    /// Reports how many lines were suppressed since the last one.
     pub(crate) fn close(&mut self) {
         if self.held_back > 0 {
-            (self.say)(&format!("{} more notices were held back", self.held_back));
+            (self.say)(&format!("{} more notices were suppressed", self.held_back));
         }
     }
 }

@@ -1,4 +1,4 @@
-//! Messages as bytes: `ros_interface` makes and reads them, DDS carries them.
+//! Messages as bytes: `ros_interface` encodes and decodes them, DDS transports them.
 
 use core::convert::Infallible;
 
@@ -7,18 +7,18 @@ use rustdds::RepresentationIdentifier as Encoding;
 use rustdds::bytes::Bytes;
 use rustdds::no_key::{Decode, DefaultDecoder, DeserializerAdapter, SerializerAdapter};
 
-/// The CDR of a message on its way out.
+/// The CDR of an outgoing message.
 #[derive(Debug, Clone)]
 pub(crate) struct Sent(pub(crate) Bytes);
 
-/// The CDR of a message that came.
+/// The CDR of a received message.
 #[derive(Debug, Clone)]
 pub(crate) struct Came {
     pub(crate) cdr: Vec<u8>,
     pub(crate) order: Order,
 }
 
-/// DDS's view of both.
+/// Adapter that passes both through DDS unchanged.
 #[derive(Debug)]
 pub(crate) struct Raw;
 

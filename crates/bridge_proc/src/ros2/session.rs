@@ -1,4 +1,4 @@
-//! The session as the bridge joins it.
+//! The bridge's side of the session.
 
 use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
@@ -20,13 +20,13 @@ use super::{Ros2Error, Ros2Options};
 
 /// How long one turn of the loop waits for a state.
 const TURN: Duration = Duration::from_millis(5);
-/// Least time between two looks at what came in.
+/// Shortest interval between two polls of the subscriptions.
 const LOOK_PERIOD: Duration = Duration::from_millis(1);
-/// How long run control may take to answer.
+/// Timeout for a reply of run control.
 const CONTROL_LIMIT: Duration = Duration::from_secs(2);
-/// How often a state that does not change, as in a pause, is sent all the same.
+/// How often an unchanged state, as in a pause, is sent again.
 const REPEAT_PERIOD: Duration = Duration::from_secs(1);
-/// Most publishers whose leaving is watched.
+/// Maximum number of publishers whose disconnection is monitored.
 const MOST_COMMANDING: usize = 64;
 
 #[derive(Debug)]
@@ -36,7 +36,7 @@ pub(crate) struct Joined {
     form: ImageForm,
     robot: Option<Robot>,
     commander: Commander,
-    /// Publishers whose motion was obeyed.
+    /// Publishers whose motion commands were executed.
     commanding: BTreeSet<GUID>,
     start: Instant,
     looked: Instant,
@@ -44,7 +44,7 @@ pub(crate) struct Joined {
     sent: Option<(u64, Instant)>,
     /// The operating state and whether it was busy, as last sent.
     told: Option<(OperatingState, bool)>,
-    /// Velocities that ran out, to be said.
+    /// Velocities that timed out, to be reported.
     ran_out: Option<&'static str>,
 }
 
@@ -71,12 +71,12 @@ impl Joined {
         })
     }
 
-    /// Whether a state has come, so that the robot is known.
+    /// Returns whether a state has been received, so that the robot is known.
     pub(crate) fn has_begun(&self) -> bool {
         self.client.state().is_some()
     }
 
-    /// The topics that this controller may be commanded by; none for an observer.
+    /// Returns the topics that can command this controller; empty for an observer.
     pub(crate) fn inputs(&self) -> Vec<Input> {
         let drives = self.client.info().controller.as_ref().and_then(|(name, _)| {
             self.client.scene().controller.iter().find(|controller| controller.name == *name)
@@ -86,7 +86,7 @@ impl Joined {
         INPUTS.iter().map(|row| row.topic).filter(|input| may(*input)).collect()
     }
 
-    /// Publishes what stays.
+    /// Publishes the messages that do not change during the session.
     pub(crate) fn introduce(&mut self, node: &mut Node) -> Result<(), Ros2Error> {
         let (scene, Some(state)) = (self.client.scene(), self.client.state()) else { return Ok(()) };
         let robot = Robot::new(scene, state, self.names.clone());
@@ -97,12 +97,12 @@ impl Joined {
         Ok(())
     }
 
-    /// Takes the newest state and, as a controller, answers it. Whether the run goes on.
+    /// Receives the newest state and, as a controller, answers it. Returns whether the run continues.
     pub(crate) fn advance(&mut self) -> Result<bool, Ros2Error> {
         self.advance_until(Instant::now() + TURN)
     }
 
-    /// The same; an observer sleeps until `due` where that comes soon, since it needs no state in between.
+    /// Like `advance`; an observer sleeps until `due` if that is soon, since it needs no state in between.
     pub(crate) fn advance_until(&mut self, due: Instant) -> Result<bool, Ros2Error> {
         let outcome = if self.client.info().controller.is_some() {
             let (commander, ran_out) = (&mut self.commander, &mut self.ran_out);
@@ -127,7 +127,7 @@ impl Joined {
         status.and_then(|status| status.phase().ok()).unwrap_or(Phase::Running)
     }
 
-    /// Sends what has changed since the last call.
+    /// Publishes what has changed since the last call.
     pub(crate) fn publish(&mut self, node: &mut Node) {
         let phase = self.phase();
         let (Some(robot), Some(state)) = (&self.robot, self.client.state()) else { return };
@@ -144,18 +144,18 @@ impl Joined {
             node.publish(outgoing::of_operating_state(told.0, told.1, state));
         }
         let mut newest = Vec::new();
-        // Older frames that wait too are of no use to a subscriber.
+        // Older queued frames are of no use to a subscriber.
         while let Ok(view) = self.client.wait_frame(0, Duration::ZERO) {
             newest = image::of_frame(view.frame, view.pixels, self.form);
         }
         node.publish(newest);
     }
 
-    /// Does what has come in asks for, or says why not.
+    /// Executes the received commands, or reports why not.
     pub(crate) fn obey(&mut self, node: &mut Node, notices: &mut Notices<impl FnMut(&str)>) {
         if let Some(over) = self.ran_out.take() {
             let line = format!(
-                "{over} was not repeated within {} s: stopped",
+                "{over} timed out: not repeated within {} s; stopped",
                 ros_interface::commander::VELOCITY_HOLDS_S
             );
             self.tell(&line, notices);
@@ -180,7 +180,7 @@ impl Joined {
                 }
                 Incoming::Broken { topic, why } => self.refuse(topic, &why, node, notices),
                 Incoming::Unfit { topic } => {
-                    let why = "a publisher offers best effort; commands must be reliable, so it is not heard";
+                    let why = "a publisher offers best effort, but commands must be reliable: it is ignored";
                     self.tell(&format!("{}: {why}", self.name(topic)), notices);
                 }
                 Incoming::Gone { from } => self.part_with(from, notices),
@@ -223,11 +223,16 @@ impl Joined {
         asked.map(|_| ()).map_err(|error| error.to_string())
     }
 
-    /// A publisher has gone. Once the last one has whose motion was obeyed, nothing goes on moving.
+    /// Handles a publisher's disconnection. Once the last publisher whose motion commands were executed is
+    /// gone, all motion stops.
     fn part_with(&mut self, from: GUID, notices: &mut Notices<impl FnMut(&str)>) {
         if self.commanding.remove(&from) && self.commanding.is_empty() {
             self.commander.release();
-            self.tell("the last publisher of commands has gone: arm and burr stopped, tension kept", notices);
+            self.tell(
+                "the last publisher of commands has disconnected: arm and burr stopped, tension \
+                       kept",
+                notices,
+            );
         }
     }
 
@@ -241,10 +246,10 @@ impl Joined {
         self.tell(&line, notices);
     }
 
-    /// Says a line, and leaves it in the session's events, where it is recorded.
+    /// Prints a line and records it in the session's events.
     fn tell(&mut self, line: &str, notices: &mut Notices<impl FnMut(&str)>) {
         if let Some(line) = notices.say(line) {
-            // An observer cannot; then the terminal alone hears it.
+            // An observer cannot send events; then the line is only printed.
             let _ = self.client.remark(Severity::Warning.code(), &line);
         }
     }

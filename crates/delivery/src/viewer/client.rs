@@ -1,4 +1,4 @@
-//! One client: its subscriptions, what waits for it, what it is told, and how much it may say.
+//! One client: its subscriptions, its queued messages, its reports of drops, and its rate limit.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -8,32 +8,34 @@ use thiserror::Error;
 use super::queue::{Outgoing, Queue};
 use super::{Kept, Limits, Policy, Published};
 
-/// Most subscriptions of one client.
+/// Maximum number of subscriptions of one client.
 pub const MAX_SUBSCRIPTIONS: usize = 256;
-/// Most client messages per second; keyboard and gamepad send 60.
+/// Maximum number of client messages per second; keyboard and gamepad send 60.
 pub const MAX_MESSAGES_PER_S: u32 = 1000;
 
 const S: u64 = 1_000_000_000;
-/// Least time between two reports of dropped messages, ns.
+/// Minimum time between two reports of dropped messages, ns.
 const TELL_PERIOD_NS: u64 = S / 2;
 
 /// Why a client's subscription is refused.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
 pub enum SubscribeRefusal {
-    /// It has as many as it may have.
-    #[error("subscription {subscription}: a client may have {MAX_SUBSCRIPTIONS}, not more")]
+    /// The client has the maximum number of subscriptions.
+    #[error(
+        "subscription {subscription}: the limit of {MAX_SUBSCRIPTIONS} subscriptions per client is reached"
+    )]
     TooMany {
         /// The client's number for it.
         subscription: u32,
     },
-    /// It has one of this number.
-    #[error("subscription {subscription} is taken; unsubscribe it first")]
+    /// The client already has a subscription of this number.
+    #[error("duplicate subscription {subscription}; unsubscribe it first")]
     Taken {
         /// The client's number for it.
         subscription: u32,
     },
-    /// It has none of this number.
-    #[error("there is no subscription {subscription}")]
+    /// The client has no subscription of this number.
+    #[error("unknown subscription {subscription}")]
     Unknown {
         /// The client's number for it.
         subscription: u32,
@@ -47,13 +49,13 @@ pub struct Client {
     /// Channel by subscription.
     subscriptions: BTreeMap<u32, u32>,
     told_ns: u64,
-    /// When the second began in which its messages are counted.
+    /// Start of the second in which its messages are counted.
     counted_from_ns: u64,
     messages: u32,
 }
 
 impl Client {
-    /// One that has just connected.
+    /// Creates a client that has just connected.
     pub fn new(limits: Limits, now_ns: u64) -> Client {
         Client {
             queue: Queue::new(limits),
@@ -64,7 +66,7 @@ impl Client {
         }
     }
 
-    /// Queues a message for each subscription to its channel; returns how many there are.
+    /// Queues a message for each subscription to its channel; returns their number.
     pub fn offer(&mut self, message: &Published) -> usize {
         let wanting = self.subscriptions.iter().filter(|(_, channel)| **channel == message.channel);
         let mut count = 0;
@@ -77,7 +79,7 @@ impl Client {
         count
     }
 
-    /// Subscribes it, and queues what is kept of the channel.
+    /// Adds a subscription, and queues what is kept of the channel.
     ///
     /// # Errors
     /// [`SubscribeRefusal::TooMany`], [`SubscribeRefusal::Taken`].
@@ -103,7 +105,7 @@ impl Client {
         Ok(())
     }
 
-    /// Ends a subscription, and drops what waits for it.
+    /// Ends a subscription, and drops its queued messages.
     ///
     /// # Errors
     /// [`SubscribeRefusal::Unknown`].
@@ -114,17 +116,19 @@ impl Client {
         Ok(())
     }
 
-    /// The channels that it subscribes to.
+    /// Returns the channels that it subscribes to.
     pub fn channels(&self) -> impl Iterator<Item = u32> {
         self.subscriptions.values().copied()
     }
 
-    /// Takes the next messages: of streams up to a number of bytes, then one of the others. Empty only if nothing waits.
+    /// Takes the next messages: of streams up to a number of bytes, then one of the others. Empty only if
+    /// nothing waits.
     pub fn take(&mut self, bytes: usize) -> Vec<Outgoing> {
         self.queue.take(bytes)
     }
 
-    /// The number of messages that were dropped and are to be told to the client now, which happens twice a second at most.
+    /// Returns the number of dropped messages if it is time to report it to the client: at most twice a
+    /// second.
     pub fn drops_to_tell(&mut self, now_ns: u64) -> Option<u64> {
         if now_ns.saturating_sub(self.told_ns) <= TELL_PERIOD_NS || !self.queue.has_dropped() {
             return None;
@@ -133,12 +137,12 @@ impl Client {
         self.last_drops_to_tell()
     }
 
-    /// The same at the end, when there is no later time to tell it.
+    /// Returns the number of dropped messages at the end, when there is no later report.
     pub fn last_drops_to_tell(&mut self) -> Option<u64> {
         Some(self.queue.take_dropped()).filter(|dropped| *dropped > 0)
     }
 
-    /// Counts a message of the client; whether it may send so many.
+    /// Counts a message of the client against its rate limit; returns false if the limit is exceeded.
     pub fn may_send(&mut self, now_ns: u64) -> bool {
         if now_ns.saturating_sub(self.counted_from_ns) > S {
             (self.counted_from_ns, self.messages) = (now_ns, 0);
@@ -160,7 +164,7 @@ mod tests {
         Published { channel: 1, slot: 0, time_ns: 0, policy: Policy::Stream, payload: vec![byte; 10].into() }
     }
 
-    /// What was dropped in the last half second before the end was never told.
+    /// Regression: drops of the last half second before the end were never reported.
     #[test]
     fn what_is_dropped_is_told_twice_a_second_and_at_the_end() {
         let mut client = client();
@@ -178,7 +182,7 @@ mod tests {
         let (mut client, kept) = (client(), Kept::default());
         client.subscribe(1, 1, Policy::Stream, &kept).unwrap();
         let taken = client.subscribe(1, 2, Policy::Stream, &kept).unwrap_err();
-        assert_eq!(taken.to_string(), "subscription 1 is taken; unsubscribe it first");
+        assert_eq!(taken.to_string(), "duplicate subscription 1; unsubscribe it first");
         assert_eq!(client.unsubscribe(5), Err(SubscribeRefusal::Unknown { subscription: 5 }));
         assert_eq!(client.channels().collect::<Vec<_>>(), [1]);
         let more = 2..=MAX_SUBSCRIPTIONS as u32;

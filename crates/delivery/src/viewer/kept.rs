@@ -1,4 +1,5 @@
-//! What stays of each channel for clients that subscribe later, and what is handed on while nobody does.
+//! The messages kept of each channel for clients that subscribe later, and those passed on without
+//! subscribers.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -9,7 +10,7 @@ use super::{Payload, Published};
 #[derive(Debug, Default)]
 pub struct Kept(BTreeMap<(u32, u32), (u64, Payload)>);
 
-/// One message that was kept.
+/// One kept message.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct KeptMessage<'a> {
     pub slot: u32,
@@ -18,13 +19,13 @@ pub(super) struct KeptMessage<'a> {
 }
 
 impl Kept {
-    /// Keeps a message instead of the one before it in its slot.
+    /// Keeps a message, replacing the previous one in its slot.
     pub fn keep(&mut self, message: &Published) {
         let kept = (message.time_ns, Arc::clone(&message.payload));
         self.0.insert((message.channel, message.slot), kept);
     }
 
-    /// Keeps the last `count` messages of a channel whose slots count on from 0, one for each message.
+    /// Keeps the last `count` messages of a channel whose slots count up from 0, one for each message.
     pub fn keep_last(&mut self, message: &Published, count: u32) {
         self.keep(message);
         if let Some(old) = message.slot.checked_sub(count) {
@@ -38,24 +39,24 @@ impl Kept {
     }
 }
 
-/// The channels that somebody subscribes to: bit i stands for the channels i modulo 64.
+/// The channels with at least one subscriber: bit i represents the channels i modulo 64.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Wanted(pub u64);
 
 impl Wanted {
-    /// Those of all clients' subscriptions.
+    /// Collects the channels of all clients' subscriptions.
     pub fn of(channels: impl Iterator<Item = u32>) -> Wanted {
         Wanted(channels.fold(0, |bits, channel| bits | 1 << (channel % 64)))
     }
 
-    /// Whether anybody subscribes to a channel. May be true when nobody does.
+    /// Returns whether a channel has subscribers. Can be true without any.
     pub fn has(self, channel: u32) -> bool {
         self.0 & (1 << (channel % 64)) != 0
     }
 }
 
-/// Which of the messages that a look at a queue finds are handed on: all if somebody subscribes, otherwise the newest, which is kept for
-/// those that subscribe later.
+/// Decides which messages of a queue are passed on: all if there are subscribers, otherwise only the newest,
+/// which is kept for later ones.
 #[derive(Debug)]
 pub struct Decimation<M> {
     is_wanted: bool,
@@ -63,12 +64,12 @@ pub struct Decimation<M> {
 }
 
 impl<M> Decimation<M> {
-    /// For one look at the queue of a channel.
+    /// Starts one pass over the queue of a channel.
     pub fn new(wanted: Wanted, channel: u32) -> Decimation<M> {
         Decimation { is_wanted: wanted.has(channel), newest: None }
     }
 
-    /// The next message of the queue; returns it if it is handed on now.
+    /// Handles the next message of the queue; returns it if it is passed on now.
     pub fn next(&mut self, message: M) -> Option<M> {
         if self.is_wanted {
             return Some(message);
@@ -77,7 +78,7 @@ impl<M> Decimation<M> {
         None
     }
 
-    /// The queue is empty: the message that is handed on last, if any.
+    /// Ends the pass; returns the message that is passed on last, if any.
     pub fn last(self) -> Option<M> {
         self.newest
     }

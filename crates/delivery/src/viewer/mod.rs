@@ -1,11 +1,12 @@
-//! What the clients of a viewer get: what is kept for those that subscribe later, what a slow one misses, and what it is told of that.
+//! Delivery to a viewer's clients: the messages kept for late subscribers, those that a slow client misses,
+//! and the reports of missed messages.
 //!
-//! **Boundary:** as in the rest of this crate, it only decides; the viewer's process takes the session's messages, owns sockets, locks and
-//! clock, and sends what [`Client::take`] returns.
+//! **Boundary:** as in the rest of this crate, decisions only; the viewer's process takes the session's
+//! messages, owns sockets, locks and clock, and sends what [`Client::take`] returns.
 //!
-//! **Invariants**, held against every schedule of `hub_simulator`: what waits for one client is bounded; each message of a stream is
-//! delivered once and in order, or counted as dropped and told as such; a client that reads on gets the newest message of each of its
-//! channels; no channel waits for ever behind another.
+//! **Invariants**, tested against every schedule of `hub_simulator`: each client's queue is bounded; each
+//! message of a stream is delivered once and in order, or counted and reported as dropped; a client that
+//! keeps reading gets the newest message of each of its channels; no channel starves another.
 //!
 //! ```
 //! use delivery::viewer::{Client, Kept, Limits, Policy, Published};
@@ -37,12 +38,12 @@ use std::sync::Arc;
 /// A message's payload, shared among clients.
 pub type Payload = Arc<[u8]>;
 
-/// What a slow client misses.
+/// Which messages a slow client misses.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Policy {
     /// The oldest messages of a bounded queue; never the newest.
     Stream,
-    /// All but the newest message.
+    /// All except the newest message.
     Newest,
 }
 
@@ -51,26 +52,27 @@ pub enum Policy {
 pub struct Published {
     /// Number of the channel.
     pub channel: u32,
-    /// Which of the channel's things it shows: a surface has a slot for each block, most channels have one slot.
+    /// The part of the channel that it updates: a surface has a slot for each block, most channels have one
+    /// slot.
     pub slot: u32,
     /// Simulated time, ns.
     pub time_ns: u64,
-    /// What a slow client misses of the channel.
+    /// Which messages of the channel a slow client misses.
     pub policy: Policy,
     /// Payload.
     pub payload: Payload,
 }
 
-/// What one client may cost.
+/// Limits for one client.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Limits {
-    /// Most payload bytes of stream messages that wait. The oldest are dropped and counted, but for the
+    /// Maximum payload bytes of queued stream messages. The oldest are dropped and counted, except for the
     /// newest of each subscription.
     pub stream_bytes: usize,
 }
 
 impl Default for Limits {
-    /// About half a second of states at 1 kHz.
+    /// Holds about half a second of states at 1 kHz.
     fn default() -> Limits {
         Limits { stream_bytes: 4 << 20 }
     }

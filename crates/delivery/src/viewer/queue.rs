@@ -1,4 +1,4 @@
-//! One client's send queue. Bounded, so that a slow or stalled client costs no more than that.
+//! One client's send queue, bounded so that a slow or stalled client costs no more than that.
 
 use std::collections::{BTreeMap, VecDeque};
 
@@ -21,16 +21,16 @@ pub(super) struct Queue {
     limits: Limits,
     stream: VecDeque<Outgoing>,
     stream_bytes: usize,
-    /// Messages of streams that wait, by subscription.
+    /// Number of queued stream messages, by subscription.
     waiting: BTreeMap<u32, usize>,
     newest: BTreeMap<(u32, u32), (u64, Payload)>,
-    /// Slot sent last; the others take their turn first.
+    /// Slot sent last; the others are sent before it.
     last_slot: (u32, u32),
     dropped: u64,
 }
 
 impl Queue {
-    /// An empty queue.
+    /// Creates an empty queue.
     pub(super) fn new(limits: Limits) -> Queue {
         Queue {
             limits,
@@ -43,7 +43,7 @@ impl Queue {
         }
     }
 
-    /// Queues a message; `slot` tells those apart of which only the newest counts.
+    /// Queues a message; `slot` distinguishes messages of which only the newest counts.
     pub(super) fn push(&mut self, message: Outgoing, policy: Policy, slot: u32) {
         match policy {
             Policy::Stream => self.push_stream(message),
@@ -57,7 +57,8 @@ impl Queue {
         self.stream_bytes += message.payload.len();
         *self.waiting.entry(message.subscription).or_default() += 1;
         self.stream.push_back(message);
-        // A subscription's newest message stays: none may follow it, as behind a pause or the end of the run.
+        // A subscription's newest message stays: it may be the last one, as before a pause or the end of the
+        // run.
         while self.stream_bytes > self.limits.stream_bytes
             && let Some(index) = self.stream.iter().position(|message| self.has_newer(message))
             && let Some(oldest) = self.stream.remove(index)
@@ -71,7 +72,7 @@ impl Queue {
         self.waiting.get(&message.subscription).is_some_and(|count| *count > 1)
     }
 
-    /// Counts a message of a stream that waits no longer.
+    /// Accounts for a stream message that leaves the queue.
     fn leaves(&mut self, message: &Outgoing) {
         self.stream_bytes -= message.payload.len();
         if let Some(count) = self.waiting.get_mut(&message.subscription) {
@@ -110,12 +111,12 @@ impl Queue {
         self.newest.retain(|(of, _), _| *of != subscription);
     }
 
-    /// Whether stream messages have been dropped since the last [`Queue::take_dropped`].
+    /// Returns whether stream messages have been dropped since the last [`Queue::take_dropped`].
     pub(super) fn has_dropped(&self) -> bool {
         self.dropped > 0
     }
 
-    /// Stream messages dropped since the last call.
+    /// Returns the number of stream messages dropped since the last call.
     pub(super) fn take_dropped(&mut self) -> u64 {
         std::mem::take(&mut self.dropped)
     }
@@ -147,7 +148,8 @@ mod tests {
         assert!(queue.take(usize::MAX).is_empty());
     }
 
-    /// A stalled client never learned that the run was paused: states, a thousand a second, pushed the one message out that says so.
+    /// Regression: a stalled client never learned that the run was paused, because states, a thousand a
+    /// second, evicted the message that announced it.
     #[test]
     fn a_busy_stream_does_not_push_out_the_newest_message_of_a_quiet_one() {
         let mut queue = Queue::new(Limits { stream_bytes: 100 });

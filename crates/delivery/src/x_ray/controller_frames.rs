@@ -6,10 +6,10 @@ use thiserror::Error;
 
 use hub::patience::Patience;
 
-/// In lockstep, how long a controller waits for a frame that is due, ns.
+/// How long a controller waits in lockstep for a frame that is due, ns.
 const FRAME_LIMIT_NS: u64 = 120_000_000_000;
 
-/// What of a frame decides whether a controller sees it.
+/// The properties of a frame that decide whether a controller sees it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct FrameMark {
     /// `Frame.sequence`.
@@ -26,31 +26,34 @@ impl From<&Frame> for FrameMark {
     }
 }
 
-/// What to do with the next frame of the queue.
+/// The next action for the frame at the head of the queue.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum FrameStep {
     /// Show it to the controller, and take the next one.
     Show,
     /// Drop it, and take the next one.
     Skip,
-    /// Keep it as the next one for a later state; the controller answers now.
+    /// Keep it for a later state; the controller answers now.
     Keep,
-    /// There is none to wait for: the controller answers now.
+    /// No frame to wait for: the controller answers now.
     Answer,
-    /// Wait for one.
+    /// Wait for a frame.
     Wait,
 }
 
 /// A frame that was due did not arrive.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
-#[error("the frame of tick {tick} did not come within {} s; is the DRR process running?", FRAME_LIMIT_NS / 1_000_000_000)]
+#[error(
+    "the frame of tick {tick} did not arrive within {} s; is the DRR process running?",
+    FRAME_LIMIT_NS / 1_000_000_000
+)]
 pub struct NoFrame {
     /// Tick of the frame.
     pub tick: Tick,
 }
 
-/// The frames of one controller: in real time whatever has arrived, in lockstep the scheduled frame that is due
-/// ([`Scene::frame_seen_at`](scene::Scene::frame_seen_at)), so that a run repeats bit for bit.
+/// The frames of one controller: in real time whatever has arrived, in lockstep the scheduled frame that is
+/// due ([`Scene::frame_seen_at`](scene::Scene::frame_seen_at)), so that a run repeats bit for bit.
 ///
 /// ```
 /// use delivery::x_ray::{ControllerFrames, FrameMark, FrameStep};
@@ -75,28 +78,29 @@ pub struct ControllerFrames {
     patience: Patience,
     /// Number of the newest frame taken.
     newest: Option<u64>,
-    /// Tick of the newest frame dropped: no scheduled one up to it comes any more.
+    /// Tick of the newest dropped frame: no scheduled frame up to it can still arrive.
     skipped_tick: Option<Tick>,
     lost: u64,
 }
 
 impl ControllerFrames {
-    /// For a controller that has just connected.
+    /// Creates the state for a controller that has just connected.
     pub fn new(mode: Mode) -> ControllerFrames {
         let patience = Patience::new(FRAME_LIMIT_NS, 0);
         ControllerFrames { mode, due: None, patience, newest: None, skipped_tick: None, lost: 0 }
     }
 
-    /// The controller has taken a state, at which in lockstep it is to see the frame of tick `due`. Then call
-    /// [`step`](ControllerFrames::step) until it answers.
+    /// Starts a state that the controller has taken; in lockstep it must see the frame of tick `due` first.
+    /// Then call [`step`](ControllerFrames::step) until it answers.
     pub fn begin(&mut self, due: Option<Tick>, now_ns: u64) {
-        // Frames come in the order of their ticks, the scheduled one of a tick first. Who connects late waits for none that has passed.
+        // Frames arrive in the order of their ticks, the scheduled one of a tick first. A late controller
+        // does not wait for a frame that has passed.
         let is_to_come = |due: &Tick| self.skipped_tick.is_none_or(|skipped| skipped < *due);
         self.due = due.filter(is_to_come).filter(|_| self.mode == Mode::Lockstep);
         self.patience = Patience::new(FRAME_LIMIT_NS, now_ns);
     }
 
-    /// What to do with the next frame of the queue, or with an empty queue.
+    /// Decides what to do with the next frame of the queue, or with an empty queue.
     ///
     /// # Errors
     /// [`NoFrame`].
@@ -108,7 +112,7 @@ impl ControllerFrames {
                 Some(_) => Ok(FrameStep::Wait),
             };
         };
-        // A frame that was kept comes a second time.
+        // A kept frame is passed in a second time.
         let before = self.newest.replace(frame.sequence).unwrap_or(frame.sequence);
         self.lost += frame.sequence.saturating_sub(before + 1);
         Ok(match self.mode {
@@ -131,7 +135,7 @@ impl ControllerFrames {
         FrameStep::Skip
     }
 
-    /// Frames that this controller's queue has dropped since the last call.
+    /// Returns the number of frames that this controller's queue has dropped since the last call.
     pub fn take_lost(&mut self) -> u64 {
         std::mem::take(&mut self.lost)
     }
@@ -163,7 +167,8 @@ mod tests {
         assert_eq!((frames.take_lost(), frames.take_lost()), (2, 0));
     }
 
-    /// Requested frames filled the queue between two scheduled ones and pushed out the one that was due: the controller waited for it.
+    /// Regression: requested frames filled the queue between two scheduled ones and evicted the one that was
+    /// due, for which the controller then waited.
     #[test]
     fn in_lockstep_requested_frames_do_not_pile_up_before_the_one_that_is_due() {
         let mut frames = ControllerFrames::new(Mode::Lockstep);
@@ -177,7 +182,7 @@ mod tests {
         assert_eq!(frames.take_lost(), 0);
     }
 
-    /// It waited for two minutes, and the run ended for it.
+    /// Regression: it waited for two minutes, and the run failed.
     #[test]
     fn a_controller_that_connects_late_in_lockstep_waits_for_no_frame_that_has_passed() {
         for newer in [requested(8, 40), scheduled(9, 80)] {
@@ -189,7 +194,7 @@ mod tests {
             assert_eq!(step(&mut frames, Some(newer)), kept);
             assert_eq!(step(&mut frames, None), FrameStep::Answer);
         }
-        // What it took at an earlier state tells it, too.
+        // A frame taken at an earlier state has the same effect.
         let mut frames = ControllerFrames::new(Mode::Lockstep);
         frames.begin(None, 0);
         assert_eq!(step(&mut frames, Some(requested(8, 40))), FrameStep::Skip);
@@ -205,7 +210,7 @@ mod tests {
         let error = outcome.unwrap().unwrap_err();
         assert_eq!(
             error.to_string(),
-            "the frame of tick 0 did not come within 120 s; is the DRR process running?"
+            "the frame of tick 0 did not arrive within 120 s; is the DRR process running?"
         );
     }
 }

@@ -1,11 +1,13 @@
-//! Which X-ray frames are rendered at which tick, which removed voxels they show, and which of them a controller sees when.
+//! X-ray frame decisions: which frames are rendered at which tick, which removed voxels they show, and when a
+//! controller sees them.
 //!
-//! **Boundary:** as in the rest of this crate, it only decides; the DRR process takes the messages, renders and publishes,
-//! and the controller's process takes the frames.
+//! **Boundary:** as in the rest of this crate, decisions only; the DRR process takes the messages, renders
+//! and publishes, and the controller's process takes the frames.
 //!
-//! **Invariants:** in lockstep the frames depend only on ticks and requests, never on how long rendering takes; one program's requests
-//! never displace another's; each request that is taken has its frame or a refusal by the end of the run; a frame shows exactly the voxels
-//! removed up to its tick, or the run fails; in lockstep a controller sees each scheduled frame at the same tick in every run.
+//! **Invariants:** in lockstep the frames depend only on ticks and requests, never on how long rendering
+//! takes; one program's requests never displace another's; each accepted request gets its frame or a refusal
+//! by the end of the run; a frame shows exactly the voxels removed up to its tick, or the run fails; in
+//! lockstep a controller sees each scheduled frame at the same tick in every run.
 //!
 //! ```
 //! use delivery::x_ray::{Due, Renderer, Schedule, ScheduleSettings};

@@ -1,29 +1,29 @@
-//! Holds removed voxels from their arrival until the first frame that shows them gone.
+//! Buffers removed voxels from their arrival until the first frame without them.
 
 use std::collections::VecDeque;
 
 use messages::{Restores, Tick};
 use thiserror::Error;
 
-/// The voxels that one tick removed.
+/// The voxels removed in one tick.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct RemovedBatch {
     /// The tick; 0 for the scene's predrilled voxels.
     pub tick: Tick,
-    /// Counts the batches, from 1, rising by one.
+    /// Number of the batch: 1, 2, 3 and so on.
     pub sequence: u64,
-    /// Number of voxels removed up to and with this tick.
+    /// Number of voxels removed up to and including this tick.
     pub total: u64,
-    /// What was put back before.
+    /// What was restored before.
     pub restores: Restores,
     /// Linear indices.
     pub voxels: Vec<u32>,
 }
 
-/// What has changed since the last frame.
+/// Changes since the last frame.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct RemovedSince {
-    /// What to put back before removing `voxels`.
+    /// What to restore before removing `voxels`.
     pub restores: Restores,
     /// Linear indices in order of removal; after a restore, the predrilled voxels come first.
     pub voxels: Vec<u32>,
@@ -32,22 +32,22 @@ pub struct RemovedSince {
 /// Removed voxels were lost: frames would show bone that is gone.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
 pub enum RemovedLost {
-    /// The newest batches have not come.
-    #[error("tick {tick}: {expected} voxels have been removed, but only {received} arrived here")]
+    /// The newest batches have not arrived.
+    #[error("tick {tick}: {expected} voxels were removed, but only {received} were received")]
     Voxels {
         /// Tick of the state.
         tick: Tick,
         /// Voxels that the physics removed.
         expected: u64,
-        /// Voxels that came.
+        /// Voxels received.
         received: u64,
     },
-    /// A batch in between has not come: the queue has run over.
-    #[error("tick {tick}: message {received} of removed voxels arrived here after message {before}")]
+    /// A batch in between has not arrived: the queue has overflowed.
+    #[error("tick {tick}: removed voxels lost: message {received} follows message {before}")]
     Batch {
         /// Tick of the batch after it.
         tick: Tick,
-        /// Number of the batch before it; 0 if there is none.
+        /// Number of the batch before it; 0 if it is the first.
         before: u64,
         /// Number of the batch after it.
         received: u64,
@@ -67,10 +67,10 @@ pub struct Removals {
 }
 
 impl Removals {
-    /// Queues a batch. Batches must come in tick order.
+    /// Queues a batch. Batches must arrive in tick order.
     pub fn receive(&mut self, batch: RemovedBatch) {
         let (before, received) = (self.sequence, batch.sequence);
-        // Totals do not show it if the states in between are lost, too.
+        // Totals do not reveal the loss if the states in between are lost too.
         if received != before + 1 {
             self.gap.get_or_insert(RemovedLost::Batch { tick: batch.tick, before, received });
         }
@@ -78,12 +78,12 @@ impl Removals {
         self.waiting.push_back(batch);
     }
 
-    /// Takes in the batches up to the state of `tick`, by which `removed_total` voxels have been removed.
+    /// Applies the batches up to the state of `tick`, by which `removed_total` voxels have been removed.
     ///
     /// # Errors
-    /// Batches are missing.
+    /// If batches are missing.
     pub fn advance(&mut self, tick: Tick, removed_total: u64) -> Result<(), RemovedLost> {
-        // Those that are missing may belong to this state.
+        // The missing ones may belong to this state.
         self.gap.map_or(Ok(()), Err)?;
         while self.waiting.front().is_some_and(|batch| batch.tick <= tick) {
             let Some(batch) = self.waiting.pop_front() else { break };
@@ -103,7 +103,7 @@ impl Removals {
         Err(RemovedLost::Voxels { tick, expected: removed_total, received: self.total })
     }
 
-    /// What has changed since the last call, up to the tick of the last [`Removals::advance`].
+    /// Returns the changes since the last call, up to the tick of the last [`Removals::advance`].
     pub fn take(&mut self) -> RemovedSince {
         std::mem::take(&mut self.since)
     }
@@ -157,7 +157,7 @@ mod tests {
         removals.receive(batch(1, 0, 4, &[1, 2, 3, 4]));
         let lost = removals.advance(Tick(9), 6).unwrap_err();
         assert_eq!(lost, RemovedLost::Voxels { tick: Tick(9), expected: 6, received: 4 });
-        assert_eq!(lost.to_string(), "tick 9: 6 voxels have been removed, but only 4 arrived here");
+        assert_eq!(lost.to_string(), "tick 9: 6 voxels were removed, but only 4 were received");
     }
 
     #[test]
@@ -166,8 +166,8 @@ mod tests {
         removals.receive(batch(1, 0, 0, &[1]));
         removals.advance(Tick(0), 0).unwrap();
         removals.receive(batch(3, 8, 5, &[6, 7]));
-        // Whether the lost batch belongs to this state, nobody knows.
+        // It is unknown whether the lost batch belongs to this state.
         let lost = removals.advance(Tick(7), 0).unwrap_err();
-        assert_eq!(lost.to_string(), "tick 8: message 3 of removed voxels arrived here after message 1");
+        assert_eq!(lost.to_string(), "tick 8: removed voxels lost: message 3 follows message 1");
     }
 }

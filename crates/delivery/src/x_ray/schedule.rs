@@ -46,7 +46,7 @@ pub struct ScheduleSettings {
 }
 
 impl ScheduleSettings {
-    /// The settings of a scene.
+    /// Takes the settings from a scene.
     pub fn of(scene: &Scene) -> ScheduleSettings {
         let drives_c_arm = |drives: &[Drives]| drives.contains(&Drives::CArm);
         ScheduleSettings {
@@ -66,15 +66,15 @@ impl ScheduleSettings {
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 pub enum Refusal {
     /// The request names a controller that did not send it.
-    #[error("it says that controller {claimed} asks, but another program sent it")]
+    #[error("`requester` is controller {claimed}, but another program sent the request")]
     OtherSender {
-        /// The controller it names.
+        /// The controller that it names.
         claimed: u32,
     },
     /// Only one controller may move the C-arm.
-    #[error("the scene gives the C-arm to another controller")]
+    #[error("the scene assigns the C-arm to another controller")]
     NotTheDriver,
-    /// The requested C-arm is invalid, for this reason.
+    /// The requested C-arm is invalid; holds the reason.
     #[error("{0}")]
     Geometry(String),
     /// The requested tick is after the end of the run.
@@ -85,11 +85,11 @@ pub enum Refusal {
         /// The last tick of the run.
         end_tick: Tick,
     },
-    /// Too many requests pending, from this program or from all.
-    #[error("too many requests wait")]
+    /// Too many pending requests, of this program or of all together.
+    #[error("too many pending requests")]
     Busy,
-    /// The run has ended, before the requested tick or before the request came.
-    #[error("the run has ended at tick {last_tick}")]
+    /// The run has ended, before the requested tick or before the request arrived.
+    #[error("the run ended at tick {last_tick}")]
     RunEnded {
         /// The last state's tick.
         last_tick: Tick,
@@ -97,7 +97,7 @@ pub enum Refusal {
 }
 
 impl Refusal {
-    /// The status of the reply.
+    /// Returns the status of the reply.
     pub fn status(&self) -> DrrStatus {
         if *self == Refusal::Busy { DrrStatus::Busy } else { DrrStatus::Refused }
     }
@@ -123,7 +123,7 @@ pub struct Schedule {
 }
 
 impl Schedule {
-    /// A schedule at the start of a run.
+    /// Creates a schedule at the start of a run.
     pub fn new(settings: ScheduleSettings) -> Schedule {
         Schedule {
             settings,
@@ -134,16 +134,17 @@ impl Schedule {
         }
     }
 
-    /// Whether frames also come without requests.
+    /// Returns whether frames are also rendered without requests.
     pub fn is_periodic(&self) -> bool {
         self.settings.period_ticks.is_some()
     }
 
-    /// Queues a request. `sender` is the controller that sent it, or `None` for any other program; `geometry` says whether the requested
-    /// C-arm is valid. A request for another choice of C-arm than the two is one for the scene's.
+    /// Queues a request. `sender` is the controller that sent it, or `None` for any other program; `geometry`
+    /// is the result of checking the requested C-arm. A request with an unknown `use_geometry` is treated as
+    /// one for the scene's C-arm.
     ///
     /// # Errors
-    /// Why the request is refused; nothing has changed then.
+    /// The reason for the refusal; the schedule is then unchanged.
     pub fn request(
         &mut self,
         from: Connection,
@@ -174,8 +175,9 @@ impl Schedule {
         Ok(())
     }
 
-    /// Returns a frame due at the state of this tick; the caller renders it and calls again until there is none. In lockstep every
-    /// scheduled tick counts and the caller waits for the renderer; in real time a scheduled frame is due only when the renderer is idle.
+    /// Returns a frame due at the state of this tick; the caller renders it and calls again until it returns
+    /// `None`. In lockstep every scheduled tick counts and the caller waits for the renderer; in real time a
+    /// scheduled frame is due only when the renderer is idle.
     pub fn due(&mut self, tick: Tick, renderer: Renderer) -> Option<Due> {
         if self.settings.mode == Mode::Realtime && renderer == Renderer::Busy {
             return None;
@@ -185,16 +187,16 @@ impl Schedule {
         Some(due)
     }
 
-    /// Returns a frame due at the run's last state, whether or not the renderer is busy; the caller calls again until there is none. The
-    /// last is that of the state itself, unless a frame already shows it.
+    /// Returns a frame due at the run's last state, whether or not the renderer is busy; the caller calls
+    /// again until it returns `None`. The last is that of the state itself, unless a frame already shows it.
     pub fn last(&mut self, tick: Tick) -> Option<Due> {
         let due = self.scheduled(tick).or_else(|| self.requested(tick));
         let is_shown = self.shown_tick.replace(tick) == Some(tick);
         due.or_else(|| (!is_shown).then_some(Due::Scheduled))
     }
 
-    /// The run has ended with the state of this tick: returns the requests that can have no frame any more, each to be answered with the
-    /// refusal. Requests that come later are refused by it too.
+    /// Ends the run with the state of this tick; returns the requests that can no longer get a frame, each to
+    /// be answered with its refusal. Later requests are refused for the same reason.
     pub fn end(&mut self, last_tick: Tick) -> Vec<(DrrRequest, Refusal)> {
         self.ended_at = Some(last_tick);
         let refused = |waiting: Waiting| (waiting.request, Refusal::RunEnded { last_tick });
@@ -275,7 +277,7 @@ mod tests {
         assert_eq!(order, [(9, 0), (12, 0), (12, 1), (12, 2), (12, 3)]);
     }
 
-    /// One program that requests ticks far ahead must not use up the other programs' places.
+    /// One program that requests ticks far ahead must not use up the other programs' slots.
     #[test]
     fn a_program_that_floods_takes_no_place_from_another() {
         let mut schedule = schedule(Mode::Lockstep, None);
@@ -328,7 +330,7 @@ mod tests {
         assert_eq!(schedule.last(Tick(97)), None);
     }
 
-    /// A request that waited for a busy renderer when a real-time run ended got no answer.
+    /// Regression: a request that waited for a busy renderer when a real-time run ended got no answer.
     #[test]
     fn every_request_that_waits_at_the_end_has_its_frame_or_a_refusal() {
         for mode in [Mode::Lockstep, Mode::Realtime] {
@@ -343,7 +345,7 @@ mod tests {
             assert_eq!(frames, [Due::Scheduled, Due::Requested(due[0]), Due::Requested(due[1])]);
             let refusal = Refusal::RunEnded { last_tick: Tick(97) };
             assert_eq!(schedule.end(Tick(97)), [(beyond, refusal.clone())]);
-            assert_eq!(refusal.to_string(), "the run has ended at tick 97");
+            assert_eq!(refusal.to_string(), "the run ended at tick 97");
             assert_eq!(ask(&mut schedule, 1, asked(0)), Err(refusal));
             assert_eq!(schedule.end(Tick(97)), []);
         }

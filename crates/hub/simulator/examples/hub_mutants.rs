@@ -1,6 +1,7 @@
-//! Builds each deliberately broken version of the hub and lets the schedules find it.
+//! Builds each deliberately broken version of the hub and runs the schedules until one fails.
 //!
-//! `cargo run --release -p hub_simulator --example hub_mutants [-- PART OF A NAME]`: ends with 1 if one survives ten thousand seeds.
+//! `cargo run --release -p hub_simulator --example hub_mutants [-- PART OF A NAME]`: exits with 1 if a mutant
+//! survives ten thousand seeds.
 
 use std::collections::BTreeMap;
 use std::error::Error;
@@ -11,7 +12,7 @@ use hub_simulator::mutants::{MUTANTS, Mutant};
 use serde_json::Value;
 use test_support::limited::Limited;
 
-/// Seeds within which each is to be found.
+/// Number of seeds within which each mutant must be found.
 const SEEDS: u64 = 10_000;
 
 fn main() -> ExitCode {
@@ -29,7 +30,7 @@ fn main() -> ExitCode {
     }
 }
 
-/// Tries the mutants whose name has a text; returns how many survived.
+/// Tries the mutants whose name contains a text; returns how many survived.
 fn try_all(wanted: &str) -> Result<usize, Box<dyn Error>> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../..").canonicalize()?;
     let place = root.join("target/hub_mutants");
@@ -43,7 +44,7 @@ fn try_all(wanted: &str) -> Result<usize, Box<dyn Error>> {
     Ok(survivors)
 }
 
-/// A copy of what the simulator needs, as a workspace of its own.
+/// Copies what the simulator needs into a separate workspace.
 fn copy_workspace(root: &Path, place: &Path) -> Result<(), Box<dyn Error>> {
     let folders = needed_folders(root)?;
     for folder in &folders {
@@ -61,7 +62,8 @@ fn copy_workspace(root: &Path, place: &Path) -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// The folders of the simulator's crate and of every crate of this workspace that it needs, by the manifests.
+/// Returns the folders of the simulator's crate and of every workspace crate that it depends on, from the
+/// manifests.
 fn needed_folders(root: &Path) -> Result<Vec<String>, Box<dyn Error>> {
     let output = Command::new(cargo())
         .args(["metadata", "--offline", "--locked", "--no-deps", "--format-version", "1"])
@@ -97,7 +99,7 @@ fn cargo() -> String {
     std::env::var("CARGO").unwrap_or_else(|_| "cargo".to_owned())
 }
 
-/// Copies what has changed, and removes what an earlier copy has and the source has not any more.
+/// Copies what has changed, and removes what an earlier copy has and the source no longer has.
 fn copy_folder(from: &Path, to: &Path) -> std::io::Result<()> {
     std::fs::create_dir_all(to)?;
     for entry in std::fs::read_dir(to)? {
@@ -119,26 +121,27 @@ fn copy_folder(from: &Path, to: &Path) -> std::io::Result<()> {
     Ok(())
 }
 
-/// What has not changed keeps its time, by which cargo knows what to build again.
+/// Leaves unchanged files alone, so that they keep the time by which cargo decides what to rebuild.
 fn copy_changed(from: &Path, to: &Path) -> std::io::Result<()> {
     let text = std::fs::read(from)?;
     if std::fs::read(to).ok().as_ref() == Some(&text) { Ok(()) } else { std::fs::write(to, text) }
 }
 
-/// Builds one and plays; returns how it was found.
+/// Builds one mutant and plays the schedules; returns how it was found.
 fn try_one(mutant: &Mutant, root: &Path, place: &Path) -> Result<Option<String>, Box<dyn Error>> {
     let (source, target) = (root.join("crates").join(mutant.file), place.join("crates").join(mutant.file));
     let right = std::fs::read_to_string(source)?;
     if right.matches(mutant.right).count() != 1 {
         return Err(
-            format!("{}: the text of `{}` does not stand there once", mutant.file, mutant.name).into()
+            format!("{}: the text of mutant `{}` must occur exactly once", mutant.file, mutant.name).into()
         );
     }
     std::fs::write(&target, right.replace(mutant.right, mutant.wrong))?;
     let built = Command::new(cargo())
         .args(["build", "--release", "--offline", "--quiet", "-p", "hub_simulator", "--bin", "hub_simulator"])
         .env("RUSTFLAGS", "-Awarnings")
-        // Most are found within a hundred seeds, so that a build which takes seconds saves more than a fast program.
+        // Most mutants are found within a hundred seeds, so a build that takes seconds saves more than a fast
+        // program.
         .env("CARGO_INCREMENTAL", "1")
         .env("CARGO_PROFILE_RELEASE_OPT_LEVEL", "1")
         .env("CARGO_PROFILE_RELEASE_DEBUG", "0")
@@ -149,7 +152,7 @@ fn try_one(mutant: &Mutant, root: &Path, place: &Path) -> Result<Option<String>,
         let cause = String::from_utf8_lossy(&built.stderr).into_owned();
         return Err(format!("`{}` does not compile:\n{cause}", mutant.name).into());
     }
-    // A hub that never comes back is found, too: by the limit, with a panic that says so.
+    // A hub that never returns is found too: by the limit, with a panic that reports it.
     let played = Command::new(place.join("target/release/hub_simulator"))
         .args(["--count", &SEEDS.to_string()])
         .limited_output()?;

@@ -1,4 +1,4 @@
-//! Who talks to the hub: controllers and consumers, each with its queue.
+//! The programs that talk to the hub: controllers and consumers, each with its queue.
 
 use std::collections::VecDeque;
 
@@ -12,14 +12,14 @@ use scene::{Drives, Mode};
 use crate::oracle::seen_frames::SeenFrames;
 use crate::plan::{Bad, ControllerPlan, Plan};
 
-/// States that a controller's queue holds.
+/// Number of states that a controller's queue holds.
 const STATE_QUEUE: usize = 16;
 
-/// An alarm that is set anew before it goes off: of several, the last one counts.
+/// An alarm that can be reset before it goes off: only the last setting counts.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Alarm(pub u64);
 
-/// A controller's look at X-ray frames: decides with [`ControllerFrames`] as `controller_proc` does.
+/// A controller's view of the X-ray frames: decides with [`ControllerFrames`] as `controller_proc` does.
 #[derive(Debug)]
 pub struct Sight {
     mode: Mode,
@@ -27,9 +27,9 @@ pub struct Sight {
     length: usize,
     queue: VecDeque<FrameMark>,
     kept: Option<FrameMark>,
-    /// It has connected and is to be given the newest frame.
+    /// It has connected and is due to receive the newest frame.
     pub wants_history: bool,
-    /// The state that it answers when it has seen what is due.
+    /// The state that it answers once it has seen the frames that are due.
     pub waits_at: Option<u64>,
 }
 
@@ -52,19 +52,20 @@ impl Sight {
         (self.kept, self.wants_history, self.waits_at) = (None, true, None);
     }
 
-    /// A frame comes into its queue; returns the one that the queue drops.
+    /// Puts a frame into its queue; returns the one that the queue drops.
     pub fn receive(&mut self, frame: FrameMark) -> Option<FrameMark> {
         let dropped = if self.queue.len() == self.length { self.queue.pop_front() } else { None };
         self.queue.push_back(frame);
         dropped
     }
 
-    /// Whether nothing that has come is left to look at.
+    /// Returns whether every received frame has been processed.
     pub fn is_empty(&self) -> bool {
         self.queue.is_empty() && self.kept.is_none()
     }
 
-    /// Looks at the frames before the controller answers the state of this tick; returns whether it waits for another.
+    /// Processes the frames before the controller answers the state of this tick; returns whether it waits
+    /// for another.
     pub fn look(&mut self, index: ControllerIndex, tick: u64, now_ns: u64, account: &mut SeenFrames) -> bool {
         if self.waits_at != Some(tick) {
             self.decide.begin(account.due_at(tick).map(Tick), now_ns);
@@ -100,13 +101,13 @@ pub struct Controller {
     pub asleep: bool,
     pub stalled_until_ns: u64,
     pub alarm: Alarm,
-    /// It has connected and is to be given the newest state.
+    /// It has connected and is due to receive the newest state.
     pub wants_history: bool,
     /// Its states, oldest first.
     pub states: VecDeque<u64>,
     /// Its commands on their way to the hub, and whether each is well formed.
     pub commands: VecDeque<(Incoming<Command>, Form)>,
-    /// If it looks at X-ray frames.
+    /// `None` if it does not look at X-ray frames.
     pub sight: Option<Sight>,
     connection: Connection,
     sequence: u64,
@@ -114,7 +115,7 @@ pub struct Controller {
 }
 
 impl Controller {
-    /// Not connected yet.
+    /// Creates a controller that is not connected yet.
     pub fn new(plan: &Plan, index: ControllerIndex, drives: &[Drives]) -> Controller {
         let looks = plan.x_ray.watching.get(index.slot()) == Some(&true);
         Controller {
@@ -134,7 +135,7 @@ impl Controller {
         }
     }
 
-    /// It connects, or connects anew.
+    /// Connects or reconnects it.
     pub fn join(&mut self) {
         self.connection.0 += 1;
         (self.alive, self.asleep, self.wants_history) = (true, false, true);
@@ -143,7 +144,7 @@ impl Controller {
         self.sight.iter_mut().for_each(Sight::join);
     }
 
-    /// A state comes into its queue, which drops its oldest when it is full.
+    /// Puts a state into its queue, which drops its oldest when full.
     pub fn see(&mut self, tick: u64) {
         if !self.alive {
             return;
@@ -220,7 +221,7 @@ impl Controller {
         self.push(Incoming::Message(command, self.connection), form);
     }
 
-    /// Into the hub's queue, which drops its oldest when it is full.
+    /// Puts a command into the hub's queue, which drops its oldest when full.
     fn push(&mut self, incoming: Incoming<Command>, form: Form) {
         if self.commands.len() == COMMAND.queue_length {
             self.commands.pop_front();
@@ -229,11 +230,11 @@ impl Controller {
     }
 }
 
-/// Whether a command is one that a controller may send.
+/// Whether a command is well formed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Form {
     Whole,
-    /// The hub must refuse it for its content.
+    /// The hub must refuse it because of its content.
     Malformed,
 }
 
@@ -252,7 +253,7 @@ pub struct Consumer {
 }
 
 impl Consumer {
-    /// Not connected yet.
+    /// Creates a consumer that is not connected yet.
     pub fn new(part: Part, look_ns: u64) -> Consumer {
         Consumer {
             part,
@@ -266,7 +267,7 @@ impl Consumer {
         }
     }
 
-    /// Takes what waits, up to the state of this tick; returns the tick to report if that is news.
+    /// Takes what waits, up to the state of this tick; returns the tick to report if it is new.
     pub fn take(&mut self, newest_tick: u64) -> Option<u64> {
         let news = self.waiting > 0 || self.taken.is_none();
         self.waiting = 0;

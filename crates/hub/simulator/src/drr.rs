@@ -14,29 +14,29 @@ use crate::oracle::x_ray::{Answer, FrameAccount, FrameCause, JOBS_WAITING};
 use crate::plan::Plan;
 use crate::x_ray_plan::Asked;
 
-/// States that are taken before requests are looked at again.
+/// States taken before requests are checked again.
 const STATES_PER_ROUND: usize = 32;
 
-/// What the process knows of a state.
+/// The part of a state that the process needs.
 #[derive(Debug, Clone, Copy)]
 struct Seen {
     tick: u64,
     removed_total: u64,
 }
 
-/// How a look at the queues ended.
+/// How a pass over the queues ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Looked {
-    /// Everything that waited is taken.
+    /// Everything that waited has been taken.
     Done,
-    /// The renderer's queue is full: the process stands still until then.
+    /// The renderer's queue is full; the process is blocked until then.
     Blocked {
         /// When the next frame is finished.
         until_ns: u64,
     },
 }
 
-/// The process.
+/// The DRR process.
 #[derive(Debug)]
 pub struct DrrProcess {
     schedule: Schedule,
@@ -44,7 +44,7 @@ pub struct DrrProcess {
     rate_limit: RateLimit,
     random: Rng,
     render_ns: u64,
-    /// What its queues hold.
+    /// Capacities of its queues.
     state_queue: usize,
     removed_queue: usize,
     states: VecDeque<Seen>,
@@ -52,16 +52,16 @@ pub struct DrrProcess {
     requests: VecDeque<Asked>,
     /// The newest state that it has taken.
     newest: Option<Seen>,
-    /// It has stood still before the renderer's queue, so that more may be due at the newest state.
+    /// It was blocked by the renderer's queue, so that more may be due at the newest state.
     stood_still: bool,
-    /// Frames that are rendered or wait for it.
+    /// Frames being rendered or waiting to be.
     jobs: VecDeque<Job>,
     sequence: u64,
-    /// Frames that are out and not handed on yet.
+    /// Frames that are published but not passed on yet.
     published: Vec<FrameMark>,
 }
 
-/// A frame that is rendered or waits for it.
+/// A frame being rendered or waiting to be.
 #[derive(Debug)]
 struct Job {
     finished_ns: u64,
@@ -69,7 +69,7 @@ struct Job {
 }
 
 impl DrrProcess {
-    /// Of a plan, at the beginning.
+    /// Creates the process of a plan, at the beginning.
     pub fn new(plan: &Plan) -> DrrProcess {
         DrrProcess {
             schedule: Schedule::new(ScheduleSettings {
@@ -95,7 +95,7 @@ impl DrrProcess {
         }
     }
 
-    /// Removed voxels come into its queue, which drops its oldest when it is full.
+    /// Puts removed voxels into its queue, which drops its oldest when full.
     pub fn receive_removed(&mut self, removed: &Removed, voxels: &[u32], account: &mut FrameAccount) {
         if self.removed.len() == self.removed_queue {
             self.removed.pop_front();
@@ -110,7 +110,7 @@ impl DrrProcess {
         });
     }
 
-    /// A state comes into its queue, which drops its oldest when it is full.
+    /// Puts a state into its queue, which drops its oldest when full.
     pub fn receive_state(&mut self, state: &State) {
         if self.states.len() == self.state_queue {
             self.states.pop_front();
@@ -118,7 +118,7 @@ impl DrrProcess {
         self.states.push_back(Seen { tick: state.tick, removed_total: state.removed_total });
     }
 
-    /// A request comes into its sender's queue, which drops its oldest when it is full.
+    /// Puts a request into its sender's queue, which drops its oldest when full.
     pub fn receive_request(&mut self, asked: Asked) {
         let mut of_sender = self.requests.iter().enumerate().filter(|(_, other)| other.from == asked.from);
         let oldest = of_sender.next().map(|(index, _)| index);
@@ -128,15 +128,15 @@ impl DrrProcess {
         self.requests.push_back(asked);
     }
 
-    /// Whether the process stands still before the renderer's queue.
+    /// Returns whether the process is blocked by the renderer's queue.
     pub fn is_blocked(&self) -> bool {
         self.jobs.len() > JOBS_WAITING + 1
     }
 
-    /// Looks at all its queues.
+    /// Processes all its queues.
     ///
     /// # Errors
-    /// Removed voxels are missing, which ends the process.
+    /// If removed voxels are missing, which ends the process.
     pub fn look(&mut self, now_ns: u64, account: &mut FrameAccount) -> Result<Looked, RemovedLost> {
         self.publish_finished(now_ns, account);
         loop {
@@ -155,7 +155,8 @@ impl DrrProcess {
         }
     }
 
-    /// Takes the requests that have come, after what is left of the newest state, and serves those that are due.
+    /// Takes the requests that have arrived, after the remaining work of the newest state, and serves those
+    /// that are due.
     pub fn take_requests(&mut self, now_ns: u64, account: &mut FrameAccount) -> Option<Looked> {
         self.publish_finished(now_ns, account);
         if self.is_blocked() {
@@ -200,7 +201,8 @@ impl DrrProcess {
         self.jobs.front().map(|job| Looked::Blocked { until_ns: job.finished_ns })
     }
 
-    /// Renders what is due at the last state and all that waits, and refuses the other requests; `late` comes meanwhile.
+    /// Renders everything due at the last state and all waiting requests that it can answer, and refuses the
+    /// others; the requests `late` arrive meanwhile.
     pub fn finish(&mut self, now_ns: u64, late: Vec<Asked>, account: &mut FrameAccount) {
         if let Some(Seen { tick, .. }) = self.newest {
             while let Some(due) = self.schedule.last(Tick(tick)) {
@@ -213,14 +215,14 @@ impl DrrProcess {
         self.publish_finished(u64::MAX, account);
     }
 
-    /// The process is to end: it refuses the requests that wait.
+    /// Ends the process: it refuses the waiting requests.
     pub fn end(&mut self, account: &mut FrameAccount) {
         let last_tick = self.newest.map_or(Tick::START, |newest| Tick(newest.tick));
         let refused = self.schedule.end(last_tick);
         account.refused_at_end(&refused, last_tick);
     }
 
-    /// Frames that are out since the last call.
+    /// Returns the frames published since the last call.
     pub fn take_published(&mut self) -> Vec<FrameMark> {
         std::mem::take(&mut self.published)
     }
@@ -254,7 +256,7 @@ impl DrrProcess {
     }
 }
 
-/// Whether a request's C-arm is one.
+/// Checks whether a request's C-arm is valid.
 fn geometry_of(request: &DrrRequest) -> Result<(), String> {
     let is_bad = request.use_geometry() == Ok(GeometryChoice::Request) && request.geometry.columns == 0;
     if is_bad { Err("columns is 0".to_owned()) } else { Ok(()) }

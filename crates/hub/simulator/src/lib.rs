@@ -1,19 +1,24 @@
 //! The hub under seeded schedules.
 //!
-//! [`Plan::of`] decides everything from a seed: the scene, how quick everybody is, and what goes wrong when. [`run`] plays the plan
-//! against a [`hub::Hub`] with a clock and queues in memory, and holds every step against an [`oracle`] that knows nothing of
-//! the hub but what passes between it and its surroundings. Among these are a DRR process and controllers that decide with [`delivery::x_ray`],
-//! and a viewer that decides with [`delivery::viewer`], as the real ones do. [`shrink`] takes from a plan that fails what it fails without.
+//! [`Plan::of`] derives everything from a seed: the scene, how fast every program is, and what goes wrong
+//! when. [`run`] plays the plan against a [`hub::Hub`] with a clock and queues in memory, and checks every
+//! step with an [`oracle`] that knows nothing of the hub except what passes between it and its surroundings.
+//! Among these are a DRR process and controllers that decide with [`delivery::x_ray`], and a viewer that
+//! decides with [`delivery::viewer`], as the real ones do. [`shrink`] reduces a failing plan to what is
+//! needed for the failure.
 //!
-//! What holds is in [`oracle`]: what is published when; that a replay of it gives the same hashes; the latch's rules; that nothing is made
-//! while the run rests, is stopped or is to end; that no consumer is left too far behind; deadlines and misses; every request
-//! answered; every ending with a reason; nobody asleep beside a message; no wait without a limit; bounded warnings. Of
-//! X-ray frames ([`oracle::x_ray`]): which are due at which state, that each request is refused for its reason or has its one frame, that
-//! each frame lacks exactly the voxels that are gone at its tick, that the last state is shown, and that no request is left without an
-//! answer. Of controllers ([`oracle::seen_frames`]): which frames each sees before it answers which state, and that it waits for none that
-//! has passed. Of a viewer's clients ([`oracle::viewer`]): what waits for each is bounded, what it gets is in order, what it misses is
-//! counted and told, and the newest message of each channel reaches it. Of one schedule in
-//! 64, if it has a recorder, the log is written and cut at any byte; the ticks read from it are a prefix of those published.
+//! The rules are in [`oracle`]: the order of publication; that a replay gives the same hashes; the latch's
+//! rules; that no tick runs while the run is paused, stopped or ending; that no consumer falls too far
+//! behind; deadlines and misses; every request answered; every ending with a reason; no reader asleep with a
+//! message waiting; no wait without a limit; bounded warnings. For X-ray frames ([`oracle::x_ray`]): which
+//! are due at which state, that each request is either refused for the right reason or gets exactly one
+//! frame, that each frame lacks exactly the voxels that are removed at its tick, that the last state is
+//! shown, and that no request is left without an answer. For controllers ([`oracle::seen_frames`]): which
+//! frames each sees before it answers which state, and that it waits for none that has passed. For a viewer's
+//! clients ([`oracle::viewer`]): that each one's queue is bounded, that messages arrive in order, that missed
+//! ones are counted and reported, and that the newest message of each channel arrives. One schedule in 64, if
+//! it has a recorder, also writes its log and cuts it at any byte; the ticks read from it must be a prefix of
+//! those published.
 //!
 //! ```
 //! let plan = hub_simulator::Plan::of(7);
@@ -47,19 +52,19 @@ pub use viewer_plan::{SubscriptionChange, ViewerPlan, WatcherPlan};
 use world::World;
 pub use x_ray_plan::{Ask, AskKind, XRayPlan};
 
-/// Advances of one run; more of them are a hub that does not come to an end.
+/// Maximum number of advances of one run; with more, the hub does not come to an end.
 const MOST_ADVANCES: u64 = 400_000;
 
-/// What a schedule came to, or many together.
+/// Result of a schedule, or sum over several.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Played {
-    /// Ticks made.
+    /// Number of ticks.
     pub ticks: u64,
     /// Times that the hub was advanced.
     pub advances: u64,
-    /// Schedules that came to their end, and not to an error that had a reason.
+    /// Schedules that completed, rather than failing with a justified error.
     pub ended: u64,
-    /// Logs that were cut and read.
+    /// Logs that were cut and read back.
     pub logs_cut: u64,
     /// X-ray frames.
     pub frames: u64,
@@ -67,9 +72,9 @@ pub struct Played {
     pub frames_refused: u64,
     /// Frames that controllers have seen.
     pub frames_seen: u64,
-    /// Messages that clients of the viewer were sent.
+    /// Messages sent to clients of the viewer.
     pub watched: u64,
-    /// Those that they were told they missed.
+    /// Missed messages reported to them.
     pub dropped: u64,
 }
 
@@ -90,7 +95,7 @@ impl AddAssign for Played {
 /// Plays a schedule.
 ///
 /// # Errors
-/// What did not hold.
+/// The first violated rule.
 pub fn run(plan: &Plan) -> Result<Played, String> {
     let (scene, drives) = scene(plan);
     let handle = Handle::default();
@@ -141,12 +146,13 @@ pub fn run(plan: &Plan) -> Result<Played, String> {
     }
 }
 
-/// The plan's scene, and what each of its controllers drives.
+/// Creates the plan's scene, with the parts that each of its controllers drives.
 fn scene(plan: &Plan) -> (Scene, Vec<Vec<Drives>>) {
     static BASE: OnceLock<Result<Scene, String>> = OnceLock::new();
-    const TEXT: &str = "name = \"a\"\n[run]\nmode = \"lockstep\"\nduration_s = 1.0\n[tool]\nburr_start_mm = [0.0, 0.0, 0.0]\n\
-         direction = [0.0, 0.0, 1.0]\nbend_toward = [1.0, 0.0, 0.0]\n[[controller]]\nname = \"c0\"\n\
-         drives = [\"tendon\", \"arm\", \"burr\"]\nexternal = true\nconnect_limit_s = 1.0\n";
+    const TEXT: &str = "name = \"a\"\n[run]\nmode = \"lockstep\"\nduration_s = 1.0\n[tool]\n\
+         burr_start_mm = [0.0, 0.0, 0.0]\ndirection = [0.0, 0.0, 1.0]\nbend_toward = [1.0, 0.0, 0.0]\n\
+         [[controller]]\nname = \"c0\"\ndrives = [\"tendon\", \"arm\", \"burr\"]\nexternal = true\n\
+         connect_limit_s = 1.0\n";
     let base =
         BASE.get_or_init(|| Scene::parse(TEXT, Path::new("schedule")).map_err(|cause| cause.to_string()));
     let mut scene = match base {
@@ -175,7 +181,8 @@ fn scene(plan: &Plan) -> (Scene, Vec<Vec<Drives>>) {
     (scene, drives)
 }
 
-/// The least of a failing plan that still fails, by taking away faults, controllers' delays and ticks; and how it fails.
+/// Reduces a failing plan by removing faults, controllers' delays and ticks while it still fails; returns it
+/// with its failure.
 pub fn shrink(plan: &Plan) -> (Plan, String) {
     let mut least = plan.clone();
     let mut failure = run(&least).err().unwrap_or_default();
@@ -230,18 +237,19 @@ pub fn shrink(plan: &Plan) -> (Plan, String) {
     (least, failure)
 }
 
-/// What many schedules came to.
+/// Results of many schedules.
 #[derive(Debug, Clone, Default)]
 pub struct Summary {
     /// Schedules played.
     pub schedules: u64,
-    /// What they came to, all together.
+    /// Sum of their results.
     pub played: Played,
-    /// The first seed that fails, and how.
+    /// The first failing seed, with its failure.
     pub failure: Option<(u64, String)>,
 }
 
-/// Plays the schedules of `count` seeds from `first` on, on `threads` threads, up to the first failure of each thread.
+/// Plays the schedules of `count` seeds from `first` on, on `threads` threads, up to the first failure of
+/// each thread.
 pub fn play(first: u64, count: u64, threads: u64) -> Summary {
     let threads = threads.max(1);
     let worker = |offset: u64| {

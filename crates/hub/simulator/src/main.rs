@@ -6,16 +6,16 @@ use std::time::Instant;
 use clap::Parser;
 use hub_simulator::{Plan, Played, play, run, shrink};
 
-/// Plays seeded schedules against the hub; a seed that fails is printed with the least plan that fails.
+/// Plays seeded schedules against the hub; a failing seed is printed with its smallest failing plan.
 #[derive(Debug, Parser)]
 struct Arguments {
     /// First seed.
     #[arg(long, default_value_t = 0)]
     seed: u64,
-    /// How many seeds.
+    /// Number of seeds.
     #[arg(long, default_value_t = 1_000_000)]
     count: u64,
-    /// Threads.
+    /// Number of threads.
     #[arg(long, default_value_t = 2)]
     threads: u64,
 }
@@ -31,9 +31,9 @@ fn main() -> ExitCode {
         let Played { watched, dropped, ended, logs_cut, .. } = summary.played;
         let rate = schedules as f64 / wall_s;
         println!(
-            "{schedules} schedules, {ticks} ticks, {frames} frames ({frames_refused} refused, {frames_seen} seen by controllers), \
-             {watched} messages to viewers ({dropped} missed), {ended} came to their end, {logs_cut} logs cut; {wall_s:.1} s, \
-             {rate:.0} schedules a second"
+            "{schedules} schedules, {ticks} ticks, {frames} frames ({frames_refused} refused, {frames_seen} \
+             seen by controllers), {watched} messages to viewers ({dropped} missed), {ended} completed, \
+             {logs_cut} logs cut; {wall_s:.1} s, {rate:.0} schedules a second"
         );
         return ExitCode::SUCCESS;
     };

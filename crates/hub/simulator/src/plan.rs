@@ -1,4 +1,4 @@
-//! What a seed decides: the scene, how quick everybody is, and what goes wrong when.
+//! The choices of a seed: the scene, how fast every program is, and what goes wrong when.
 
 use fastrand::Rng;
 use messages::ControlAction;
@@ -12,16 +12,17 @@ pub const US: u64 = 1_000;
 /// Milliseconds in nanoseconds.
 pub const MS: u64 = 1_000_000;
 
-/// Number of schedules of which one has its log written and cut.
+/// One in this many schedules has its log written and cut.
 const SCHEDULES_PER_CUT: u64 = 64;
 
-/// How much longer the hub waits for controllers that wait for frames, behind all that are asked for.
+/// How much longer the hub waits for controllers that wait for frames, which are rendered after all requested
+/// ones.
 const FRAMES_LIMIT_MS: u64 = 400;
 
 /// One schedule.
 #[derive(Debug, Clone)]
 pub struct Plan {
-    /// Where it comes from; also seeds the small random choices while it runs.
+    /// Its seed, which also seeds the small random choices while it runs.
     pub seed: u64,
     /// Lockstep or real time.
     pub mode: Mode,
@@ -31,7 +32,7 @@ pub struct Plan {
     pub hold_ticks: u64,
     /// `run.controller_limit_ms`.
     pub controller_limit_ms: u64,
-    /// How far in front of its consumers the hub may run.
+    /// How far the hub may run ahead of its consumers.
     pub lead_ticks: u64,
     /// Whether it waits for the recorder in real time.
     pub waits_for_recorder: bool,
@@ -39,90 +40,90 @@ pub struct Plan {
     pub keyframe_period_ticks: Option<u64>,
     /// The controllers of the scene.
     pub controllers: Vec<ControllerPlan>,
-    /// Time that the DRR process needs for a look at its queue; none: there is no such process.
+    /// Time that the DRR process needs to process its queue; `None` without a DRR process.
     pub drr_ns: Option<u64>,
-    /// The same of the recorder.
+    /// As `drr_ns`, for the recorder.
     pub recorder_ns: Option<u64>,
     /// The frames of the DRR process.
     pub x_ray: XRayPlan,
-    /// The viewer; none: nobody watches.
+    /// The viewer; `None` without one.
     pub viewer: Option<ViewerPlan>,
-    /// What goes wrong.
+    /// The faults.
     pub faults: Vec<Fault>,
-    /// Seed of the byte at which the run's log is cut; none: no log is written.
+    /// Seed of the byte at which the run's log is cut; `None` if no log is written.
     pub log_cut: Option<u64>,
 }
 
 /// A controller.
 #[derive(Debug, Clone)]
 pub struct ControllerPlan {
-    /// Whether the run goes on without it.
+    /// Whether the run continues without it.
     pub optional: bool,
     /// When it connects.
     pub joins_ns: u64,
-    /// From taking a state to sending the answer, at most.
+    /// Longest time from taking a state to sending the answer.
     pub answer_ns: u64,
-    /// It answers the newest state only, and not each.
+    /// Whether it answers only the newest state instead of each.
     pub newest_only: bool,
 }
 
-/// Something that goes wrong, or is asked for.
+/// A fault, or a request.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Fault {
-    /// When, after the beginning.
+    /// When it occurs, after the beginning.
     pub at_ns: u64,
-    /// What.
+    /// Its kind.
     pub kind: FaultKind,
 }
 
-/// What can go wrong.
+/// The kinds of faults and requests.
 #[derive(Debug, Clone, PartialEq)]
 pub enum FaultKind {
-    /// A controller is killed, and started again after a time, or never.
+    /// A controller is killed, and restarted after a time or never.
     ControllerDies {
-        /// Which.
+        /// Its index.
         index: usize,
-        /// When it is back.
+        /// When it is back; `None` for never.
         back_after_ns: Option<u64>,
     },
-    /// A controller stands still.
+    /// A controller stalls.
     ControllerStalls {
-        /// Which.
+        /// Its index.
         index: usize,
         /// How long.
         for_ns: u64,
     },
-    /// A controller sends something that must be refused.
+    /// A controller sends a command that must be refused.
     BadCommand {
-        /// Which.
+        /// Its index.
         index: usize,
-        /// What.
+        /// The command's defect.
         bad: Bad,
     },
-    /// A controller sends so many more commands at once.
+    /// A controller sends many extra commands at once.
     CommandFlood {
-        /// Which.
+        /// Its index.
         index: usize,
         /// How many.
         count: u64,
     },
-    /// A consumer stands still.
+    /// A consumer stalls.
     ConsumerStalls {
-        /// The recorder, or the DRR process.
+        /// Whether it is the recorder; otherwise the DRR process.
         recorder: bool,
         /// How long.
         for_ns: u64,
     },
     /// A consumer is killed; the launcher notices after a time and asks the run to end.
     ConsumerDies {
-        /// The recorder, or the DRR process.
+        /// Whether it is the recorder; otherwise the DRR process.
         recorder: bool,
-        /// When the launcher has noticed.
+        /// When the launcher notices.
         noticed_after_ns: u64,
     },
-    /// A client asks run control for something.
+    /// A client sends run-control requests.
     Control {
-        /// One of the `CONTROL_` constants, or nonsense.
+        /// One of the `CONTROL_` constants, or an invalid one.
         action: u32,
         /// Ticks of a step.
         ticks: u64,
@@ -157,17 +158,17 @@ pub enum FaultKind {
 /// Commands that must be refused.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Bad {
-    /// A number that is not one.
+    /// NaN.
     NotANumber,
     /// A part of the tool that the controller does not drive.
     OthersPart,
-    /// A state that there has not been.
+    /// A state that does not exist yet.
     Future,
-    /// A sequence number that does not rise.
+    /// A sequence number that does not increase.
     OldSequence,
-    /// An answer to a state before the one that it answered last.
+    /// An answer to an older state than the one it answered last.
     OldState,
-    /// Bytes of a wrong length.
+    /// Bytes of the wrong length.
     Malformed,
 }
 
@@ -175,14 +176,14 @@ const BAD: [Bad; 6] =
     [Bad::NotANumber, Bad::OthersPart, Bad::Future, Bad::OldSequence, Bad::OldState, Bad::Malformed];
 
 impl Default for Plan {
-    /// The schedule of seed 0.
+    /// Returns the schedule of seed 0.
     fn default() -> Plan {
         Plan::of(0)
     }
 }
 
 impl Plan {
-    /// The schedule of a seed.
+    /// Derives the schedule of a seed.
     pub fn of(seed: u64) -> Plan {
         let mut random = Rng::with_seed(seed);
         let mode = if random.bool() { Mode::Lockstep } else { Mode::Realtime };
@@ -227,7 +228,7 @@ impl Plan {
         plan
     }
 
-    /// How long the run takes if nothing goes wrong, roughly.
+    /// Returns roughly how long the run takes if nothing goes wrong.
     pub fn nominal_ns(&self) -> u64 {
         match self.mode {
             Mode::Realtime => self.tick_count * MS,
@@ -235,7 +236,7 @@ impl Plan {
         }
     }
 
-    /// Whether the plan has a fault of a kind.
+    /// Returns whether the plan has a fault of a kind.
     pub fn has(&self, kind: impl Fn(&FaultKind) -> bool) -> bool {
         self.faults.iter().any(|fault| kind(&fault.kind))
     }
@@ -251,8 +252,8 @@ fn controller(random: &mut Rng) -> ControllerPlan {
     }
 }
 
-/// Somebody pauses, asks for steps, pauses again in the middle of them, and goes on a while later. Four requests that are drawn one by one
-/// hardly ever come in this order.
+/// A user pauses, requests steps, pauses again in the middle of them, and resumes a while later. Four
+/// requests drawn independently hardly ever arrive in this order.
 fn stepping(plan: &Plan, random: &mut Rng) -> [Fault; 4] {
     let mut at_ns = random.u64(..plan.nominal_ns());
     let asked = [

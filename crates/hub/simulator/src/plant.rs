@@ -1,4 +1,4 @@
-//! A stand-in for the physics: nothing but a chain of hashes, so that one wrong bit changes everything after it.
+//! A stand-in for the physics: only a chain of hashes, so that one wrong bit changes everything after it.
 
 use std::cell::Cell;
 use std::rc::Rc;
@@ -6,17 +6,17 @@ use std::rc::Rc;
 use messages::{ControllerIndex, Latched, PastStop, Plant, Refusal, SensorReading, State};
 use zerocopy::IntoBytes;
 
-/// Voxels that are gone from the start, as many as two messages hold and one more.
+/// Predrilled voxels: one more than two messages hold.
 const PREDRILLED: usize = messages::services::MAX_REMOVED_PER_MESSAGE + 1;
-/// `State.tick` of the ticks that lack memory, and for how many voxels.
+/// `State.tick` of the ticks that run out of memory.
 pub const UNCUT_TICKS: [u64; 2] = [9, 10];
 /// Voxels for which these ticks have no memory.
 pub const UNCUT: usize = 5;
 
-/// From this `State.tick` on the plant's model is not valid.
+/// From this `State.tick` on, the plant's model is invalid.
 pub const INVALID_FROM: u64 = 6;
 
-/// What the schedule does to the plant, shared with it.
+/// The schedule's effects on the plant, shared with it.
 #[derive(Debug, Clone, Default)]
 pub struct Handle {
     /// Clock, ns: a tick takes time.
@@ -29,7 +29,7 @@ pub struct Handle {
     pub fails: Rc<Cell<bool>>,
 }
 
-/// The stand-in.
+/// The stand-in plant.
 #[derive(Debug)]
 pub struct ChainPlant {
     state: State,
@@ -41,7 +41,7 @@ pub struct ChainPlant {
 }
 
 impl ChainPlant {
-    /// At tick 0.
+    /// Creates the plant at tick 0.
     pub fn new(handle: Handle) -> ChainPlant {
         let mut state = State::zeroed();
         state.hash = [11, 22];
@@ -63,7 +63,7 @@ impl Default for ChainPlant {
 }
 
 impl ChainPlant {
-    /// Two sensors, every seventh tick.
+    /// Measures with two sensors, every seventh tick.
     fn measure(&mut self) {
         self.readings.clear();
         let tick = self.state.tick;
@@ -92,7 +92,7 @@ impl Plant for ChainPlant {
             return Err(format!("tick {} behind {}", latched.tick, self.state.tick));
         }
         if self.handle.fails.take() {
-            return Err("the tool is lost".to_owned());
+            return Err("the plant failed".to_owned());
         }
         let clock = &self.handle.now_ns;
         clock.set(clock.get() + 30_000 + self.handle.slow_ns.take());

@@ -1,4 +1,5 @@
-//! What a recorder writes of a schedule, in memory; the log is then cut at any byte, as by a crash, and read again.
+//! The recorder's log of a schedule, in memory; the log is then cut at any byte, as by a crash, and read
+//! back.
 
 use std::collections::{BTreeMap, VecDeque};
 
@@ -32,7 +33,7 @@ pub struct Recording {
     removed: VecDeque<Vec<u8>>,
     readings: VecDeque<SensorReading>,
     states: VecDeque<State>,
-    /// What the hub published.
+    /// Everything that the hub published.
     published: Vec<TickRecord>,
     input: Option<Latched>,
     voxels: Vec<u32>,
@@ -47,10 +48,10 @@ impl std::fmt::Debug for Recording {
 }
 
 impl Recording {
-    /// Begins the log of a plan that cuts it; `cut` seeds where.
+    /// Begins the log of a plan that cuts it; `cut` seeds the position of the cut.
     ///
     /// # Errors
-    /// The log's.
+    /// Errors of the log.
     pub fn begin(plan: &Plan, cut: u64) -> Result<Recording, LogError> {
         let header = LogHeader {
             scene_toml: String::new(),
@@ -79,28 +80,28 @@ impl Recording {
         })
     }
 
-    /// The hub publishes u_k.
+    /// Records that the hub publishes u_k.
     pub fn latch(&mut self, latched: &Latched) {
         self.input = Some(*latched);
         self.latched.push_back(*latched);
     }
 
-    /// The hub publishes removed voxels.
+    /// Records that the hub publishes removed voxels.
     pub fn removed(&mut self, removed: &Removed, voxels: &[u32]) {
         self.voxels.extend_from_slice(voxels);
         self.removed.push_back([removed.as_bytes(), voxels.as_bytes()].concat());
     }
 
-    /// The hub publishes a reading.
+    /// Records that the hub publishes a reading.
     pub fn reading(&mut self, reading: &SensorReading) {
         self.measured.push(*reading);
         self.readings.push_back(*reading);
     }
 
-    /// The hub publishes x_k; the recorder may look at its queues.
+    /// Records that the hub publishes x_k; the recorder may process its queues.
     ///
     /// # Errors
-    /// The log's.
+    /// Errors of the log.
     pub fn state(&mut self, state: &State) -> Result<(), LogError> {
         let removed = std::mem::take(&mut self.voxels);
         let readings = std::mem::take(&mut self.measured);
@@ -113,12 +114,13 @@ impl Recording {
         if self.random.u8(..4) == 0 { self.take(taken) } else { Ok(()) }
     }
 
-    /// The hub publishes a part of a keyframe.
+    /// Records that the hub publishes a part of a keyframe.
     pub fn keyframe(&mut self, keyframe: &Keyframe, part: &[u8]) {
         self.keyframes.push_back([keyframe.as_bytes(), part].concat());
     }
 
-    /// Takes some states, and before each, as the recorder's process does, all that waits of what is published before states.
+    /// Takes some states. Before each, like the recorder process, it takes everything that is published
+    /// before states.
     fn take(&mut self, states: usize) -> Result<(), LogError> {
         for _ in 0..states {
             self.take_inputs()?;
@@ -134,11 +136,11 @@ impl Recording {
         self.removed.drain(..).try_for_each(|message| self.log.removed(&message))
     }
 
-    /// Ends the log, cuts it and reads what is left: the ticks of its whole chunks as they were published, none after them, and
-    /// intact only if nothing was cut off.
+    /// Ends the log, cuts it and reads what is left: it must hold the ticks of its whole chunks as they were
+    /// published, none after them, and be intact only if nothing was cut off.
     ///
     /// # Errors
-    /// What does not hold.
+    /// The violated rule.
     pub fn check_cut(mut self) -> Result<(), String> {
         let told = |error: LogError| format!("the recording: {error}");
         self.take(self.states.len()).map_err(told)?;
@@ -158,13 +160,13 @@ impl Recording {
     }
 }
 
-/// What a log that was cut gives back.
+/// Contents of a log that was cut.
 struct Given {
     last_tick: u64,
     is_intact: bool,
 }
 
-/// Reads a log and compares its ticks with those published; none if it has no initial state.
+/// Reads a log and compares its ticks with those published; `None` if it has no initial state.
 fn ticks_of(bytes: &[u8], published: &[TickRecord]) -> Result<Option<Given>, String> {
     let mut reader = match LogReader::open(&LogBytes::new("cut.mcap", bytes)) {
         Ok(reader) => reader,
@@ -191,9 +193,9 @@ fn ticks_of(bytes: &[u8], published: &[TickRecord]) -> Result<Option<Given>, Str
     }))
 }
 
-/// The last state in the chunks of a whole log that end within its first `length` bytes.
+/// Returns the last state in the chunks of a whole log that end within its first `length` bytes.
 fn last_whole_tick(bytes: &[u8], length: usize) -> Result<Option<u64>, LogError> {
-    // Every record is an opcode, 8 bytes of length and so many bytes (MCAP specification, "Records").
+    // Every record is an opcode, a length of 8 bytes and that many bytes (MCAP specification, "Records").
     let (mut at, mut chunks) = (MAGIC_BYTES, 0);
     while let Some(&[opcode, ref body @ ..]) = bytes.get(at..at + RECORD_HEADER_BYTES) {
         let body: u64 = body.iter().rev().fold(0, |sum, byte| sum << 8 | u64::from(*byte));

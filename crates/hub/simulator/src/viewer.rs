@@ -1,4 +1,5 @@
-//! The viewer in memory: decides with [`delivery::viewer`] as `viewer_proc` does, and its clients read at their own pace.
+//! The viewer in memory: decides with [`delivery::viewer`] as `viewer_proc` does, and its clients read at
+//! their own pace.
 
 use std::collections::VecDeque;
 
@@ -11,19 +12,19 @@ use crate::viewer_plan::{SubscriptionChange, ViewerPlan};
 
 /// Channel of the states.
 pub const STATES: u32 = 1;
-/// Channel of the X-ray frames, of which the newest counts.
+/// Channel of the X-ray frames, where only the newest counts.
 pub const FRAMES: u32 = 2;
 /// Channel of the bone's surface, block by block.
 pub const SURFACE: u32 = 3;
 /// Channel of notices, of which the last few are kept.
 pub const NOTICES: u32 = 4;
-/// Channels of which every message counts.
+/// Channels where every message counts.
 pub const STREAMS: [u32; 2] = [STATES, NOTICES];
 /// Notices kept for clients that subscribe later.
 pub const NOTICES_KEPT: u32 = 3;
-/// Blocks of the surface.
+/// Number of blocks of the surface.
 const BLOCKS: u32 = 5;
-/// Longest sleep of a client's connection beside an empty queue.
+/// Longest sleep of a client's connection while its queue is empty.
 const END_CHECK_NS: u64 = 100 * MS;
 
 /// One client and its connection.
@@ -32,19 +33,19 @@ struct Watcher {
     client: Client,
     account: WatcherAccount,
     connected: bool,
-    /// It has been sent everything, and waits for the bell.
+    /// It has been sent everything and waits to be woken.
     asleep: bool,
     reading_until_ns: u64,
 }
 
-/// The process.
+/// The viewer process.
 #[derive(Debug)]
 pub struct Viewer {
     plan: ViewerPlan,
     random: Rng,
     kept: Kept,
     wanted: Wanted,
-    /// Messages of its queues that it has not taken: channel and number.
+    /// Messages in its queues that it has not taken: channel and number.
     states: VecDeque<u64>,
     frames: VecDeque<u64>,
     notices: u32,
@@ -52,16 +53,16 @@ pub struct Viewer {
     newest: [u64; 2],
     number: u64,
     watchers: Vec<Watcher>,
-    /// Messages that clients were sent.
+    /// Messages sent to clients.
     pub sent: u64,
-    /// Those that they were told they missed.
+    /// Missed messages reported to them.
     pub missed: u64,
-    /// The first thing that did not hold.
+    /// The first violated rule.
     pub failure: Option<String>,
 }
 
 impl Viewer {
-    /// Of a plan, at the beginning.
+    /// Creates the viewer of a plan, at the beginning.
     pub fn new(plan: &ViewerPlan, seed: u64, now_ns: u64) -> Viewer {
         let watcher = |_| Watcher {
             client: Client::new(Limits { stream_bytes: plan.stream_bytes }, now_ns),
@@ -87,23 +88,23 @@ impl Viewer {
         }
     }
 
-    /// A state comes into its queue, which drops its oldest when it is full.
+    /// Puts a state into its queue, which drops its oldest when full.
     pub fn receive_state(&mut self) {
         self.newest[0] += 1;
         push_bounded(&mut self.states, self.newest[0], self.plan.queue);
     }
 
-    /// An X-ray frame comes into its queue.
+    /// Puts an X-ray frame into its queue.
     pub fn receive_frame(&mut self) {
         self.newest[1] += 1;
         push_bounded(&mut self.frames, self.newest[1], self.plan.queue);
     }
 
-    /// Looks at its queues, and hands on what it finds.
+    /// Processes its queues, and passes on what it finds.
     pub fn look(&mut self, now_ns: u64) {
         let states = std::mem::take(&mut self.states);
         self.forward(STATES, Policy::Stream, states, now_ns);
-        // Of frames that have come together it publishes the last.
+        // If several frames have arrived, it publishes the last.
         let newest_frame = self.frames.drain(..).next_back();
         if let Some(frame) = newest_frame {
             self.publish(FRAMES, Policy::Newest, 0, frame, now_ns);
@@ -146,7 +147,7 @@ impl Viewer {
         }
     }
 
-    /// Whether a client sleeps beside messages; it is woken by it.
+    /// Wakes a client that sleeps although messages wait; returns whether it did.
     pub fn wakes(&mut self, index: usize) -> bool {
         let watcher = &mut self.watchers[index];
         let wakes = watcher.connected && watcher.asleep && watcher.account.has_waiting();
@@ -154,7 +155,7 @@ impl Viewer {
         wakes
     }
 
-    /// A client connects and subscribes.
+    /// Connects a client, with its subscriptions.
     pub fn join(&mut self, index: usize) {
         self.watchers[index].connected = true;
         for (subscription, channel) in (1..).zip(self.plan.clients[index].channels.clone()) {
@@ -170,7 +171,7 @@ impl Viewer {
         account.subscribed(subscription, channel, outcome.is_ok());
     }
 
-    /// A client begins or ends a subscription.
+    /// Begins or ends a subscription of a client.
     pub fn change(&mut self, index: usize, change: SubscriptionChange) {
         if !self.watchers[index].connected {
             return;
@@ -185,7 +186,7 @@ impl Viewer {
         self.count_wanted();
     }
 
-    /// A client leaves, with what it was not told.
+    /// Disconnects a client, discarding drops not yet reported to it.
     pub fn leave(&mut self, index: usize) {
         self.watchers[index].connected = false;
         self.count_wanted();
@@ -196,7 +197,8 @@ impl Viewer {
         self.wanted = Wanted::of(connected.flat_map(|watcher| watcher.client.channels()));
     }
 
-    /// A client's connection sends what waits; returns when it looks again. None: it has left.
+    /// Sends what waits for a client; returns the time until it checks again, or `None` if the client has
+    /// left.
     pub fn serve(&mut self, index: usize, now_ns: u64) -> Option<u64> {
         let (plan, watcher) = (&self.plan.clients[index], &mut self.watchers[index]);
         if !watcher.connected {
@@ -223,7 +225,7 @@ impl Viewer {
         Some(if is_empty { END_CHECK_NS } else { read_ns })
     }
 
-    /// The run is over: the viewer takes what has arrived, and each client that stays reads to the end.
+    /// Ends the run: the viewer takes what has arrived, and each remaining client reads to the end.
     pub fn finish(&mut self, now_ns: u64) {
         self.look(now_ns);
         for (index, watcher) in self.watchers.iter_mut().enumerate().filter(|(_, watcher)| watcher.connected)
@@ -240,7 +242,7 @@ impl Viewer {
         self.note_failures();
     }
 
-    /// Takes over what does not hold of a client.
+    /// Adopts a violated rule of a client.
     pub fn note_failures(&mut self) {
         for (index, watcher) in self.watchers.iter_mut().enumerate() {
             if let Some(failure) = watcher.account.failure.take() {
@@ -251,7 +253,7 @@ impl Viewer {
 }
 
 impl Watcher {
-    /// Sends the next messages; returns how many.
+    /// Sends the next messages; returns their number.
     fn send(&mut self, batch_bytes: usize) -> usize {
         let messages = self.client.take(batch_bytes);
         self.account.delivered(&messages, batch_bytes);

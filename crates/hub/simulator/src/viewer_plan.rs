@@ -1,4 +1,4 @@
-//! What a seed decides about the viewer: how often it looks, who watches, and how quickly each of them reads.
+//! The choices of a seed about the viewer: how often it looks, its clients, and how fast each of them reads.
 
 use fastrand::Rng;
 
@@ -7,15 +7,15 @@ use crate::plan::{MS, Plan, US};
 /// The viewer of a schedule.
 #[derive(Debug, Clone, Default)]
 pub struct ViewerPlan {
-    /// Time between two looks at its queues.
+    /// Time between two passes over its queues.
     pub look_ns: u64,
-    /// Messages that each of its queues holds.
+    /// Number of messages that each of its queues holds.
     pub queue: usize,
-    /// Its limit for what waits of one client's streams.
+    /// Limit for the waiting bytes of one client's streams.
     pub stream_bytes: usize,
     /// Bytes of a message.
     pub message_bytes: usize,
-    /// Who watches.
+    /// Its clients.
     pub clients: Vec<WatcherPlan>,
 }
 
@@ -24,24 +24,24 @@ pub struct ViewerPlan {
 pub struct WatcherPlan {
     /// When it connects.
     pub joins_ns: u64,
-    /// When it leaves; none: it stays to the end.
+    /// When it leaves; `None` if it stays to the end.
     pub leaves_ns: Option<u64>,
     /// Bytes that it is sent at a time.
     pub batch_bytes: usize,
     /// Longest time that it takes to read them.
     pub read_ns: u64,
-    /// Channels of its subscriptions, which are numbered from 1, at the start.
+    /// Channels of its initial subscriptions, which are numbered from 1.
     pub channels: Vec<u32>,
-    /// When it subscribes or unsubscribes, and which subscription: its number and its channel.
+    /// Changes of its subscriptions.
     pub changes: Vec<SubscriptionChange>,
-    /// It reads nothing for a time: from when, and how long.
+    /// When it stops reading for a time, and for how long.
     pub stalls: Option<(u64, u64)>,
 }
 
-/// A change of a subscription: it ends if the client has it, and begins otherwise.
+/// A change of a subscription: ends it if the client has it, otherwise begins it.
 #[derive(Debug, Clone, Copy)]
 pub struct SubscriptionChange {
-    /// When.
+    /// Time of the change.
     pub at_ns: u64,
     /// The client's number for it.
     pub subscription: u32,
@@ -53,8 +53,8 @@ pub struct SubscriptionChange {
 pub const CHANNELS: u32 = 4;
 
 impl ViewerPlan {
-    /// Of a plan's seed and length; none in a third of the plans. Draws from a stream of its own, so that the rest of the plan does not
-    /// depend on it.
+    /// Derives the viewer from a plan's seed and length; `None` in a third of the plans. Draws from its own
+    /// random stream, so that the rest of the plan does not depend on it.
     pub fn of(plan: &Plan) -> Option<ViewerPlan> {
         let mut random = Rng::with_seed(plan.seed ^ 0x6c8e_9cf5_7093_2bd5);
         let clients = [0, 1, 1, 2, 3, 0][random.usize(..6)];

@@ -1,4 +1,5 @@
-//! The hub's surroundings in memory: a clock that events turn, queues, and everybody at the other end of them.
+//! The hub's surroundings in memory: a clock driven by events, queues, and all programs at the other end of
+//! them.
 
 use std::cell::Cell;
 use std::cmp::Reverse;
@@ -22,24 +23,24 @@ use crate::plant::Handle;
 use crate::recording::Recording;
 use crate::viewer::Viewer;
 
-// What the hub asks of it.
+// The environment that the hub sees.
 mod environment;
-// X-ray frames, and who sees them.
+// X-ray frames and the controllers that see them.
 mod frames;
 mod watching;
 
-/// Longest sleep of a reader before it looks again by itself.
+/// Longest sleep of a reader before it polls again by itself.
 const LONGEST_SLEEP_NS: u64 = 10 * MS;
-/// Time between two looks of a controller that waits for an X-ray frame.
+/// Time between two polls of a controller that waits for an X-ray frame.
 const FRAME_POLL_NS: u64 = 500 * US;
-/// Longest queue of run control and of progress.
+/// Capacity of the queues of run control and of progress.
 const QUEUE: usize = 256;
 /// How often in a row the hub may wait for something that is already there, or for a time that has passed.
 const IDLE_WAITS: u32 = 8;
-/// How soon the launcher notices that the DRR process has ended.
+/// Time after which the launcher notices that the DRR process has ended.
 const LAUNCHER_NOTICES_NS: u64 = 20 * MS;
 
-/// What happens at a time.
+/// An event of the schedule.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 enum Event {
     ControllerJoins(ControllerIndex),
@@ -57,7 +58,7 @@ enum Event {
     WatcherChanges(usize, usize),
 }
 
-/// Everything but the hub.
+/// Everything except the hub.
 #[derive(Debug)]
 pub struct World {
     plan: Plan,
@@ -68,12 +69,12 @@ pub struct World {
     order: u64,
     controllers: Vec<Controller>,
     consumers: Vec<Consumer>,
-    /// The DRR process while it lives.
+    /// The DRR process while it is alive.
     drr: Option<DrrProcess>,
     frame_requests: u64,
-    /// How many of the plan's requests have been sent.
+    /// Number of the plan's requests sent so far.
     asked: usize,
-    /// The newest frame that is out.
+    /// The newest published frame.
     newest_frame: Option<FrameMark>,
     viewer: Option<Viewer>,
     watcher_alarms: Vec<Alarm>,
@@ -87,16 +88,16 @@ pub struct World {
     idle_waits: u32,
     /// The log of the run, if the plan cuts it.
     pub recording: Option<Recording>,
-    /// What must hold.
+    /// Checks the hub's rules.
     pub oracle: Oracle,
-    /// What must hold of X-ray frames.
+    /// Checks the rules of X-ray frames.
     pub frames: FrameAccount,
-    /// What must hold of the frames that controllers see.
+    /// Checks the rules of the frames that controllers see.
     pub seen_frames: SeenFrames,
 }
 
 impl World {
-    /// Of a plan whose controllers drive these parts.
+    /// Creates the world of a plan whose controllers drive these parts.
     pub fn new(plan: &Plan, drives: &[Vec<Drives>], plant: Handle) -> World {
         let now_ns = Rc::clone(&plant.now_ns);
         let controllers = ControllerIndex::first(drives.len()).zip(drives);
@@ -163,7 +164,7 @@ impl World {
         self.events.push(Reverse((self.now_ns.get() + delay_ns, self.order, event)));
     }
 
-    /// Lets everything happen that is due.
+    /// Processes all events that are due.
     fn catch_up(&mut self) {
         while let Some(Reverse((at_ns, _, event))) = self.events.peek().copied() {
             if at_ns > self.now_ns.get() {
@@ -174,7 +175,7 @@ impl World {
         }
     }
 
-    /// A moment passes in the hub, while the others go on.
+    /// Lets a moment pass in the hub while the other programs continue.
     fn moment(&mut self) {
         self.now_ns.set(self.now_ns.get() + self.random.u64(100..US));
         self.catch_up();
@@ -282,7 +283,7 @@ impl World {
         self.after(delay_ns, Event::ConsumerLooks(index, alarm));
     }
 
-    /// A consumer is dead, which the launcher notices after a time.
+    /// Kills a consumer, which the launcher notices after a time.
     fn kill(&mut self, part: Part, noticed_after_ns: u64) {
         let mut died = false;
         for consumer in self.consumers.iter_mut().filter(|consumer| consumer.part == part) {
@@ -364,11 +365,11 @@ impl World {
         self.control.push_back(incoming);
     }
 
-    /// Lets happen what happens while the hub waits.
+    /// Processes the events that happen while the hub waits.
     pub fn wait(&mut self, wait: Wait) {
         self.check_sleepers(wait);
         let began_ns = self.now_ns.get();
-        // A signal may end any wait early.
+        // A signal can end any wait early.
         let interrupted_ns =
             if self.random.u8(..32) == 0 { began_ns + self.random.u64(..5 * MS) } else { u64::MAX };
         let until_ns = wait.until_ns.min(interrupted_ns);
@@ -394,18 +395,18 @@ impl World {
         self.catch_up();
     }
 
-    /// Whoever sleeps has nothing to do, or has been woken.
+    /// Checks that a sleeping reader has nothing to do or has been woken.
     fn check_sleepers(&mut self, wait: Wait) {
         if let Some(index) = self.controllers.iter().position(|c| c.asleep && !c.states.is_empty()) {
-            self.oracle.fail(format!("controller {index} sleeps beside a state: nobody has woken it"));
+            self.oracle.fail(format!("controller {index} sleeps although a state waits: it was not woken"));
         }
         self.check_frame_waits();
         let waits = wait.on == Awaited::Report;
         if waits && self.consumers.iter().any(|consumer| consumer.asleep && consumer.waiting > 0) {
-            self.oracle.fail("the hub waits for a consumer that nobody has woken".to_owned());
+            self.oracle.fail("the hub waits for a consumer that was not woken".to_owned());
         }
         if wait.until_ns > self.now_ns.get() + 250 * MS {
-            self.oracle.fail(format!("{wait:?} looks at nothing for too long"));
+            self.oracle.fail(format!("{wait:?} polls nothing for too long"));
         }
     }
 

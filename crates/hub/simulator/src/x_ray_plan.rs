@@ -1,4 +1,5 @@
-//! What a seed decides about X-ray frames: how often they come, how long they take, and who asks for more.
+//! The choices of a seed about X-ray frames: how often they are due, how long they take, and which programs
+//! request more.
 
 use fastrand::Rng;
 use hub::rate_limit::Connection;
@@ -7,7 +8,7 @@ use scene::Mode;
 
 use crate::plan::{MS, Plan, US};
 
-/// Programs that ask for frames.
+/// Number of programs that request frames.
 const ASKERS: usize = 4;
 
 /// The X-ray frames of a schedule.
@@ -15,49 +16,49 @@ const ASKERS: usize = 4;
 pub struct XRayPlan {
     /// Seeds the choices of the DRR process while it runs.
     pub seed: u64,
-    /// Ticks from one frame to the next; none: frames come on request only.
+    /// Ticks from one frame to the next; `None` if frames are rendered on request only.
     pub period_ticks: Option<u64>,
     /// Longest time to render a frame.
     pub render_ns: u64,
-    /// The controller that alone may move the C-arm.
+    /// The only controller that may move the C-arm.
     pub c_arm_driver: Option<ControllerIndex>,
-    /// States that the process's queue holds.
+    /// Number of states that the process's queue holds.
     pub state_queue: usize,
-    /// `Removed` messages that its queue holds.
+    /// Number of `Removed` messages that its queue holds.
     pub removed_queue: usize,
     /// Requests for frames.
     pub asks: Vec<Ask>,
     /// Whether each controller looks at frames before it answers.
     pub watching: Vec<bool>,
-    /// Frames that a controller's queue holds.
+    /// Number of frames that a controller's queue holds.
     pub frame_queue: usize,
 }
 
 /// Requests that are sent together.
 #[derive(Debug, Clone)]
 pub struct Ask {
-    /// When, after the beginning.
+    /// When they are sent, after the beginning.
     pub at_ns: u64,
-    /// Which program; the first ones are the controllers.
+    /// Index of the program; the first ones are the controllers.
     pub asker: usize,
-    /// From how many connections: a program that has connected anew has another one.
+    /// Number of connections; a program that has reconnected has another one.
     pub connections: u64,
-    /// How many from each.
+    /// Number of requests from each.
     pub count: u64,
-    /// How far in front of the newest state; none: for the newest state.
+    /// Ticks ahead of the newest state; `None` for the newest state.
     pub ahead_ticks: Option<u64>,
-    /// What is special about them.
+    /// Their peculiarity.
     pub kind: AskKind,
 }
 
-/// What is special about requests for frames.
+/// Peculiarities of requests for frames.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum AskKind {
-    /// Nothing.
+    /// None.
     Plain,
-    /// They bring a C-arm.
+    /// They specify a C-arm.
     MovesCArm,
-    /// They bring a C-arm without pixels.
+    /// They specify a C-arm without pixels.
     BadCArm,
     /// They name another program as their sender.
     OthersName,
@@ -66,27 +67,28 @@ pub enum AskKind {
 /// A request on its way to the DRR process.
 #[derive(Debug, Clone, Copy)]
 pub struct Asked {
-    /// The connection that it comes over.
+    /// The connection that it arrives over.
     pub from: Connection,
     /// The controller that sent it; `None` for any other program.
     pub sender: Option<ControllerIndex>,
-    /// What it says.
+    /// The request.
     pub request: DrrRequest,
 }
 
 impl XRayPlan {
-    /// Of a plan's seed, mode, length and controllers. Draws from a stream of its own, so that the rest of the plan does not depend on it.
+    /// Derives the frames from a plan's seed, mode, length and controllers. Draws from its own random stream,
+    /// so that the rest of the plan does not depend on it.
     pub fn of(plan: &Plan) -> XRayPlan {
         let mut random = Rng::with_seed(plan.seed ^ 0xd1b5_4a32_d192_ed03);
         let period_ticks = (random.u8(..4) > 0).then(|| random.u64(1..15));
-        // A real queue holds more ticks than a schedule has. In lockstep the hub's lead keeps it from running over.
+        // A real queue holds more ticks than a schedule has. In lockstep the hub's lead prevents an overflow.
         let is_short = plan.mode == Mode::Realtime && random.u8(..4) == 0;
         let queue = |random: &mut Rng| if is_short { random.usize(1..12) } else { 512 };
         let asks = [0, 0, 1, 3, 6][random.usize(..5)];
         let seed = random.u64(..);
         let render_ns = [50 * US, 800 * US, 4 * MS, 30 * MS][random.usize(..4)];
-        // A stream of its own, so that the rest of the plan does not depend on it. In lockstep a controller that waits for slow frames would
-        // be given up.
+        // Its own random stream, so that the rest of the plan does not depend on it. In lockstep a controller
+        // that waits for slow frames would time out.
         let mut looks = Rng::with_seed(plan.seed ^ 0x1f83_d9ab_fb41_bd6b);
         let may_watch = plan.drr_ns.is_some() && (plan.mode == Mode::Realtime || render_ns <= MS);
         let watching = plan.controllers.iter().map(|_| looks.u8(..3) > 0 && may_watch).collect();
@@ -114,7 +116,7 @@ fn ask(plan: &Plan, random: &mut Rng) -> Ask {
         4 => Some(random.u64(..2 * plan.tick_count)),
         _ => Some(random.u64(..8)),
     };
-    // Either one program floods, or many ask.
+    // Either one program floods, or many send requests.
     let (connections, count) = match random.u8(..4) {
         0 => (random.u64(2..=12), random.u64(1..=10)),
         _ => (1, [1, 1, 2, 7, 10, 70][random.usize(..6)]),
@@ -130,13 +132,13 @@ fn ask(plan: &Plan, random: &mut Rng) -> Ask {
 }
 
 impl Ask {
-    /// Its requests at the newest state. `number` counts the requests and connections of the run.
+    /// Creates its requests at the newest state. `number` counts the requests and connections of the run.
     pub fn requests(&self, controllers: usize, newest_tick: u64, number: &mut u64) -> Vec<Asked> {
         let sender = (self.asker < controllers).then_some(ControllerIndex(self.asker as u32));
         let requester = DrrRequest::requester_of(sender);
         let mut asked = Vec::with_capacity((self.connections * self.count) as usize);
         for connection in 0..self.connections {
-            // A single connection stays the program's; of several each is a new one.
+            // A single connection belongs to the program for good; with several, each is a new one.
             let anew = if self.connections > 1 { *number + connection } else { 0 };
             let from = Connection(u128::from(anew) << 8 | self.asker as u128);
             for _ in 0..self.count {

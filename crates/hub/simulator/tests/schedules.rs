@@ -1,4 +1,4 @@
-//! A hundred thousand schedules; more of them: `cargo run --release -p hub_simulator -- --count 10000000`.
+//! A hundred thousand schedules; for more, run `cargo run --release -p hub_simulator -- --count 10000000`.
 
 use std::time::Instant;
 
@@ -17,7 +17,7 @@ fn the_hub_keeps_its_rules_in_a_hundred_thousand_schedules() {
         panic!("seed {seed}: {cause}\nshrunk: {least_cause}\n{least:#?}");
     }
     let played = summary.played;
-    // Schedules that fail at once would find nothing.
+    // Schedules that fail at once would test nothing.
     assert!(played.ended * 10 > summary.schedules * 9, "{summary:?}");
     assert!(played.ticks > 20 * summary.schedules, "{summary:?}");
     assert!(played.logs_cut * 100 > summary.schedules, "{summary:?}");

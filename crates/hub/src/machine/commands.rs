@@ -11,18 +11,18 @@ use crate::rate_limit::{Connection, WarningLimit};
 #[derive(Debug, Clone)]
 pub(super) struct Controller {
     pub(super) name: String,
-    /// Whether the run may start without it.
+    /// Whether the run can start without it.
     pub(super) optional: bool,
     /// How long the start waits for it.
     pub(super) connect_limit_ns: u64,
-    /// Time from publishing the newest state to the command that answers it; 0 until one does.
+    /// Time from publishing the newest state to the command that answers it; 0 until then.
     pub(super) round_trip_ns: u64,
     /// Sequence number of the newest command taken off the queue.
     seen_sequence: u64,
     /// Lost commands not yet reported.
     lost: u64,
     pub(super) warnings: WarningLimit,
-    /// Why its newest command was refused; `None` if it was taken.
+    /// Why its newest command was refused; `None` if it was accepted.
     pub(super) refused: Option<String>,
     /// The newest command's connection.
     connection: Option<Connection>,
@@ -45,8 +45,9 @@ impl Controller {
 }
 
 impl<P: Plant> Hub<P> {
-    /// Takes the commands that have arrived. Invalid ones are refused, reported, and change nothing. Each call reads at most one queue
-    /// length per controller and reports refusals together, so a flooding controller cannot stall the tick.
+    /// Takes the commands that have arrived. Invalid ones are refused, reported, and change nothing. Each
+    /// call reads at most one queue length per controller and reports refusals together, so a flooding
+    /// controller cannot stall the tick.
     pub(super) fn collect_commands<E: Environment>(&mut self, env: &mut E) -> Outcome<(), P, E> {
         for index in ControllerIndex::first(self.controllers.len()) {
             for _ in 0..COMMAND.queue_length {
@@ -68,8 +69,9 @@ impl<P: Plant> Hub<P> {
             if controller.lost > 0 && controller.warnings.allows(env.now_ns()) {
                 let lost = std::mem::take(&mut controller.lost);
                 let length = COMMAND.queue_length;
-                let text =
-                    format!("{lost} commands never came: a queue holds {length}, or numbers were left out");
+                let text = format!(
+                    "{lost} commands lost: the queue ({length}) overflowed, or sequence numbers were skipped"
+                );
                 self.warn(env, index, EventCode::MessagesLost, &text)?;
             }
         }
@@ -113,7 +115,8 @@ impl<P: Plant> Hub<P> {
     }
 }
 
-/// Commands between the newest one seen and this one. Clients number their commands without gaps, so these were overwritten.
+/// Returns the number of commands between the newest one seen and this one. Clients number their commands
+/// without gaps, so these were overwritten.
 fn overwritten(seen: &mut u64, sequence: u64) -> u64 {
     let gap = sequence.saturating_sub(seen.saturating_add(1));
     *seen = sequence.max(*seen);

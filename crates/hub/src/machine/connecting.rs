@@ -1,4 +1,4 @@
-//! The start of a run: waits until everyone is connected.
+//! The start of a run: waits until all parts and required controllers are connected.
 
 use messages::{ControllerIndex, Phase, Plant, Tick};
 
@@ -22,7 +22,7 @@ impl<P: Plant> Hub<P> {
         self.consumers.update(env)?;
         let missing = self.consumers.missing();
         if missing.is_none() && !self.shown {
-            // Not before the consumers are connected, or they would miss the first messages.
+            // Not before the consumers are connected, because they would miss the first messages.
             self.lane.begin(&self.plant, env).map_err(lane_failed(Tick::START))?;
             let now_ns = env.now_ns();
             self.after_state_published(env, now_ns);
@@ -56,7 +56,7 @@ impl<P: Plant> Hub<P> {
                     }
                     Some(index) => {
                         let limit_ns = self.controllers[index.slot()].connect_limit_ns;
-                        self.tell_if_long(env, &mut notice, index, ("the first command", limit_ns), now_ns)?;
+                        self.tell_if_long(env, &mut notice, index, ("first command", limit_ns), now_ns)?;
                     }
                 }
             }
@@ -75,7 +75,7 @@ impl<P: Plant> Hub<P> {
         Ok((Stage::Ready, Some(Next::GetReady)))
     }
 
-    /// A required controller that has not sent a command yet.
+    /// Returns a required controller that has not sent a command yet.
     fn awaited_controller(&self) -> Option<ControllerIndex> {
         let mut all = ControllerIndex::first(self.controllers.len());
         all.find(|index| !self.controllers[index.slot()].optional && !self.latch.has_command(*index))

@@ -19,7 +19,7 @@ impl<P: Plant> Hub<P> {
         for _ in 0..LOOKED_AT {
             let Some((request, connection)) = self.next_request(env)? else { break };
             if !self.control_limit.allows(connection, env.now_ns()) {
-                self.refuse_control(env, "a program sends more than can be answered")?;
+                self.refuse_control(env, "a program exceeds the rate limit")?;
                 continue;
             }
             asked = true;
@@ -40,7 +40,7 @@ impl<P: Plant> Hub<P> {
         if asked { self.send_status(env, self.phase(), When::Now) } else { Ok(()) }
     }
 
-    /// The next run-control request; skips messages of the wrong length.
+    /// Returns the next run-control request; skips messages of the wrong length.
     fn next_request<E: Environment>(
         &mut self,
         env: &mut E,
@@ -74,7 +74,7 @@ impl<P: Plant> Hub<P> {
 
     fn obey_one(&mut self, action: ControlAction, ticks: u64) -> ControlStatus {
         match action {
-            // Drops steps still to be made: the newest request wins.
+            // Drops pending steps: the newest request wins.
             ControlAction::Pause => (self.paused, self.steps_left) = (true, 0),
             ControlAction::Resume => (self.paused, self.steps_left) = (false, 0),
             ControlAction::Step if self.paused => self.steps_left = self.steps_left.saturating_add(ticks),
@@ -85,7 +85,7 @@ impl<P: Plant> Hub<P> {
         ControlStatus::Done
     }
 
-    /// Paused: polls again after a while.
+    /// Polls again after a while, because the run is paused.
     pub(super) fn rest<E: Environment>(&mut self, env: &mut E) -> Outcome<Step, P, E> {
         self.send_status(env, Phase::Paused, When::IfDue)?;
         env.deliver_state_history()?;
@@ -121,7 +121,8 @@ impl<P: Plant> Hub<P> {
         let foreign = self.consumers.new_foreign_reports(env);
         if foreign > 0 && self.control_warnings.allows(now_ns) {
             let text = format!(
-                "progress: {foreign} messages of a program that is neither the DRR process nor the recorder; passed over"
+                "progress: ignored {foreign} messages of a program that is neither the DRR process nor the \
+                 recorder"
             );
             let (severity, code) = (Severity::Warning, EventCode::RequestRefused);
             env.send_event(&Note { tick: self.tick, severity, code, text: &text })?;
@@ -145,10 +146,10 @@ impl<P: Plant> Hub<P> {
 /// When to send a status.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum When {
-    /// At once, because something has changed.
+    /// Immediately, because something has changed.
     Now,
     /// Only if the last one is old enough.
     IfDue,
-    /// The same, at this reading of the clock.
+    /// As `IfDue`, at this reading of the clock.
     IfDueAt(u64),
 }

@@ -1,4 +1,4 @@
-//! Why a run ends early, and whom clients blame for it.
+//! Why a run ends early, and which component is reported as the cause.
 
 use std::fmt::Display;
 
@@ -13,7 +13,7 @@ pub enum HubError<E, P> {
     /// A message could not be sent or received.
     #[error("{0}")]
     Environment(E),
-    /// The plant could not compute a tick; its commands have been published, a state has not.
+    /// The plant could not compute a tick; its commands have been published, but no state.
     #[error("tick {tick}: {cause}")]
     Plant {
         /// Tick.
@@ -29,7 +29,7 @@ pub enum HubError<E, P> {
         /// Time waited.
         limit_s: u64,
     },
-    /// A controller is to blame.
+    /// A controller is the cause.
     #[error("{0}")]
     Controller(ControllerFault),
     /// A consumer stopped taking states.
@@ -47,7 +47,7 @@ pub enum HubError<E, P> {
 /// How a controller ends the run.
 #[derive(Debug, Error)]
 pub enum ControllerFault {
-    /// It never sent a command that could be taken.
+    /// It never sent an acceptable command.
     #[error("controller `{name}` {} within {limit_s} s{}", what_it_missed(refused), why(refused))]
     NotConnected {
         /// Its name.
@@ -79,22 +79,22 @@ fn what_it_missed(refused: &Option<String>) -> &'static str {
 }
 
 fn why(refused: &Option<String>) -> String {
-    refused.as_ref().map_or(String::new(), |reason| format!("; its last one was refused: {reason}"))
+    refused.as_ref().map_or(String::new(), |reason| format!("; its last command was refused: {reason}"))
 }
 
 impl ControllerFault {
-    /// Name of the controller.
+    /// Returns the controller's name.
     pub fn controller(&self) -> &str {
         match self {
             ControllerFault::NotConnected { name, .. } | ControllerFault::Silent { name, .. } => name,
         }
     }
 
-    /// The kind of event that tells it.
+    /// Returns the code of the event that reports it.
     pub fn event(&self) -> EventCode {
         match self {
             ControllerFault::NotConnected { refused: None, .. } => EventCode::ControllerMissing,
-            // One whose commands are refused is there.
+            // A controller whose commands are refused is present.
             ControllerFault::NotConnected { .. } | ControllerFault::Silent { .. } => {
                 EventCode::ControllerLate
             }
@@ -108,8 +108,8 @@ impl<E, P> From<E> for HubError<E, P> {
     }
 }
 
-/// What every client is told of before the run ends: a controller or the plant has failed. Parts and the transport fail by themselves, and
-/// the launcher sees it.
+/// A failure that every client is notified of before the run ends: a controller or the plant has failed.
+/// Failures of parts and the transport are left to the launcher, which detects them.
 #[derive(Debug)]
 pub(super) enum Failure<C> {
     Plant { tick: Tick, cause: C },
@@ -117,7 +117,7 @@ pub(super) enum Failure<C> {
 }
 
 impl<C: Display> Failure<C> {
-    /// The failure in an error, or the error.
+    /// Extracts the failure from an error, or returns the error.
     pub(super) fn of<E>(error: HubError<E, C>) -> Result<Self, HubError<E, C>> {
         match error {
             HubError::Plant { tick, cause } => Ok(Failure::Plant { tick, cause }),

@@ -36,12 +36,13 @@ const LEAD_TICKS: u64 = 256;
 const CONNECT_LIMIT_NS: u64 = 60_000 * MS;
 /// How long a consumer may make no progress in lockstep; a full frame of a large CT takes seconds.
 const CONSUMER_LIMIT_NS: u64 = 120_000 * MS;
-/// As above, when a signal has ended the run; whatever the consumers have not taken stays in their queues.
+/// As above, after a signal has ended the run; whatever the consumers have not taken stays in their queues.
 const ABANDONED_LIMIT_NS: u64 = 500 * MS;
-/// How long a run that has failed waits for its recorder, which reads nothing more of a publisher that it has not seen alive.
+/// How long a failed run waits for its recorder, which reads nothing more from a publisher that it has not
+/// seen alive.
 const FAILED_LIMIT_NS: u64 = 2_000 * MS;
 const STATUS_PERIOD_NS: u64 = 100 * MS;
-/// How long the run waits for a controller before it says so.
+/// How long the run waits for a controller before it reports the wait.
 const SILENT_WAIT_NS: u64 = NS_PER_S;
 /// Poll interval while the run is paused, while parts connect, and while a consumer is behind.
 const POLL_NS: u64 = 20 * MS;
@@ -51,7 +52,7 @@ const REPORT_LOOK_NS: u64 = 2 * MS;
 const _: () = assert!(2 * LEAD_TICKS <= messages::services::STATE.queue_length as u64);
 const _: () = assert!(ABANDONED_LIMIT_NS < CONSUMER_LIMIT_NS && REPORT_LOOK_NS < STATUS_PERIOD_NS);
 
-/// What the hub needs to know of a scene and its session.
+/// The settings that the hub takes from a scene and its session.
 #[derive(Debug, Clone)]
 pub struct Settings {
     /// Lockstep or real time.
@@ -73,7 +74,7 @@ pub struct Settings {
 }
 
 impl Settings {
-    /// The settings of a scene in a session with these consumers.
+    /// Derives the settings from a scene and the session's consumers.
     pub fn new(scene: &Scene, consumers: &[Part]) -> Settings {
         let recorded = consumers.contains(&Part::Recorder);
         Settings {
@@ -88,13 +89,13 @@ impl Settings {
         }
     }
 
-    /// The run's last state.
+    /// Returns the tick of the run's last state.
     fn end(&self) -> Tick {
         Tick(self.tick_count)
     }
 }
 
-/// The outcome of a part of the machine.
+/// The result of a part of the machine.
 type Outcome<T, P, E> = Result<T, HubError<<E as crate::Outputs>::Error, <P as Plant>::Error>>;
 
 /// What to do before the next [`Hub::advance`].
@@ -113,7 +114,7 @@ pub enum Next {
 pub struct Wait {
     /// Latest end of the wait, on the environment's clock, ns.
     pub until_ns: u64,
-    /// What else ends it.
+    /// What else can end it.
     pub on: Awaited,
 }
 
@@ -132,15 +133,15 @@ pub enum Awaited {
     Command(ControllerIndex),
 }
 
-/// Where the machine is between two advances.
+/// The machine's stage between two advances.
 #[derive(Debug, Clone)]
 enum Stage {
     /// Waits until every part and every required controller has connected.
     Connecting {
         consumers: Patience,
-        /// One timeout per controller, running from the time when there is a state to answer.
+        /// One timeout per controller, starting when there is a state to answer.
         controllers: Vec<Patience>,
-        /// Until the user is told for whom the run waits.
+        /// Time until the wait is reported to the user.
         notice: Option<Patience>,
     },
     /// All connected; the first deadline is now.
@@ -164,7 +165,7 @@ enum Stage {
 /// The result of a stage: the next stage, and what to return from the advance first, if anything.
 type Step = (Stage, Option<Next>);
 
-/// What ticks had no room for, and when it was told.
+/// Items that ticks could not handle because a capacity was reached, and when they were reported.
 #[derive(Debug, Default)]
 struct Shortfall {
     /// Counted once in every tick.
@@ -176,7 +177,7 @@ struct Shortfall {
 #[derive(Debug)]
 pub struct Hub<P: Plant> {
     plant: P,
-    /// A failure that has been told, and how long it still waits for the recorder.
+    /// A reported failure, and how long it still waits for the recorder.
     failing: Option<(Failure<P::Error>, Patience)>,
     settings: Settings,
     stage: Stage,
@@ -203,11 +204,11 @@ pub struct Hub<P: Plant> {
     keyframe_refused: bool,
     /// Whether the event "the model is not valid" has been sent since the start, or since the last reset.
     invalid_told: bool,
-    /// Voxels that could not be cut for want of memory.
+    /// Voxels that could not be cut because memory ran out.
     uncut_voxels: Shortfall,
-    /// Contacts that there was no room for.
+    /// Contacts beyond the contact capacity.
     left_out_contacts: Shortfall,
-    /// Timing of the coming or current tick.
+    /// Timing of the next or current tick.
     timing: TickTiming,
     sources: [CommandSource; MAX_CONTROLLERS],
     /// Notes per controller: one for commands that start being held, one for safe commands.
@@ -215,7 +216,7 @@ pub struct Hub<P: Plant> {
 }
 
 impl<P: Plant> Hub<P> {
-    /// A hub before the start of its run.
+    /// Creates a hub before the start of its run.
     pub fn new(scene: &Scene, plant: P, settings: Settings, now_ns: u64) -> Hub<P> {
         Hub {
             plant,
@@ -253,12 +254,12 @@ impl<P: Plant> Hub<P> {
         }
     }
 
-    /// Ticks made so far.
+    /// Returns the number of ticks so far.
     pub fn tick(&self) -> Tick {
         self.tick
     }
 
-    /// The plant.
+    /// Returns the plant.
     pub fn plant(&self) -> &P {
         &self.plant
     }
@@ -266,7 +267,8 @@ impl<P: Plant> Hub<P> {
     /// Does everything that can be done now, up to the next wait.
     ///
     /// # Errors
-    /// Any [`HubError`]; the run is over then. If a controller or the plant is to blame, every client has been told.
+    /// Any [`HubError`]; the run is then over. If a controller or the plant is the cause, every client has
+    /// been notified.
     pub fn advance<E: Environment>(&mut self, env: &mut E) -> Outcome<Next, P, E> {
         if let Some((failure, patience)) = self.failing.take() {
             return self.fail(env, failure, patience);
@@ -318,7 +320,7 @@ impl<P: Plant> Hub<P> {
         }
     }
 
-    /// Between two ticks: executes run control and decides what the next tick waits for.
+    /// Runs between two ticks: executes run control and decides what the next tick waits for.
     fn prepare<E: Environment>(&mut self, env: &mut E) -> Outcome<Step, P, E> {
         if self.tick >= self.settings.end() || self.ends(env) {
             return self.finish(env);
@@ -362,13 +364,13 @@ impl<P: Plant> Hub<P> {
         self.stopped || env.end_requested()
     }
 
-    /// Whether the run is paused with no step left to make.
+    /// Returns whether the run is paused with no pending step.
     fn rests(&self) -> bool {
         self.paused && self.steps_left == 0
     }
 }
 
-/// A wait for `on`, until `until_ns` at the latest.
+/// Returns a wait for `on`, until `until_ns` at the latest.
 fn wait(on: Awaited, until_ns: u64) -> Option<Next> {
     Some(Next::Wait(Wait { until_ns, on }))
 }

@@ -1,4 +1,4 @@
-//! Makes a tick.
+//! Executes a tick.
 
 use messages::{
     CommandSource, ControllerIndex, EventCode, MAX_CONTROLLERS, Phase, Plant, Reset, Severity, Tick,
@@ -26,7 +26,7 @@ impl<P: Plant> Hub<P> {
         self.plant.make_room();
         let done_ns = env.now_ns();
         if self.settings.mode == Mode::Lockstep {
-            // Here, and not when a tick begins, it delays nobody: the controllers have their state.
+            // Here it delays no controller, unlike at the start of a tick: the controllers have their state.
             env.tick_made(&mut self.timing);
         }
         let mut timing = TickTiming {
@@ -60,13 +60,14 @@ impl<P: Plant> Hub<P> {
         Ok((Stage::TickDue, None))
     }
 
-    /// After publishing a state: starts the round-trip clocks at `published_ns` and wakes sleeping controllers.
+    /// Starts the round-trip clocks at `published_ns`, after a state is published, and wakes sleeping
+    /// controllers.
     pub(super) fn after_state_published<E: Environment>(&mut self, env: &mut E, published_ns: u64) {
         self.published_ns = published_ns;
         env.wake_controllers();
     }
 
-    /// Publishes a keyframe if one is due. A state that does not fit gets none; this is reported once.
+    /// Publishes a keyframe if one is due. A state that does not fit is skipped; this is reported once.
     fn publish_keyframe<E: Environment>(&mut self, env: &mut E) -> Outcome<(), P, E> {
         match self.lane.keyframe_if_due(&self.plant, env) {
             Ok(()) => Ok(()),
@@ -123,16 +124,21 @@ impl<P: Plant> Hub<P> {
         Ok(())
     }
 
-    /// Reports a part of the arm that has entered bone. A plant looks at each part a few times a second, so there is no limit here.
+    /// Reports a part of the arm that has entered bone. Needs no rate limit, because the plant checks each
+    /// part only a few times a second.
     fn report_arm_entry<E: Environment>(&mut self, env: &mut E) -> Outcome<(), P, E> {
         let Some(entry) = self.plant.arm_entry() else { return Ok(()) };
         let depth_mm = entry.depth_m * 1e3;
-        let text = format!("the arm's {} is {depth_mm:.0} mm in bone; nothing collides there", entry.part);
+        let text = format!(
+            "the arm's {} is {depth_mm:.0} mm inside bone; its collisions are not simulated",
+            entry.part
+        );
         let (severity, code) = (Severity::Warning, EventCode::ArmInBone);
         Ok(env.send_event(&Note { tick: self.tick, severity, code, text: &text })?)
     }
 
-    /// Reports the first tick after which the tool's model is not valid. `State.stop_excess_rad` says how it goes on.
+    /// Reports the first tick after which the tool's model is invalid. `State.stop_excess_rad` shows how it
+    /// continues.
     fn report_invalid_model<E: Environment>(&mut self, env: &mut E) -> Outcome<(), P, E> {
         if self.invalid_told {
             return Ok(());
@@ -141,23 +147,19 @@ impl<P: Plant> Hub<P> {
         self.invalid_told = true;
         let (model, number, excess_deg) = (past.model, past.flexure + 1, past.excess_rad.to_degrees());
         let text = format!(
-            "the model {model} is not valid while a flexure is past its stop: flexure {number} from the base is, by {excess_deg:.3} \
-             degrees; use planar, or less load"
+            "the model {model} is not valid while a flexure is past its stop: flexure {number} from the base \
+             is {excess_deg:.3} degrees past it; use planar, or reduce the load"
         );
         let (severity, code) = (Severity::Warning, EventCode::ModelNotValid);
         Ok(env.send_event(&Note { tick: self.tick, severity, code, text: &text })?)
     }
 
-    /// Reports what the tick had no room for: at once, then once a second.
+    /// Reports what exceeded the tick's capacity: at once, then once a second.
     fn report_shortfall<E: Environment>(&mut self, env: &mut E, made: Tick) -> Outcome<(), P, E> {
         let (voxels, contacts) = (self.plant.uncut_voxels(), self.plant.left_out_contacts());
         for (count, shortfall, what) in [
-            (
-                voxels,
-                &mut self.uncut_voxels,
-                "no memory for {} voxels that the burr presses on: they are not cut",
-            ),
-            (contacts, &mut self.left_out_contacts, "no room for {} contacts: they do not push"),
+            (voxels, &mut self.uncut_voxels, "out of memory: {} voxels under the burr could not be cut"),
+            (contacts, &mut self.left_out_contacts, "contact capacity reached: {} contacts exert no force"),
         ] {
             if count == 0 {
                 continue;
@@ -173,7 +175,7 @@ impl<P: Plant> Hub<P> {
         Ok(())
     }
 
-    /// Bit i is set if controller i's command is not from this tick.
+    /// Returns a bit mask of the controllers whose command is not from this tick: bit i for controller i.
     fn late_controllers(&self) -> u32 {
         let all = ControllerIndex::first(self.controllers.len().min(MAX_CONTROLLERS));
         let late = all.filter(|index| self.latch.source(*index) != CommandSource::Fresh);

@@ -1,5 +1,5 @@
-//! What a tick waits for: its deadline, the controllers' answers, the consumers. Every wait has a limit, does not count time spent stopped
-//! against it, and checks for the request to end.
+//! The waits of a tick: for its deadline, the controllers' answers, the consumers. Every wait has a limit,
+//! does not count time spent stopped, and checks for the request to end.
 
 use messages::{ControllerIndex, EventCode, Phase, Plant, Severity, Tick};
 use scene::Mode;
@@ -31,8 +31,8 @@ impl<P: Plant> Hub<P> {
         self.make_tick(env, start)
     }
 
-    /// Keeps every consumer within the capacity of its queues: in lockstep all consumers; in real time the recorder, if `recording.on_full
-    /// = "wait"`.
+    /// Keeps every consumer within the capacity of its queues: in lockstep all consumers; in real time the
+    /// recorder, if `recording.on_full = "wait"`.
     pub(super) fn await_consumers<E: Environment>(
         &mut self,
         env: &mut E,
@@ -59,7 +59,7 @@ impl<P: Plant> Hub<P> {
         Ok((stage, wait(Awaited::Report, until_ns)))
     }
 
-    /// The next stage once no consumer is behind.
+    /// Returns the next stage once no consumer is behind.
     pub(super) fn after_consumers(&mut self, now_ns: u64, began_ns: u64) -> Stage {
         match self.settings.mode {
             Mode::Realtime => {
@@ -74,7 +74,7 @@ impl<P: Plant> Hub<P> {
         }
     }
 
-    /// Lockstep: waits until every controller has answered x_k.
+    /// Waits until every controller has answered x_k (lockstep).
     pub(super) fn await_answers<E: Environment>(
         &mut self,
         env: &mut E,
@@ -82,7 +82,8 @@ impl<P: Plant> Hub<P> {
         silent: Option<ControllerIndex>,
         mut notice: Option<Patience>,
     ) -> Outcome<Step, P, E> {
-        // The wait begins with the reading of the clock that its patience began with, and with run control just obeyed.
+        // The first round uses the clock reading with which its patience began, and run control has just been
+        // executed.
         let mut begun_ns = silent.is_none().then(|| patience.looked_ns());
         loop {
             self.collect_commands(env)?;
@@ -102,21 +103,22 @@ impl<P: Plant> Hub<P> {
                 env.deliver_state_history()?;
             }
             let now_ns = began_ns.unwrap_or_else(|| env.now_ns());
-            // Checked every time round, so that a stream of messages that answer nothing cannot put the limit off.
+            // Checked in every round, so that a stream of messages that answer nothing cannot postpone the
+            // limit.
             if patience.is_over(now_ns) {
                 self.give_up(env, silent)?;
                 continue;
             }
             self.send_status(env, self.phase(), When::IfDueAt(now_ns))?;
             let limit_ns = patience.limit_ns();
-            self.tell_if_long(env, &mut notice, silent, ("its answer", limit_ns), now_ns)?;
+            self.tell_if_long(env, &mut notice, silent, ("answer", limit_ns), now_ns)?;
             let until_ns = patience.next_look_ns(now_ns);
             let stage = Stage::AwaitAnswers { patience, silent: Some(silent), notice };
             return Ok((stage, wait(Awaited::Command(silent), until_ns)));
         }
     }
 
-    /// Says once for whom the run waits, as soon as the wait has become long.
+    /// Reports once which controller the run waits for, as soon as the wait has become long.
     pub(super) fn tell_if_long<E: Environment>(
         &self,
         env: &mut E,
@@ -131,23 +133,25 @@ impl<P: Plant> Hub<P> {
         *notice = None;
         let name = &self.controllers[controller.slot()].name;
         let limit_s = limit_ns as f64 / NS_PER_S as f64;
-        let text = format!("waiting for controller `{name}`: {what}, at most {limit_s} s");
+        let text = format!("waiting for controller `{name}`: no {what} yet (limit {limit_s} s)");
         let (severity, code) = (Severity::Info, EventCode::Waiting);
         Ok(env.send_event(&Note { tick: self.tick, severity, code, text: &text })?)
     }
 
-    /// The first controller that lockstep waits for.
+    /// Returns the first controller that lockstep waits for.
     fn unsettled(&self) -> Option<ControllerIndex> {
         ControllerIndex::first(self.controllers.len()).find(|index| !self.is_settled(*index))
     }
 
-    /// Whether lockstep need not wait for a controller: it has answered, or it is optional and not connected.
+    /// Returns whether lockstep need not wait for a controller: it has answered, or it is optional and not
+    /// connected.
     fn is_settled(&self, index: ControllerIndex) -> bool {
         let away = !self.latch.has_command(index) || self.latch.is_released(index);
         (away && self.controllers[index.slot()].optional) || self.latch.has_answer(index, self.tick)
     }
 
-    /// A controller missed its limit in lockstep: an optional one is released and the run goes on without it.
+    /// Handles a controller that missed its limit in lockstep: an optional one is released and the run
+    /// continues without it.
     fn give_up<E: Environment>(&mut self, env: &mut E, silent: ControllerIndex) -> Outcome<(), P, E> {
         let limit_ms = self.settings.controller_limit_ns as f64 * 1e-6;
         let controller = &self.controllers[silent.slot()];
@@ -158,8 +162,8 @@ impl<P: Plant> Hub<P> {
         }
         self.latch.release(silent);
         let text = format!(
-            "no answer to tick {} within {limit_ms} ms (`run.controller_limit_ms`); it is optional: burr off, arm stopped, \
-             and the run goes on without it until it commands again",
+            "no answer to tick {} within {limit_ms} ms (`run.controller_limit_ms`); it is optional: burr \
+             off, arm stopped, and the run continues without it until its next command",
             self.tick
         );
         self.warn(env, silent, EventCode::SafeCommand, &text)
@@ -206,7 +210,8 @@ impl<P: Plant> Hub<P> {
             return Ok((Stage::Over, Some(Next::Ended)));
         };
         let now_ns = env.now_ns();
-        // After a signal the wait is short: the user is in a hurry, or a consumer has died and will never take the last state.
+        // After a signal the wait is short: the user is in a hurry, or a consumer has died and will never
+        // take the last state.
         if env.end_requested() && (!self.shown || abandoned.is_over(now_ns)) {
             return Ok((Stage::Over, Some(Next::Ended)));
         }

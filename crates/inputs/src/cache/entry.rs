@@ -1,18 +1,19 @@
-//! A volume as a file of the cache.
+//! Cache file of a volume.
 //!
 //! ```text
 //! 16 bytes  "trabecula cache2"
-//! 32        the key: what the volume is made of
+//! 32        the key: everything the volume is built from
 //! 16        XXH3-128 of the key and of all that follows, except the voxels
-//!  8        bytes of the notes
+//!  8        length of the notes in bytes
 //! 16        XXH3-128 of the voxels: of the XXH3-128 of each 256 KiB of them
 //!           the volume's message: hash, geometry, dimensions
 //!           the notes, a JSON list of texts
 //!           the voxels, 16 bits each, i fastest
 //! ```
 //!
-//! Numbers are little-endian. The volume's own SHA-256 is computed when it is made. It need not be computed again: both checksums together cover
-//! it, the geometry and every voxel, and only this user can write the folder.
+//! Numbers are little-endian. The volume's own SHA-256 is computed when the volume is built. It need not be
+//! computed again: together, the two checksums cover it, the geometry and every voxel, and only this user can
+//! write the folder.
 
 use std::fs::File;
 use std::io::{self, Read};
@@ -30,38 +31,38 @@ use super::shared_work::on_all_cores;
 use crate::volume_source::Loaded;
 
 const MAGIC: &[u8; 16] = b"trabecula cache2";
-/// Most bytes of notes: a reader makes a few lines.
+/// Largest size of the notes: a reader writes a few lines.
 const MAX_NOTES_BYTES: u64 = 1 << 20;
-/// Voxels that have a checksum of their own, so that several threads can read and check them, while they are in the cache of a core.
+/// Voxels per checksum, so that several threads can read and check them while they are in a core's cache.
 const PIECE_VOXELS: usize = 1 << 17;
 const HEAD_BYTES: usize = 16 + 32 + 16 + 8 + 16;
 
-/// What is wrong with a file of the cache.
+/// What is wrong with a cache file.
 #[derive(Debug, thiserror::Error)]
 pub enum Damage {
-    /// A link, a folder, a pipe, or another user's.
+    /// A link, a folder, a pipe, or another user's file.
     #[error("not a file of this user")]
     NotAFile,
     /// It cannot be read.
     #[error("cannot be read ({0})")]
     Read(io::Error),
-    /// Its length is not what it says.
-    #[error("it has {bytes} bytes, expected {expected}")]
+    /// Its length does not match its header.
+    #[error("wrong length: {bytes} bytes, expected {expected}")]
     Length {
         /// Its length.
         bytes: u64,
-        /// The length that follows from its head.
+        /// The length that its header implies.
         expected: u64,
     },
-    /// Its head is none.
+    /// Its header is invalid.
     #[error("damaged: {0}")]
     Head(&'static str),
-    /// Its voxels are not those that were kept.
-    #[error("damaged: its voxels have another checksum")]
+    /// Its voxels have changed.
+    #[error("damaged: wrong voxel checksum")]
     Voxels,
 }
 
-/// All of a file that stands before the voxels.
+/// Everything in the file before the voxels.
 ///
 /// # Errors
 /// The notes are too long.
@@ -77,17 +78,17 @@ pub(super) fn head(key: &Key, loaded: &Loaded, voxels_sum: u128) -> io::Result<V
     Ok([MAGIC.as_slice(), key.hash(), &sum, &below].concat())
 }
 
-/// The checksum of the voxels from the checksums of their pieces.
+/// Combines the checksums of the pieces into that of the voxels.
 pub(super) fn sum_of(pieces: impl IntoIterator<Item = io::Result<u128>>) -> io::Result<u128> {
     let sums: Vec<[u8; 16]> =
         pieces.into_iter().map(|sum| sum.map(u128::to_le_bytes)).collect::<io::Result<_>>()?;
     Ok(xxh3_128(sums.as_flattened()))
 }
 
-/// Reads and checks the file of a volume.
+/// Reads and checks a volume's cache file.
 ///
 /// # Errors
-/// What is wrong with it.
+/// The fault of the file.
 pub fn read(mut file: &File, bytes: u64, key: &Key) -> Result<Loaded, Damage> {
     let mut head = [0; HEAD_BYTES];
     let message_bytes = VolumeMessage::DESCRIPTION.size;
@@ -100,7 +101,7 @@ pub fn read(mut file: &File, bytes: u64, key: &Key) -> Result<Loaded, Damage> {
     let (length, voxels_sum) = below.split_at(8);
     let notes_bytes = length.iter().rev().fold(0, |number, byte| number << 8 | u64::from(*byte));
     if head[..16] != *MAGIC || head[16..48] != *key.hash() || notes_bytes > MAX_NOTES_BYTES {
-        return Err(Damage::Head("it is another file"));
+        return Err(Damage::Head("it belongs to another volume"));
     }
     if bytes < least + notes_bytes {
         return Err(Damage::Length { bytes, expected: least + notes_bytes });
@@ -108,14 +109,14 @@ pub fn read(mut file: &File, bytes: u64, key: &Key) -> Result<Loaded, Damage> {
     let mut rest = vec![0; message_bytes + notes_bytes as usize];
     file.read_exact(&mut rest).map_err(Damage::Read)?;
     if xxh3_128(&[&head[16..48], below, &rest].concat()).to_le_bytes() != *sum {
-        return Err(Damage::Head("its head has another checksum"));
+        return Err(Damage::Head("wrong header checksum"));
     }
     let (message, notes) = rest.split_at(message_bytes);
     let message = VolumeMessage::read_from_bytes(message).map_err(|_| Damage::Head("it holds no volume"))?;
-    let notes = serde_json::from_slice(notes).map_err(|_| Damage::Head("its notes are no list of texts"))?;
+    let notes = serde_json::from_slice(notes).map_err(|_| Damage::Head("its notes are malformed"))?;
     let grid = message.grid().map_err(|_| Damage::Head("its grid is invalid"))?;
     if grid.voxel_count() != message.hu_length as usize {
-        return Err(Damage::Head("its dimensions do not give its voxels"));
+        return Err(Damage::Head("its dimensions do not match its voxels"));
     }
     let expected = least + notes_bytes + 2 * u64::from(message.hu_length);
     if bytes != expected {
@@ -129,7 +130,7 @@ pub fn read(mut file: &File, bytes: u64, key: &Key) -> Result<Loaded, Damage> {
     Ok(Loaded { ct: Ct { volume: Volume { grid, hu }, sha256: message.sha256 }, notes })
 }
 
-/// Reads the voxels that begin at `start`, and returns their checksum.
+/// Reads the voxels from `start`; returns their checksum.
 fn read_pieces(file: &File, start: u64, hu: &mut [i16]) -> io::Result<u128> {
     let starts = (start..).step_by(2 * PIECE_VOXELS);
     sum_of(on_all_cores(hu.chunks_mut(PIECE_VOXELS).zip(starts), |(piece, start)| {
@@ -138,7 +139,7 @@ fn read_pieces(file: &File, start: u64, hu: &mut [i16]) -> io::Result<u128> {
     }))
 }
 
-/// Writes the voxels to `start`, and returns their checksum.
+/// Writes the voxels from `start`; returns their checksum.
 fn write_pieces(file: &File, start: u64, hu: &[i16]) -> io::Result<u128> {
     let starts = (start..).step_by(2 * PIECE_VOXELS);
     sum_of(hu.chunks(PIECE_VOXELS).zip(starts).map(|(piece, start)| {
@@ -147,8 +148,8 @@ fn write_pieces(file: &File, start: u64, hu: &[i16]) -> io::Result<u128> {
     }))
 }
 
-/// Has the file of a volume written by `write`, which takes its length, and hashes the volume in a second thread meanwhile. Returns what is
-/// kept, whether it could be written or not.
+/// Lets `write` write a volume's file (it gets the file's length), while a second thread hashes the volume.
+/// Returns the volume with its hash, whether or not the file could be written.
 pub fn write_and_hash(
     key: &Key,
     volume: Volume,
@@ -158,7 +159,7 @@ pub fn write_and_hash(
     let mut loaded = Loaded { ct: Ct { volume, sha256: [0; 32] }, notes };
     let mut hash = None;
     if let Ok(head_bytes) = head(key, &loaded, 0).map(|head| head.len() as u64) {
-        // A file that cannot be written costs time only.
+        // A failed write costs only time.
         let _ = write(head_bytes + 2 * loaded.ct.volume.hu.len() as u64, &mut |file| {
             let voxels = &loaded.ct.volume;
             let voxels_sum = std::thread::scope(|scope| {

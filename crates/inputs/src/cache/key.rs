@@ -1,4 +1,4 @@
-//! What a volume is made of, as one hash.
+//! Cache keys: everything a volume is built from, as one hash.
 
 use std::fmt::Debug;
 use std::fs::{File, Metadata};
@@ -13,20 +13,20 @@ use volume_io::{ReadOptions, sources};
 use super::ENDING;
 use super::shared_work::on_all_cores;
 
-/// Bytes of a file that are hashed by one thread.
+/// Bytes of a file that one thread hashes at a time.
 const PIECE_BYTES: u64 = 1 << 20;
 
-/// The hash of all that a volume is made of. Files are hashed whole: a file's time, size and number can stay the same while its content
-/// changes, and a file that was moved or downloaded again is still the same CT. SHA-256, because files come from anywhere: with a weaker hash
-/// somebody could make two that share their place in the cache.
+/// Hash of everything a volume is built from. Files are hashed whole: time, size and inode can stay the same
+/// while the content changes, and a file that was moved or downloaded again is still the same CT. SHA-256,
+/// because files come from anywhere: with a weaker hash, two files could be crafted to share a cache entry.
 #[derive(Debug, Clone)]
 pub struct Key {
     hash: [u8; 32],
-    /// The files that were hashed, as they were then.
+    /// The hashed files, as they were then.
     files: Vec<(PathBuf, Stamp)>,
 }
 
-/// What tells whether a file has changed since it was opened a moment ago.
+/// Detects whether a file has changed since it was opened.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Stamp {
     device: u64,
@@ -46,7 +46,7 @@ impl From<&Metadata> for Stamp {
     }
 }
 
-/// Begins a hash: with the kind of what is kept and the build, whose sources decide what becomes of the rest.
+/// Begins a hash with the kind of entry and the build, whose sources determine the result.
 pub(super) fn begin(kind: &str) -> Sha256 {
     let build = build_info::current();
     let mut hasher = Sha256::new();
@@ -58,23 +58,24 @@ pub(super) fn begin(kind: &str) -> Sha256 {
     hasher
 }
 
-/// Adds a part, with its length before it.
+/// Adds a part, prefixed by its length.
 pub(super) fn add(hasher: &mut Sha256, part: &[u8]) {
     hasher.update((part.len() as u64).to_le_bytes());
     hasher.update(part);
 }
 
 impl Key {
-    /// A synthetic volume: its kind, and all its parameters.
+    /// Key of a synthetic volume: its kind, and all its parameters.
     pub fn of_phantom(kind: &str, specification: &impl Debug) -> Key {
         let mut hasher = begin(kind);
-        // Rust prints the shortest text that is read back as the same number.
+        // Rust prints the shortest text that parses back to the same number.
         add(&mut hasher, format!("{specification:?}").as_bytes());
         Key { hash: hasher.finalize().into(), files: Vec::new() }
     }
 
-    /// A volume of files: their content, how they are read, and what is done to them then. None for a file that is read as fast as it is
-    /// hashed, one that cannot be read (the reader says why), and one that names others.
+    /// Key of a volume from files: their content, the read options, and the processing afterwards. `None` for
+    /// a file that is read as fast as it is hashed, one that cannot be read (the reader reports why), and one
+    /// that refers to other files.
     pub fn of_file(path: &Path, options: &ReadOptions, treatment: &str) -> Option<Key> {
         let found = sources(path, options).ok().flatten()?;
         if !found.are_encoded && treatment.is_empty() {
@@ -93,7 +94,7 @@ impl Key {
         Some(Key { hash: hasher.finalize().into(), files })
     }
 
-    /// Whether the files are still those that were hashed.
+    /// Whether the files are unchanged since they were hashed.
     pub(super) fn is_current(&self) -> bool {
         let is_same = |(file, stamp): &(PathBuf, Stamp)| {
             file.metadata().is_ok_and(|found| Stamp::from(&found) == *stamp)
@@ -110,8 +111,8 @@ impl Key {
     }
 }
 
-/// The SHA-256 of the SHA-256 of each [`PIECE_BYTES`] of a file, which all cores can compute, and of its length. None for what is no file, and
-/// for one that says no length, as those of `/proc`: its end shows only while it is read.
+/// SHA-256 over the SHA-256 of each [`PIECE_BYTES`] of a file, which all cores can compute in parallel, and
+/// over its length. `None` for anything but a regular file, and for files without a length, as in `/proc`.
 fn content(path: &Path) -> Option<([u8; 32], Stamp)> {
     let file = File::open(path).ok()?;
     let found = file.metadata().ok()?;

@@ -1,13 +1,15 @@
-//! Volumes that take long to make or to decode, and measured tables of tools, kept in the user's cache folder for the next command that
-//! needs them.
+//! Cache, in the user's cache folder, of volumes that are slow to generate or decode, and of measured tables
+//! of tools.
 //!
-//! The folder is `trabecula` in `$XDG_CACHE_HOME`, or in `$HOME/.cache`. It is used only if it belongs to this user and is closed to others
-//! (mode 700), and each of its files ([`mod@entry`]) only after a check of all that it holds: a damaged one is said, removed and made anew.
-//! A file has a name only when it is whole and on the disk, so nobody sees half of one. Without such a folder, on a full disk, or in a folder
-//! that cannot be written, everything works as it would without a cache.
+//! The folder is `trabecula` in `$XDG_CACHE_HOME`, or in `$HOME/.cache`. It is used only if it belongs to
+//! this user and is closed to others (mode 700), and each of its files ([`mod@entry`]) only after its whole
+//! content was checked: a damaged one is reported, removed and rebuilt. A file gets its name only when it is
+//! complete and on disk, so a partial file is never visible. Without such a folder, on a full disk, or in a
+//! read-only folder, everything works as without a cache.
 //!
-//! **Invariant:** a volume from the cache is to the bit the one that would be made: its name is a hash of all that it is made of
-//! ([`mod@key`]), this build included. A table ([`mod@text`]) likewise.
+//! **Invariant:** a volume from the cache is bitwise identical to a rebuilt one: its name is a hash of
+//! everything it is built from ([`mod@key`]), including this build. The same holds for a table
+//! ([`mod@text`]).
 
 pub mod entry;
 pub mod key;
@@ -33,17 +35,17 @@ use key::Key;
 
 use crate::volume_source::Loaded;
 
-/// Most bytes that the folder holds; beyond, the files that were unused for the longest time are removed.
+/// Size limit of the folder; beyond it, the least recently used files are removed.
 pub const LIMIT_BYTES: u64 = 2 << 30;
-/// What is made faster than this is not kept: to read and to check it would take as long.
+/// Volumes that are built faster than this are not cached: reading and checking them would take as long.
 const WORTH_KEEPING: Duration = Duration::from_millis(100);
-/// End of the name of every file in the folder.
+/// File name suffix in the folder.
 const ENDING: &str = ".volume";
 
-/// Where remarks go: they are about this machine, not about a volume, so no result carries them.
+/// Callback for warnings: they concern this machine, not a volume, so no result carries them.
 static REMARKS: OnceLock<fn(&str)> = OnceLock::new();
 
-/// Has what is wrong with the cache told by this function; a program without it says nothing. The first call counts.
+/// Sets the callback for cache warnings (silent by default). Only the first call takes effect.
 pub fn tell_remarks_by(tell: fn(&str)) {
     let _ = REMARKS.set(tell);
 }
@@ -54,18 +56,18 @@ pub(crate) fn remark(text: &str) {
     }
 }
 
-/// The cache folder of this user, by the environment; none without a home.
+/// Returns this user's cache folder from the environment; `None` without a home.
 pub fn place() -> Option<PathBuf> {
     let absolute = |name: &str| std::env::var_os(name).map(PathBuf::from).filter(|path| path.is_absolute());
-    // A relative path is to be ignored (XDG Base Directory Specification 0.8).
+    // Relative paths must be ignored (XDG Base Directory Specification 0.8).
     let above = absolute("XDG_CACHE_HOME").or_else(|| Some(absolute("HOME")?.join(".cache")));
     above.map(|above| above.components().collect::<PathBuf>().join("trabecula"))
 }
 
-/// The volume of this key: from the cache, or made and then kept.
+/// Returns the volume of a key: from the cache, or built and then cached.
 ///
 /// # Errors
-/// What `make` fails with. Whatever is wrong with the cache is none.
+/// Any error of `make`. Cache problems are never errors.
 pub fn through(
     key: &Key,
     make: impl FnOnce() -> Result<(Volume, Vec<String>), VolumeError>,
@@ -76,7 +78,7 @@ pub fn through(
         Some(Err((path, cause))) => {
             let is_to_say = !matches!(cause, Unfit::System(_) | Unfit::Missing);
             if is_to_say {
-                remark(&format!("{}: not used as a cache: {cause}", path.display()));
+                remark(&format!("{}: unusable as a cache folder: {cause}", path.display()));
             }
             fresh(make)
         }
@@ -84,10 +86,10 @@ pub fn through(
     }
 }
 
-/// A volume that is made, without the cache.
+/// Builds a volume without the cache.
 ///
 /// # Errors
-/// What `make` fails with.
+/// Any error of `make`.
 pub fn fresh(
     make: impl FnOnce() -> Result<(Volume, Vec<String>), VolumeError>,
 ) -> Result<Loaded, VolumeError> {
@@ -104,7 +106,7 @@ fn through_folder(
         Ok(Some(made)) => return Ok(made),
         Ok(None) => {}
         Err(damage) => {
-            remark(&format!("{}: {damage}; it is made anew", cache.file(key).display()));
+            remark(&format!("{}: {damage}; rebuilding it", cache.file(key).display()));
             cache.remove(&key.name());
         }
     }
@@ -136,14 +138,14 @@ pub struct CachedFile {
 }
 
 impl CachedFile {
-    /// Whether it is a table of measured errors; else it is a volume, or what is left of one.
+    /// Whether it is a table of measured errors; otherwise it is a volume, or an unfinished file.
     pub fn is_table(&self) -> bool {
         self.name.ends_with(text::ENDING)
     }
 }
 
 impl Cache {
-    /// Opens the folder; creates it and those above if they are missing.
+    /// Opens the folder; creates it and its parents if they are missing.
     ///
     /// # Errors
     /// Why it cannot be used.
@@ -159,7 +161,7 @@ impl Cache {
         Ok(Cache { path: path.to_owned(), folder, limit_bytes: LIMIT_BYTES })
     }
 
-    /// Opens the folder if it is there; creates nothing.
+    /// Opens the folder if it exists; creates nothing.
     ///
     /// # Errors
     /// Why it cannot be used.
@@ -171,7 +173,7 @@ impl Cache {
         self.path.join(key.name())
     }
 
-    /// The volume of a key, checked; none if there is none.
+    /// Returns the volume of a key, checked; `None` if absent.
     ///
     /// # Errors
     /// What is wrong with the file.
@@ -182,9 +184,9 @@ impl Cache {
         Ok(Some(made))
     }
 
-    /// A file of the folder and its length; none if there is none of this name.
+    /// Opens a cached file and returns it with its length, or `None` if absent.
     fn open_file(&self, name: &str) -> Result<Option<(File, u64)>, Damage> {
-        // Neither follows a link nor waits for the writer of a pipe.
+        // The flags avoid following links and blocking on pipes.
         let flags = OFlags::RDONLY | OFlags::NOFOLLOW | OFlags::NONBLOCK | OFlags::CLOEXEC;
         let file = match rustix::fs::openat(&self.folder, name, flags, Mode::empty()) {
             Ok(file) => File::from(file),
@@ -199,21 +201,21 @@ impl Cache {
         Ok(Some((file, u64::try_from(stat.st_size).unwrap_or(0))))
     }
 
-    /// Used now; a file that cannot be marked is removed earlier than it need be.
+    /// Marks a file as just used; if that fails, it is only removed earlier.
     fn mark_used(&self, file: &File) {
         let now = Timespec { tv_sec: 0, tv_nsec: UTIME_NOW };
         let _ = rustix::fs::futimens(file, &Timestamps { last_access: now, last_modification: now });
     }
 
-    /// Keeps a volume, and removes others if the folder would become too large. Returns it with its hash, also where it cannot be kept; then the
-    /// folder holds what it held before, less what was removed.
+    /// Caches a volume, and removes others if the folder would become too large. Returns it with its hash,
+    /// even if it cannot be cached; then the folder keeps its content, except for what was removed.
     fn keep(&self, key: &Key, volume: Volume, notes: Vec<String>) -> Loaded {
         entry::write_and_hash(key, volume, notes, |bytes, write| {
             self.write(&key.name(), bytes, |file| write(&file.handle().map_err(io::Error::other)?))
         })
     }
 
-    /// Writes a file of this name and length.
+    /// Writes a file of a given name and length.
     fn write(
         &self,
         name: &str,
@@ -223,7 +225,7 @@ impl Cache {
         if bytes > self.limit_bytes {
             return Err(io::ErrorKind::FileTooLarge.into());
         }
-        // As much again stays free: a cache is no reason for a full disk.
+        // An equal amount of space stays free: a cache must not fill the disk.
         let disk = rustix::fs::fstatvfs(&self.folder)?;
         if disk.f_blocks > 0 && disk.f_bavail.saturating_mul(disk.f_frsize) < 2 * bytes {
             return Err(io::ErrorKind::StorageFull.into());
@@ -231,7 +233,7 @@ impl Cache {
         self.make_room(bytes);
         let mut file = output_file::OutputFile::create(&self.path.join(name)).map_err(io::Error::other)?;
         write(&mut file)?;
-        // A run that began at the same time may have been faster; its file is the same.
+        // A concurrent run may have been faster; its file is the same.
         file.keep().map_err(io::Error::other)
     }
 
@@ -248,7 +250,7 @@ impl Cache {
         }
     }
 
-    /// The volumes and tables in the folder, and what killed programs have left of some.
+    /// The volumes and tables in the folder, and unfinished files of killed programs.
     pub fn files(&self) -> Vec<CachedFile> {
         let entries = Dir::read_from(&self.folder).into_iter().flatten().flatten();
         let names = entries.filter_map(|entry| entry.file_name().to_str().ok().map(str::to_owned));
@@ -265,14 +267,15 @@ impl Cache {
         })
     }
 
-    /// Removes every volume and table of the cache, and nothing else. Returns how many files and bytes that were.
+    /// Removes every volume and table of the cache, and nothing else. Returns the number of files and bytes
+    /// removed.
     pub fn clear(&self) -> (usize, u64) {
         let removed: Vec<CachedFile> =
             self.files().into_iter().filter(|file| self.remove(&file.name)).collect();
         (removed.len(), removed.iter().map(|file| file.bytes).sum())
     }
 
-    /// Removes a name; one that is gone already is fine.
+    /// Removes a name; true also if it is already gone.
     fn remove(&self, name: &str) -> bool {
         rustix::fs::unlinkat(&self.folder, name, AtFlags::empty()).is_ok()
     }
@@ -284,7 +287,7 @@ fn is_own_file(stat: &Stat) -> bool {
         && stat.st_nlink == 1
 }
 
-/// Whether a name is that of a volume, of a table, or of a draft of one.
+/// Whether a name is that of a volume, a table, or an unfinished file of one.
 fn is_our_name(name: &str) -> bool {
     let hash = [ENDING, text::ENDING].into_iter().find_map(|ending| name.strip_suffix(ending));
     hash.is_some_and(|hash| hash.len() == 64 && hash.bytes().all(|byte| byte.is_ascii_hexdigit()))

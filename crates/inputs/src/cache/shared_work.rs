@@ -1,13 +1,14 @@
-//! Work that can be divided, on all cores.
+//! Parallel work on all cores.
 
 use std::num::NonZero;
 use std::sync::{Mutex, PoisonError};
 use std::thread::{Builder, available_parallelism, scope};
 
-/// More threads than this wait for the memory and not for each other.
+/// With more threads than this, memory is the bottleneck.
 const MOST_THREADS: usize = 4;
 
-/// `work` for each item, in the items' order. Where the system gives no further thread, this one does all of it.
+/// Runs `work` for each item; results are in the items' order. Runs everything on this thread if no other can
+/// be started.
 pub(super) fn on_all_cores<T, R: Send>(
     items: impl Iterator<Item = T> + Send,
     work: impl Fn(T) -> R + Sync,

@@ -1,4 +1,4 @@
-//! The cache as a stranger would attack it.
+//! Tests of the cache, including attacks on it.
 
 use std::fs::{self, Permissions};
 use std::os::unix::fs::{PermissionsExt, symlink};
@@ -64,14 +64,14 @@ fn what_was_kept_is_found_to_the_bit_by_its_key_alone() {
     assert_eq!(mode(&place.folder.path().join("a/b/trabecula")), 0o700);
 }
 
-/// Several threads read one of several pieces.
+/// Several threads each read one of several pieces.
 #[test]
 fn a_volume_of_many_pieces_is_found_to_the_bit_and_two_changed_places_are_seen() {
     let place = Place::new();
     let large = Volume { grid: grid([1000, 1000, 1]), hu: (0..1_000_000).map(|n| (n / 31) as i16).collect() };
     place.cache.keep(&key(1), large.clone(), Vec::new());
     assert_eq!(place.cache.find(&key(1)).unwrap().unwrap().ct.volume, large);
-    // Two pieces change places: each is whole.
+    // Two pieces are swapped: each is intact.
     let path = place.cache.file(&key(1));
     let mut bytes = fs::read(&path).unwrap();
     let voxels = bytes.len() - 2_000_000;
@@ -81,7 +81,7 @@ fn a_volume_of_many_pieces_is_found_to_the_bit_and_two_changed_places_are_seen()
     assert!(matches!(place.cache.find(&key(1)), Err(Damage::Voxels)));
 }
 
-/// Every bit of a file is covered by one of the two checks, and every cut by its length.
+/// Every bit of a file is covered by one of the two checksums, and every truncation by its length.
 #[test]
 fn a_file_with_any_byte_changed_or_missing_is_refused_and_made_anew() {
     let place = Place::new();
@@ -104,10 +104,10 @@ fn a_file_with_any_byte_changed_or_missing_is_refused_and_made_anew() {
         Ok((volume(1), vec!["1 value clamped".to_owned()]))
     });
     assert_eq!(again.unwrap().ct.volume, volume(1));
-    assert_eq!(fs::read(&path).unwrap(), whole, "written anew");
+    assert_eq!(fs::read(&path).unwrap(), whole, "written again");
 }
 
-/// A header that states more voxels than the file has must not make anybody allocate them.
+/// A header that states more voxels than the file has must not cause their allocation.
 #[test]
 fn another_volume_under_this_name_and_one_of_enormous_size_are_refused() {
     let place = Place::new();
@@ -130,7 +130,7 @@ fn links_pipes_and_folders_in_the_place_of_a_file_are_refused_and_their_targets_
     fs::rename(&path, &elsewhere).unwrap();
     symlink(&elsewhere, &path).unwrap();
     assert!(matches!(place.cache.find(&key(1)), Err(Damage::NotAFile)));
-    assert_eq!(place.cache.clear().0, 0, "a link is none of ours");
+    assert_eq!(place.cache.clear().0, 0, "links are not cache files");
     fs::remove_file(&path).unwrap();
     fs::hard_link(&elsewhere, &path).unwrap();
     assert!(matches!(place.cache.find(&key(1)), Err(Damage::NotAFile)));
@@ -140,7 +140,7 @@ fn links_pipes_and_folders_in_the_place_of_a_file_are_refused_and_their_targets_
     fs::remove_file(&path).unwrap();
     fs::create_dir(&path).unwrap();
     assert!(place.cache.find(&key(1)).is_err());
-    // It cannot be removed, and the volume is made all the same.
+    // It cannot be removed, but the volume is still built.
     let made = through_folder(&place.cache, &key(1), || Ok((volume(1), Vec::new()))).unwrap();
     assert_eq!(made.ct.volume, volume(1));
     assert!(elsewhere.exists() && path.is_dir());
@@ -177,7 +177,7 @@ fn the_volumes_unused_for_longest_make_room_and_one_too_large_is_not_kept() {
     place.keep(2);
     place.keep(3);
     (1..=3).for_each(|number| place.age(number, 4 - number as u64));
-    // The oldest is used again.
+    // The oldest one is used again.
     assert!(place.finds(1));
     place.cache.limit_bytes = 3 * bytes;
     place.keep(4);
@@ -235,7 +235,7 @@ fn the_key_of_a_file_is_its_content_and_how_it_is_read_and_not_where_or_when() {
     assert_ne!(Key::of_file(&path, &options, "resampled").unwrap().hash(), first.hash());
     let other = ReadOptions { label: Some(volume_io::Label::Value(1)), ..ReadOptions::default() };
     assert_ne!(Key::of_file(&path, &other, "").unwrap().hash(), first.hash());
-    // The same length and time, another content.
+    // Same length and time, different content.
     let time = fs::metadata(&path).unwrap().modified().unwrap();
     assert!(first.is_current());
     fs::remove_file(&path).unwrap();

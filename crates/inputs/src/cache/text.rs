@@ -1,4 +1,4 @@
-//! Texts in the cache: tables of measured errors.
+//! Cached texts: tables of measured errors.
 //!
 //! ```text
 //! trabecula text 1 KEY CHECKSUM      64 and 32 hexadecimal digits, and a line feed
@@ -18,25 +18,25 @@ use super::Cache;
 use super::entry::Damage;
 use super::key::{add, begin};
 
-/// End of the name of a text in the folder.
+/// File name suffix of a text in the folder.
 pub(super) const ENDING: &str = ".table";
-/// Most bytes of a text: a table has a few thousand.
+/// Largest size of a text: a table has a few thousand bytes.
 const MAX_TABLE_BYTES: u64 = 1 << 20;
 const MAGIC: &str = "trabecula text 1";
 
-/// What a text is the answer to, as a hash; SHA-256, because tools come from anywhere, as volumes do.
+/// Hash of everything a text depends on; SHA-256, because tools, like volumes, come from anywhere.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct TextKey([u8; 32]);
 
 impl TextKey {
-    /// The key of all these parts, and of this build, whose sources decide what becomes of them.
+    /// The key of these parts and of this build, whose sources determine the result.
     pub fn of(parts: &[&str]) -> TextKey {
         let mut hasher = begin("text");
         parts.iter().for_each(|part| add(&mut hasher, part.as_bytes()));
         TextKey(hasher.finalize().into())
     }
 
-    /// Its file's name.
+    /// Name of its file.
     pub fn name(self) -> String {
         HEXLOWER.encode(&self.0) + ENDING
     }
@@ -48,7 +48,7 @@ fn head(key: TextKey, text: &str) -> String {
 }
 
 impl Cache {
-    /// The text of a key, checked; none if there is none.
+    /// Returns the text of a key, checked; `None` if absent.
     ///
     /// # Errors
     /// What is wrong with the file.
@@ -61,16 +61,16 @@ impl Cache {
         Read::by_ref(&mut file).take(MAX_TABLE_BYTES).read_to_string(&mut all).map_err(Damage::Read)?;
         let text = all.split_once('\n').map_or("", |(_, text)| text);
         if all != head(key, text) + text {
-            return Err(Damage::Head("it has another checksum"));
+            return Err(Damage::Head("wrong checksum"));
         }
         self.mark_used(&file);
         Ok(Some(text.to_owned()))
     }
 
-    /// Keeps a text; removes others if the folder would become too large.
+    /// Caches a text; removes others if the folder would become too large.
     ///
     /// # Errors
-    /// The system's.
+    /// The system's error.
     pub fn keep_text(&self, key: TextKey, text: &str) -> io::Result<()> {
         let head = head(key, text);
         let bytes = (head.len() + text.len()) as u64;
@@ -83,12 +83,12 @@ impl Cache {
         })
     }
 
-    /// Where the text of a key lies.
+    /// Path of a key's text.
     pub fn path_of_text(&self, key: TextKey) -> PathBuf {
         self.path.join(key.name())
     }
 
-    /// Removes a text that is no good.
+    /// Removes an invalid text.
     pub fn remove_text(&self, key: TextKey) {
         self.remove(&key.name());
     }

@@ -1,5 +1,5 @@
-//! Measures the error that a run actually made, by re-running its commands with the [`Reference`]; the tip is compared at a sample of
-//! the ticks.
+//! Measures the actual error of a run by re-running its commands with the [`Reference`]; the tip is compared
+//! at sampled ticks.
 
 use std::path::Path;
 use std::time::Instant;
@@ -31,7 +31,8 @@ pub struct Found {
 /// Re-runs a log up to tick `to` and compares the tip at about `samples` ticks.
 ///
 /// # Errors
-/// Bad input (2): a log that this build cannot replay, or one without ticks. The reference refuses the scene (1).
+/// Bad input (2): a log that this build cannot replay, or one without ticks. The reference refuses the scene
+/// (1).
 pub fn check(log: &Path, overrides: &Overrides, samples: u64, to: u64) -> Result<(Scene, Found), Failure> {
     let log = OpenedLog::open(log, overrides)?;
     let ct = log.ct.as_ref().map(|ct| CtView::from(&ct.volume));

@@ -25,8 +25,8 @@ pub struct Given {
 }
 
 impl Given {
-    /// The settings that a scene fixes; `text` is the scene file's text, needed to tell a step that was written from
-    /// the default.
+    /// Reads the settings that a scene fixes; the scene file's `text` is needed to distinguish an explicit
+    /// time step from the default.
     pub fn of(scene: &Scene, text: &str) -> Given {
         let table: toml::Table = toml::from_str(text).unwrap_or_default();
         let names_dt = table.get("run").is_some_and(|run| run.get("dt_ms").is_some());
@@ -40,8 +40,8 @@ impl Given {
         }
     }
 
-    /// Balls are allowed only if the scene names them: their drilled path is off by up to 12 mm, which a bound on the
-    /// position at rest does not reveal.
+    /// Balls are allowed only if the scene sets them: their drilled path is off by up to 12 mm, which a limit
+    /// on the position at rest does not reveal.
     fn allows(&self, settings: &Settings) -> bool {
         self.rung.is_none_or(|rung| rung == settings.rung)
             && self.links.is_none_or(|links| links == settings.links)
@@ -68,16 +68,16 @@ impl Given {
 pub struct Choice {
     /// The row of the table.
     pub row: Row,
-    /// What the scene does to the tool.
+    /// Loads of the scene on the tool.
     pub load: Load,
     /// What the scene fixed.
     pub given: Given,
-    /// The tool that the row was measured for; none for the standard one.
+    /// The tool that the row was measured for; `None` for the standard one.
     pub tool: Option<String>,
 }
 
 impl Choice {
-    /// The choice as text, one figure per line.
+    /// The choice as text, one value per line.
     pub fn text(&self) -> String {
         let (row, load) = (&self.row, self.load);
         let hard = |error: f64| match load.pull {
@@ -128,18 +128,18 @@ impl Choice {
     }
 }
 
-/// Writes the cheapest settings within the scene's tolerance into the scene; `None` if the scene states no tip or path
-/// error. The errors of a tool of its own are measured, unless they are kept from an earlier use.
+/// Writes the cheapest settings within the scene's tolerance into the scene; `None` if the scene sets no tip
+/// or path tolerance. The errors of a non-standard tool are measured, unless cached from an earlier use.
 ///
 /// # Errors
-/// Bad input: no measured settings meet the tolerance, or none of those that also match what the scene fixes; or nothing can be measured
-/// for the scene's tool.
+/// Bad input: no measured settings meet the tolerance, or none of those that also match what the scene fixes;
+/// or the scene's tool cannot be measured.
 pub fn resolve(scene: &mut Scene, text: &str) -> Result<Option<Choice>, Failure> {
     if !asks(scene) {
         return Ok(None);
     }
     if !is_standard_tool(scene) {
-        // Measuring takes long: not for a scene that is refused whatever is found.
+        // Measuring takes long, so a scene that would be refused anyway is refused first.
         let given = Given::of(scene, text);
         if !own::settings(scene)?.iter().any(|settings| given.allows(settings)) {
             return Err(refusal(scene, &given, &[], Load::of(scene)));
@@ -148,7 +148,7 @@ pub fn resolve(scene: &mut Scene, text: &str) -> Result<Option<Choice>, Failure>
     resolve_by(scene, text, &Table::of(scene)?)
 }
 
-/// The same by the errors of this table.
+/// As [`resolve`], with the errors of a given table.
 ///
 /// # Errors
 /// Bad input: no measured settings meet the tolerance, or none of those that also match what the scene fixes.
@@ -160,7 +160,7 @@ pub fn resolve_by(scene: &mut Scene, text: &str, table: &Table) -> Result<Option
     Ok(choice)
 }
 
-/// Whether a scene states an error of tip or path.
+/// Whether a scene sets a tip or path tolerance.
 fn asks(scene: &Scene) -> bool {
     scene.tolerance.is_some_and(|tolerance| tolerance.tip_mm.is_some() || tolerance.path_mm.is_some())
 }
@@ -188,8 +188,8 @@ fn choose(scene: &Scene, given: Given, table: &Table) -> Result<Option<Choice>, 
     }
 }
 
-/// Gravity or a tendon across the bending plane, or bodies, which push from any direction: the planar rungs were not
-/// measured under those loads.
+/// Whether gravity, a tendon outside the bending plane, or bodies (which push from any direction) load the
+/// tool out of plane: the planar models were not measured under those loads.
 fn leaves_the_plane(scene: &Scene) -> bool {
     let (along, toward) = (scene.tool.direction, scene.tool.bend_toward);
     let across = cross(&along, &toward);
@@ -197,13 +197,13 @@ fn leaves_the_plane(scene: &Scene) -> bool {
     let gravity = &scene.gravity_m_per_s2;
     let part: f64 = across.iter().zip(gravity).map(|(a, g)| a * g).sum();
     let pulled = tendons_leave_the_plane(&scene.tendon, scene.manipulator.tool.as_ref());
-    // A tool that turns in its outer tube takes its plane with it.
+    // A tool that rolls in its outer tube rotates its bending plane.
     let falls_aside = size(&cross(&along, gravity)) > 1e-6 * size(&along) * size(gravity).max(1e-300);
     let aside = falls_aside && scene.controller.iter().any(turns_its_plane);
     pulled || aside || !scene.body.is_empty() || part.abs() > 1e-6 * size(&across) * size(gravity).max(1e-300)
 }
 
-/// Whether a controller may turn a tool in its outer tube by anything but half turns.
+/// Whether a controller may roll a tool in its outer tube by anything but half turns.
 fn turns_its_plane(entry: &Controller) -> bool {
     let stays = |plan: &TubeDeployment| plan.roll_deg % 180.0 == 0.0;
     entry.drives.contains(&Drives::Tube) && !entry.tube_deployment.as_ref().is_some_and(stays)
@@ -217,7 +217,8 @@ fn refusal(scene: &Scene, given: &Given, rows: &[&Row], load: Load) -> Failure {
     let named = given.text();
     if rows.is_empty() {
         return Failure::bad_input(format!(
-            "scene `{}`: `tolerance`: the scene fixes {named}, for which no errors were measured; use settings that `trabecula plan --list SCENE` lists, or fix fewer of them",
+            "scene `{}`: `tolerance`: the scene fixes {named}, for which no errors were measured; use \
+             settings listed by `trabecula plan --list SCENE`, or fix fewer of them",
             scene.name
         ));
     }
@@ -227,8 +228,8 @@ fn refusal(scene: &Scene, given: &Given, rows: &[&Row], load: Load) -> Failure {
     let tolerance = scene.tolerance.unwrap_or_default();
     let ask = |key: &str, asked: Option<f64>, least: f64| {
         asked.map(|asked| match least.is_finite() {
-            true => format!("`tolerance.{key}` is {asked}, allowed is {least:.4} to 100"),
-            false => format!("`tolerance.{key}` is {asked}: leave it out, every one of them loses the tool"),
+            true => format!("`tolerance.{key}` is {asked}; allowed: {least:.4} to 100"),
+            false => format!("`tolerance.{key}` is {asked}, but all of them lose the tool; remove the key"),
         })
     };
     let asked: Vec<String> =
@@ -271,11 +272,11 @@ bend_toward = [1.0, 0.0, 0.0]
         (Scene::parse(&text, Path::new("planned.toml")).unwrap(), text)
     }
 
-    /// Errors and costs in the expected order: fewer links, larger steps and simpler rungs are cheaper and less
-    /// accurate.
+    /// Errors and costs in the expected order: fewer links, larger steps and simpler models are cheaper and
+    /// less accurate.
     fn rows() -> Vec<Row> {
         let mut rows = Vec::new();
-        // Nobody measures the modes.
+        // The modal model is never measured.
         let measured = Rung::ALL.into_iter().filter(|rung| *rung != Rung::Modal);
         for (rung, place) in measured.zip(1..) {
             for links in [4, 8, 27] {
@@ -346,7 +347,7 @@ bend_toward = [1.0, 0.0, 0.0]
         assert_eq!((after, again.row.settings), (resolved, choice.row.settings));
     }
 
-    /// With bone, the plan promises no path that was not measured in bone.
+    /// With bone, only paths measured in bone count.
     #[test]
     fn a_scene_with_bone_gets_what_was_measured_in_bone() {
         let block = "volume = { phantom = \"block\" }\n";
@@ -356,8 +357,8 @@ bend_toward = [1.0, 0.0, 0.0]
         assert!(bone.text().contains("drilled") && !free.text().contains("drilled"));
     }
 
-    /// Regression: balls are cheaper in this table and good enough for a tip tolerance; without `path_mm` they were
-    /// chosen.
+    /// Regression: balls are cheaper in this table and accurate enough for a tip tolerance; without `path_mm`
+    /// they were chosen.
     #[test]
     fn a_tolerance_never_chooses_balls() {
         let bone = |more: &str| planned(&format!("volume = {{ phantom = \"block\" }}\n{more}"));
@@ -394,7 +395,8 @@ bend_toward = [1.0, 0.0, 0.0]
         assert!(refused.code == 2 && refused.message.contains(said), "{refused}");
     }
 
-    /// Nothing says beforehand whether single flexures will stand on their stops, where the moment modes are not valid.
+    /// Whether single flexures reach their stops, where the moment modes are invalid, is not known
+    /// beforehand.
     #[test]
     fn no_table_offers_moment_modes() {
         let built_in = crate::plan::table::read(crate::plan::TABLE).unwrap();
@@ -413,15 +415,15 @@ bend_toward = [1.0, 0.0, 0.0]
     fn what_nothing_keeps_is_refused_with_key_and_range() {
         let refused = planned("tolerance = { path_mm = 0.001 }").unwrap_err();
         assert!(
-            refused.code == 2 && refused.message.contains("`tolerance.path_mm` is 0.001, allowed is"),
+            refused.code == 2 && refused.message.contains("`tolerance.path_mm` is 0.001; allowed:"),
             "{refused}"
         );
         let text = format!("tolerance = {{ tip_mm = 0.0 }}\n{SCENE}");
         let refused = Scene::parse(&text, Path::new("planned.toml")).unwrap_err().to_string();
-        assert!(refused.contains("`tolerance.tip_mm` is 0, allowed is 0.001 to 100"), "{refused}");
+        assert!(refused.contains("`tolerance.tip_mm` is 0; allowed: 0.001 to 100"), "{refused}");
     }
 
-    /// A looser tolerance never costs more, and the choice keeps the tolerance.
+    /// A looser tolerance never costs more, and the choice meets the tolerance.
     #[test]
     fn looser_is_never_dearer() {
         let (mut scene, _) = scene("tolerance = { tip_mm = 1.0, path_mm = 1.0 }");

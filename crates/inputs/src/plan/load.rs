@@ -1,10 +1,10 @@
-//! What a scene does to its tool, as far as the measured errors depend on it.
+//! Loads of a scene on its tool, as far as the measured errors depend on them.
 
 use ipc_types::scene::{Contact, Controller, Drives, Feedback, Manipulator, Scene, Tendon, ToolDescription};
 use simulation::manipulator::{ManipulatorParameters, TendonRoute};
 use simulation::manipulator_parameters;
 
-/// What a scene does to the tool, as far as errors depend on it.
+/// Loads of a scene on its tool, as far as errors depend on them.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Load {
     /// Whether there is bone.
@@ -16,21 +16,22 @@ pub struct Load {
 /// How hard the tendons may be pulled.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Pull {
-    /// At most [`GENTLE_N`] at once, or [`RAMPED_N`] on the ramp of a feed: no flexure is thrown against its stop.
+    /// At most [`GENTLE_N`] as a step, or [`RAMPED_N`] on the ramp of a feed: no flexure is thrown against
+    /// its stop.
     Gentle,
-    /// Up to the 60 N that a built-in controller may ask for, at once, or unknown.
+    /// Up to the 60 N that a built-in controller can command, as a step, or unknown.
     Hard,
 }
 
-/// Most tension of a gentle pull, N. The tool swings to twice its bend, and reaches its stops at 15.6 N.
+/// Largest tension of a gentle pull, N. The tool swings to twice its bend, and reaches its stops at 15.6 N.
 pub const GENTLE_N: f64 = 6.0;
-/// Most tension of a gentle pull on the ramp of a feed, N.
+/// Largest tension of a gentle pull on the ramp of a feed, N.
 pub const RAMPED_N: f64 = 15.0;
-/// Most friction of the tendons for which errors were measured.
+/// Largest tendon friction for which errors were measured.
 pub const MOST_TENDON_FRICTION: f64 = 0.3;
 
 impl Load {
-    /// What a scene names.
+    /// Determines the loads of a scene.
     pub fn of(scene: &Scene) -> Load {
         let drivers = scene.controller.iter().filter(|entry| entry.drives.contains(&Drives::Tendon));
         let is_gentle = !has_tendons(scene) || drivers.map(share_of_gentle).all(|share| share <= 1.0);
@@ -43,7 +44,7 @@ fn has_tendons(scene: &Scene) -> bool {
     !scene.tendon.is_empty() || scene.manipulator.tool.as_ref().is_none_or(|tool| !tool.tendon.is_empty())
 }
 
-/// Whether a tendon lies beside the bending plane or winds out of it.
+/// Whether a tendon lies outside the bending plane or is helical.
 pub(super) fn tendons_leave_the_plane(tendons: &[Tendon], tool: Option<&ToolDescription>) -> bool {
     let leaves =
         |across_mm: f64, twist: Option<f64>| across_mm != 0.0 || twist.is_some_and(|twist| twist != 0.0);
@@ -52,7 +53,7 @@ pub(super) fn tendons_leave_the_plane(tendons: &[Tendon], tool: Option<&ToolDesc
         || of_tool.iter().any(|it| leaves(it.across_mm, it.twist_deg_per_mm))
 }
 
-/// The most tension that a controller may ask for, over that of a gentle pull; infinite if the scene does not say.
+/// Largest tension that a controller can command, relative to a gentle pull; infinite if unknown.
 fn share_of_gentle(entry: &Controller) -> f64 {
     let drilling = entry.curved_drilling.as_ref().filter(|drilling| drilling.feedback == Feedback::None);
     let ramped = drilling.and_then(|drilling| drilling.tension_n).map(|most_n| most_n / RAMPED_N);
@@ -63,7 +64,8 @@ fn share_of_gentle(entry: &Controller) -> f64 {
     ramped.or(at_once).unwrap_or(f64::INFINITY)
 }
 
-/// Whether a scene's tool is, to the bit, the one whose errors the built-in table holds; with up to [`MOST_TENDON_FRICTION`], too.
+/// Whether a scene's tool is bitwise the one whose errors the built-in table holds; tendon friction up to
+/// [`MOST_TENDON_FRICTION`] is allowed.
 pub fn is_standard_tool(scene: &Scene) -> bool {
     let mut own = scene.as_it_is();
     own.gravity_m_per_s2 = [0.0; 3];
@@ -88,7 +90,7 @@ pub fn is_standard_tool(scene: &Scene) -> bool {
     }
 }
 
-/// Two tendons opposite each other are what the standard tool calls its pair.
+/// Two opposite tendons equal the standard tool's antagonistic pair.
 fn with_its_pair(mut tool: ManipulatorParameters) -> ManipulatorParameters {
     let offset_m = tool.tendon_routes.as_deref().and_then(|routes| match routes {
         [one, other] => {
@@ -114,8 +116,10 @@ mod tests {
 
     fn scene(tool: &str, controller: &str) -> Scene {
         let text = format!(
-            "name = \"load\"\n[run]\nmode = \"lockstep\"\nduration_s = 1.0\n[manipulator]\n{tool}\n[tool]\nburr_start_mm = [0.0, 0.0, 0.0]\n\
-             direction = [0.0, 0.0, 1.0]\nbend_toward = [1.0, 0.0, 0.0]\n[[controller]]\nname = \"a\"\ndrives = [\"tendon\", \"arm\", \"burr\"]\n{controller}"
+            "name = \"load\"\n[run]\nmode = \"lockstep\"\nduration_s = \
+             1.0\n[manipulator]\n{tool}\n[tool]\nburr_start_mm = [0.0, 0.0, 0.0]\n\
+             direction = [0.0, 0.0, 1.0]\nbend_toward = [1.0, 0.0, 0.0]\n[[controller]]\nname \
+             = \"a\"\ndrives = [\"tendon\", \"arm\", \"burr\"]\n{controller}"
         );
         Scene::parse(&text, Path::new("load.toml")).unwrap()
     }
@@ -124,7 +128,8 @@ mod tests {
     fn a_pull_is_gentle_if_no_controller_may_throw_a_flexure_against_its_stop() {
         let feed = |tension_n: f64| {
             format!(
-                "[controller.curved_drilling]\nfeed_mm_per_s = 1.0\ninsertion_mm = 5.0\ntension_n = {tension_n:?}\nramp_end_mm = 3.0\nburr_speed_rpm = 0.0\nfeedback = \"none\"\n"
+                "[controller.curved_drilling]\nfeed_mm_per_s = 1.0\ninsertion_mm = 5.0\ntension_n = \
+                 {tension_n:?}\nramp_end_mm = 3.0\nburr_speed_rpm = 0.0\nfeedback = \"none\"\n"
             )
         };
         for (controller, pull) in [

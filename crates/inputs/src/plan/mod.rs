@@ -1,8 +1,8 @@
 //! Finds the cheapest physics settings whose measured errors meet a scene's tolerance.
 //!
-//! The errors and costs of the standard tool are those of `table.csv`, which `trabecula-lab chart physics` measures and writes again as
-//! `physics-plan.csv`; a test compares a part of it with a fresh measurement. Those of another tool are measured when a scene first needs
-//! them ([`Table::of`]).
+//! The errors and costs of the standard tool come from `table.csv`, which `trabecula-lab chart physics`
+//! measures and writes as `physics-plan.csv`; a test compares part of it with a fresh measurement. Those of
+//! another tool are measured when a scene first needs them ([`Table::of`]).
 
 pub mod check;
 mod choice;

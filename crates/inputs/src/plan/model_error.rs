@@ -1,4 +1,4 @@
-//! The measured error of a model that bends in one plane, for the end of a run.
+//! The measured error of a planar model, reported at the end of a run.
 
 use std::fmt;
 
@@ -10,18 +10,18 @@ use simulation::rung;
 use super::TABLE;
 use super::table::{OWN_LINKS, Row, Settings, read};
 
-/// How far a model that bends in one plane deviated from the reference while drilling.
+/// Measured deviation of a planar model from the reference while drilling.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ModelError {
-    /// Name of the rung.
+    /// Name of the model.
     pub model: String,
-    /// R.m.s. error of the worst drilled path: for exactly these settings, or the range over all settings measured with the same rung and
-    /// contact.
+    /// R.m.s. error of the worst drilled path: for exactly these settings, or the range over all measured
+    /// settings with the same model and contact.
     pub path_mm: [f64; 2],
 }
 
 impl ModelError {
-    /// For a scene with bone whose rung bends in one plane, if it was measured.
+    /// The error for a scene with bone and a planar model, if it was measured.
     pub fn of(scene: &Scene) -> Option<ModelError> {
         ModelError::by(scene, &read(TABLE)?)
     }
@@ -29,7 +29,7 @@ impl ModelError {
     fn by(scene: &Scene, rows: &[Row]) -> Option<ModelError> {
         scene.volume.as_ref()?;
         let manipulator = &scene.manipulator;
-        // Measured with the standard tool.
+        // Measured only with the standard tool.
         if manipulator.tool.is_some() {
             return None;
         }

@@ -1,7 +1,9 @@
-//! The reference that errors are measured against: by the table that plans choose from, and by `plan --check`.
+//! The reference against which errors are measured, for the table that plans choose from and for `plan
+//! --check`.
 //!
-//! It is the tool with its own flexures, six degrees of freedom each, `hybrid`, at half the step of the run. It starts where the run
-//! starts and gets every u_k of the run, so that the error includes everything that drilling accumulates.
+//! It is the tool with its own flexures, six degrees of freedom each, `hybrid`, at half the run's time step.
+//! It starts with the run and gets every u_k of the run, so that the error includes everything that drilling
+//! accumulates.
 
 use ipc_types::messages::{Latched, SOURCE_FRESH, SOURCE_HELD, State};
 use ipc_types::scene::{Integrator, ManipulatorRung, Scene};
@@ -16,7 +18,7 @@ pub struct Reference<'v> {
 }
 
 impl<'v> Reference<'v> {
-    /// The start of the run of `scene`.
+    /// Starts at the beginning of the run of `scene`.
     ///
     /// # Errors
     /// The scene is refused.
@@ -35,12 +37,12 @@ impl<'v> Reference<'v> {
         Ok(())
     }
 
-    /// Where the burr is, m.
+    /// Position of the burr, m.
     pub fn burr_m(&self) -> [f64; 3] {
         self.simulation.state().t_world_burr.position_m
     }
 
-    /// Distance of the burr from that of a state of the run, mm.
+    /// Distance of the burr from its position in a state of the run, mm.
     pub fn distance_mm(&self, state: &State) -> f64 {
         let (a, b) = (self.burr_m(), &state.t_world_burr.position_m);
         a.iter().zip(b).map(|(a, b)| (a - b) * (a - b)).sum::<f64>().sqrt() * 1e3

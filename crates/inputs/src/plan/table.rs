@@ -18,20 +18,21 @@ pub(super) fn own_links(scene: &Scene) -> usize {
 /// The settings of a table row.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Settings {
-    /// Rung.
+    /// Model.
     pub rung: Rung,
-    /// Number of links; as many as the tool has flexures (the standard one has 27) means those themselves.
+    /// Number of links; a number equal to that of the tool's flexures (27 for the standard one) means the
+    /// flexures themselves.
     pub links: usize,
     /// Integrator.
     pub integrator: Integrator,
     /// Step, ms.
     pub dt_ms: f64,
-    /// How a voxel of bone acts on the tool's spheres.
+    /// Contact model of a voxel with the tool's spheres.
     pub contact: ContactVoxels,
 }
 
 impl Settings {
-    /// The settings as tables and messages write them.
+    /// The settings as written in tables and messages.
     pub fn text(&self) -> String {
         let integrator = integrator_name(self.integrator);
         let contact = contact_name(self.contact);
@@ -97,12 +98,13 @@ impl Beam {
     }
 }
 
-/// Measured errors (mm; infinite where the tool was lost or nothing was measured) and costs (microseconds per simulated millisecond).
+/// Measured errors (mm; infinite if the tool was lost or nothing was measured) and costs (microseconds per
+/// simulated millisecond).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Row {
     /// The settings measured.
     pub settings: Settings,
-    /// As a beam; none for a scene's own tool, which is compared with the reference alone.
+    /// As a beam; `None` for a scene's own tool, which is compared only with the reference.
     pub beam: Option<Beam>,
     /// Error of a tool sphere at rest on a flat wall of voxels.
     pub voxel_wall_mm: f64,
@@ -116,9 +118,9 @@ pub struct Row {
     pub hard_path_mm: f64,
     /// Path error of the burr in bone, against the reference on the same voxels, r.m.s., the worst tunnel.
     pub drilled_path_mm: f64,
-    /// How far the path moves with the place of the voxels, r.m.s., the worst pair of places.
+    /// Path difference between voxel grid offsets, r.m.s., the worst pair.
     pub grid_path_mm: f64,
-    /// Median step time of the pulls in free space: the manipulator alone. Of an own tool, estimated.
+    /// Median step time of the pulls in free space: the manipulator alone. Estimated for a scene's own tool.
     pub free_us_per_ms: f64,
     /// Median step time of the default scene, including contact and drilling.
     pub drilling_us_per_ms: f64,
@@ -147,7 +149,7 @@ const COLUMNS: [&str; 19] = [
 ];
 
 impl Row {
-    /// A row of which nothing is known: every error counts as infinite.
+    /// A row without measurements: every error counts as infinite.
     pub(super) fn unmeasured(settings: Settings) -> Row {
         Row {
             settings,
@@ -174,8 +176,8 @@ impl Row {
         worst(&[self.beam.map_or(0.0, |beam| beam.tip_mm()), voxel_wall_mm, rest_mm])
     }
 
-    /// Path error of the burr: the worst problem. With bone, what the drilled paths were off and how far the place of the voxels moves
-    /// them add up.
+    /// Path error of the burr: the worst problem. With bone, the error of the drilled paths and their
+    /// dependence on the voxel grid add up.
     pub fn path_mm(&self, load: Load) -> f64 {
         let pulled = match load.pull {
             Pull::Gentle => self.free_path_mm,
@@ -190,7 +192,7 @@ impl Row {
         if load.bone { self.drilling_us_per_ms } else { self.free_us_per_ms }
     }
 
-    /// The errors in the order of the columns; none where a column is not of this tool.
+    /// The errors in column order; `None` for columns that do not apply to this tool.
     fn errors(&self) -> [Option<f64>; 12] {
         [
             self.beam.map(|beam| beam.end_moment_mm),
@@ -309,12 +311,13 @@ mod tests {
         assert_eq!(read("rung,links\nplanar,4\n"), None);
     }
 
-    /// A tool of a scene's own has no closed forms: their columns stay empty and count for nothing; half of them is no table.
+    /// A scene's own tool has no closed-form errors: their columns are empty and ignored; partly filled ones
+    /// are malformed.
     #[test]
     fn what_is_not_of_a_tool_is_left_out() {
         let row = Row { beam: None, ..read(TABLE).unwrap()[0] };
         let text = write(&[row]);
-        // Not compared as rows: what was not measured is not a number.
+        // Not compared as rows: unmeasured values are NaN.
         assert_eq!(write(&read(&text).unwrap()), text);
         assert_eq!((row.tip_mm(FREE), row.path_mm(FREE)), (row.rest_mm, row.free_path_mm));
         assert_eq!(read(&text.replacen("planes,,", "planes,1.0,", 1)), None);

@@ -1,4 +1,4 @@
-//! The writer thread's side: writes the file and syncs it to disk.
+//! The writer thread: writes the file and syncs it to disk.
 
 use std::fs::{File, OpenOptions};
 use std::io::{self, ErrorKind};
@@ -22,8 +22,8 @@ pub(super) fn open(path: &Path, wanted: BackgroundOptions) -> io::Result<(File, 
     if wanted.direct {
         let flags = OFlags::DIRECT.bits() as i32;
         match options.clone().custom_flags(flags).open(path) {
-            // File systems without `O_DIRECT` refuse here or at the first write. Some have created the file by then;
-            // it is ours.
+            // File systems without `O_DIRECT` fail here or at the first write. Some have created the file by
+            // then; it is ours.
             Err(cause) if is_invalid(&cause) => {
                 options.create_new(false).create(true).truncate(true);
             }
@@ -65,7 +65,7 @@ impl Medium for File {
     }
 
     fn sync(&self) -> io::Result<()> {
-        // Otherwise nobody would notice before the end of the run.
+        // Otherwise a removed file would go unnoticed until the end of the run.
         if rustix::fs::fstat(self)?.st_nlink == 0 {
             return Err(io::Error::new(ErrorKind::NotFound, "the file has been removed"));
         }
@@ -83,7 +83,7 @@ pub(super) struct Disk {
     pub direct: bool,
     /// Bytes of the file written so far.
     pub written: u64,
-    /// Since when there has been data that a power failure would lose.
+    /// Time since when there has been data that a power failure would lose.
     pub unsynced: Option<Instant>,
 }
 
@@ -114,7 +114,7 @@ impl Disk {
             }
         }
         drop(state);
-        // Cuts off the padding of the last block, and whatever a failed write has left.
+        // Truncates the padding of the last block and any remains of a failed write.
         let outcome = self.medium.set_length(self.written).and_then(|()| self.sync());
         shared.lock().fail(outcome);
     }

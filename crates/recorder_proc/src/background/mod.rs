@@ -1,14 +1,14 @@
 //! A file written by its own thread, so that a stalled disk does not stall the recorder.
 //!
-//! Bytes go into preallocated, page-aligned buffers that are reused. The thread writes them with `O_DIRECT` where the
-//! file system supports it. That skips the copy into the page cache, which takes a fraction of the processor time
-//! and avoids long, non-preemptible copies in the kernel. Elsewhere (tmpfs,
-//! FUSE) it uses ordinary writes. The finished file is the same either way.
+//! Bytes go into preallocated, page-aligned buffers that are reused. The thread writes them with `O_DIRECT`
+//! if the file system supports it. That skips the copy into the page cache, which takes a fraction of the
+//! processor time and avoids long, non-preemptible copies in the kernel. Otherwise (tmpfs, FUSE) it uses
+//! ordinary writes. The finished file is the same either way.
 //!
 //! During direct writes the file may end in up to one block of zeros, which pad its last block.
 //!
-//! The thread syncs to disk once a second (`fdatasync`) and before the file is closed, so a power failure loses about
-//! the last second. The recorder does not wait for the sync either.
+//! The thread syncs to disk once a second (`fdatasync`) and before the file is closed, so a power failure
+//! loses about the last second. The recorder does not wait for the sync either.
 
 use std::collections::VecDeque;
 use std::io::{self, Write};
@@ -28,7 +28,7 @@ const BLOCK: usize = 4096;
 
 const _: () =
     assert!(BLOCK as u64 <= run_log::PADDING_BYTES, "readers expect the zeros behind an unfinished log");
-/// Wall time between syncs; data is safe on disk after this plus the duration of the sync.
+/// Wall time between syncs; data are safe on disk after this plus the duration of the sync.
 pub const SYNC_PERIOD: Duration = Duration::from_secs(1);
 
 /// Buffers of a background file, and how to open it.
@@ -40,13 +40,13 @@ pub struct BackgroundOptions {
     pub buffer_bytes: usize,
     /// Whether to try `O_DIRECT`.
     pub direct: bool,
-    /// Whether to refuse to replace an existing file.
+    /// Whether to fail if the file exists.
     pub fresh: bool,
 }
 
 impl BackgroundOptions {
-    /// 32 MiB, in buffers small enough that a flush every 10 ms does not use up the pool: half a second of 2 MiB
-    /// images at 30 Hz. Only buffers that are used become resident.
+    /// 32 MiB, in buffers small enough that a flush every 10 ms does not use up the pool: half a second of 2
+    /// MiB images at 30 Hz. Only buffers that are used become resident.
     pub const RUN: BackgroundOptions =
         BackgroundOptions { buffers: 64, buffer_bytes: 512 << 10, direct: true, fresh: true };
     /// 2 MiB: more than half a second of the timing lane.
@@ -65,10 +65,10 @@ struct Buffer {
 }
 
 struct State {
-    /// Last in, first out, so that as little memory as possible is touched.
+    /// A stack, so that as little memory as possible is touched.
     free: Vec<Buffer>,
     full: VecDeque<Buffer>,
-    /// Buffers handed over and not in the file yet: those in `full`, and the one being written.
+    /// Number of buffers handed over but not in the file yet: those in `full`, and the one being written.
     unwritten: usize,
     failure: Option<(io::ErrorKind, Option<i32>, String)>,
     closed: bool,
@@ -111,8 +111,9 @@ impl Shared {
 
 /// A file being written by its own thread.
 ///
-/// `write` copies; it blocks only when all buffers are full. `flush` hands the data to the thread and does not wait
-/// for the disk. An error of the thread is returned by the next call and by [`close`](BackgroundFile::close).
+/// `write` copies; it blocks only when all buffers are full. `flush` hands the data to the thread and does
+/// not wait for the disk. An error of the thread is returned by the next call and by
+/// [`close`](BackgroundFile::close).
 pub struct BackgroundFile {
     shared: Arc<Shared>,
     current: Option<Buffer>,
@@ -129,7 +130,7 @@ impl BackgroundFile {
         BackgroundFile::on(Box::new(file), BackgroundOptions { direct, ..options })
     }
 
-    /// On an open medium; `options.direct` says how it was opened.
+    /// Uses an open medium; `options.direct` tells how it was opened.
     fn on(medium: Box<dyn Medium>, options: BackgroundOptions) -> io::Result<BackgroundFile> {
         let bytes = options.buffer_bytes.next_multiple_of(BLOCK).max(2 * BLOCK);
         let buffer = |_| -> io::Result<Buffer> {
@@ -147,7 +148,7 @@ impl BackgroundFile {
         Ok(BackgroundFile { shared, current, thread: Some(thread) })
     }
 
-    /// To wait for what is flushed.
+    /// Returns a handle that waits for flushed data.
     pub fn written(&self) -> Written {
         Written(Arc::clone(&self.shared))
     }
@@ -196,14 +197,15 @@ impl BackgroundFile {
     }
 }
 
-/// Waits for the writes of a [`BackgroundFile`], which may belong to somebody else by then.
+/// Waits for the writes of a [`BackgroundFile`], which another owner may hold by then.
 pub struct Written(Arc<Shared>);
 
 impl Written {
-    /// Waits until everything that was flushed is in the file: there even if this process is killed.
+    /// Waits until all flushed data are in the file, where they survive this process being killed.
     ///
     /// # Errors
-    /// The first error of the disk; [`io::ErrorKind::TimedOut`] if it has not written everything within the limit.
+    /// The first error of the disk; [`io::ErrorKind::TimedOut`] if it has not written everything within the
+    /// limit.
     pub fn wait(&self, limit: Duration) -> io::Result<()> {
         let end = Instant::now() + limit;
         let mut state = self.0.lock();
@@ -242,7 +244,7 @@ impl Write for BackgroundFile {
 impl Drop for BackgroundFile {
     fn drop(&mut self) {
         if self.thread.is_some() {
-            // Nobody can receive an error any more; write what was accepted, if possible.
+            // The error can no longer be reported; write what was accepted, if possible.
             let _ = self.flush();
             self.join();
         }
@@ -321,7 +323,8 @@ mod tests {
         }
     }
 
-    /// Regression: nothing was ever synced, so a machine that crashed right after "completed" had an empty log.
+    /// Regression: nothing was ever synced, so a machine that crashed right after "completed" had an empty
+    /// log.
     #[test]
     fn a_closed_file_survives_a_crash_of_the_machine() {
         let (disk, mut file) = file();

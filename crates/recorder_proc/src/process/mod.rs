@@ -1,10 +1,11 @@
 //! The recorder process: receives every message of every service and writes the two logs.
 //!
-//! It polls: nobody has to wake it, so it costs the physics nothing. Its queues hold [`RECORDER_QUEUE_TICKS`]. One
-//! thread drains them and assembles the log, another writes the files ([`background`](crate::background)). The physics
-//! waits for its `Progress` in lockstep, and in real time with `recording.on_full = "wait"`. Otherwise a recorder that
-//! falls behind by more than its queues leaves a gap: it reports the gap at once in an event, counts it in the log's
-//! end, and returns it as the exit code ([`RecorderError::Gap`]).
+//! It polls, so no other part has to wake it and it costs the physics nothing. Its queues hold
+//! [`RECORDER_QUEUE_TICKS`]. One thread drains them and assembles the log, another writes the files
+//! ([`background`](crate::background)). The physics waits for its `Progress` in lockstep, and in real time
+//! with `recording.on_full = "wait"`. Otherwise a recorder that falls behind by more than its queues leaves a
+//! gap: it reports the gap at once in an event, counts it in the log's end marker, and returns it as the exit
+//! code ([`RecorderError::Gap`]).
 
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
@@ -31,7 +32,7 @@ mod recorder;
 use ports::Ports;
 use recorder::{Recorded, Recorder};
 
-/// Why the recorder ends early.
+/// Why the recorder ended early.
 #[derive(Debug, Error)]
 pub enum RecorderError {
     /// The session cannot be joined.
@@ -54,8 +55,8 @@ pub enum RecorderError {
         /// The system's reason.
         cause: std::io::Error,
     },
-    /// Signals cannot be handled.
-    #[error("signals cannot be handled: {0}")]
+    /// Signal handlers cannot be installed.
+    #[error("cannot install signal handlers: {0}")]
     Signals(std::io::Error),
     /// The log folder cannot be synced to disk.
     #[error("{}: cannot be synced to disk: {source}", path.display())]
@@ -67,7 +68,8 @@ pub enum RecorderError {
     },
     /// The log is finished, but lacks messages that belong in `run.mcap`.
     #[error(
-        "the log has a gap ({lost}): the recorder stalled for longer than its queues of {RECORDER_QUEUE_TICKS} ticks can bridge; \
+        "the log has a gap ({lost}): the recorder stalled for longer than its queues of \
+         {RECORDER_QUEUE_TICKS} ticks can bridge; \
          with `recording.on_full = \"wait\"` the physics waits for it"
     )]
     Gap {
@@ -83,13 +85,14 @@ impl RecorderError {
     }
 }
 
-/// How long the disk may take for the logs' headers: less than the hub gives this part to connect (60 s), so that the disk is named.
+/// Time limit for writing the logs' headers: less than the hub gives this part to connect (60 s), so that the
+/// error names the disk.
 const HEADER_LIMIT: Duration = Duration::from_secs(30);
-/// Name of the session-folder file that says where the run is recorded.
+/// Name of the session-folder file with the folder of the recording.
 pub const OUTPUT_FILE: &str = "output";
 
-/// Records a session into `run.mcap` and `timing.mcap` of a folder until it is asked to end (SIGTERM); then drains its
-/// queues and finishes both logs.
+/// Records a session into `run.mcap` and `timing.mcap` of a folder until it is asked to end (SIGTERM), then
+/// drains its queues and finishes both logs.
 ///
 /// # Errors
 /// Any [`RecorderError`].

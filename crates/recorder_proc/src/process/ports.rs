@@ -1,4 +1,4 @@
-//! Every service that the recorder subscribes to, and the two that it publishes on.
+//! The services that the recorder subscribes to, and the two that it publishes on.
 
 use ipc_types::messages::services;
 use ipc_types::messages::{
@@ -17,7 +17,7 @@ pub(super) struct Ports {
     pub states: Subscriber<State>,
     pub latched: Subscriber<Latched>,
     pub removed: Subscriber<Removed>,
-    /// None without sensors.
+    /// `None` without sensors.
     pub readings: Option<Subscriber<SensorReading>>,
     pub keyframes: Subscriber<Keyframe>,
     pub frames: Option<Subscriber<Frame>>,
@@ -37,7 +37,7 @@ pub(super) struct Ports {
 }
 
 impl Ports {
-    /// Opens all of them.
+    /// Opens all ports.
     pub fn open(session: &Session, scene: &Scene) -> Result<Ports, SessionError> {
         let command = |name: String| Ok((command_topic(&name), session.lossless_command_subscriber(&name)?));
         Ok(Ports {
@@ -71,7 +71,7 @@ impl Ports {
 }
 
 impl Ports {
-    /// Number of messages so far that did not come from the service's owner.
+    /// Returns the number of messages so far that did not come from the service's owner.
     pub fn foreign_messages(&self) -> u64 {
         self.states.foreign_messages()
             + self.latched.foreign_messages()

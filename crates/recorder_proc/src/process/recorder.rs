@@ -21,18 +21,18 @@ use super::{RecorderError, sync_folder};
 use crate::background::BackgroundFile;
 use crate::reason_file;
 
-/// Longest time between polls: a small fraction of what the queues hold.
+/// Longest time between polls: a small fraction of the queues' length.
 const POLL_PERIOD: Duration = Duration::from_millis(2);
 /// Number of states after which progress is reported within a round.
 const PROGRESS_TICKS: u64 = 64;
 /// Number of states to read before the other queues are polled again.
 const TICKS_PER_ROUND: usize = 16;
-/// Number of messages to read from a client service before the other queues are polled again, so that a flooding
-/// client cannot keep the recorder from the ticks.
+/// Number of messages to read from a client service before the other queues are polled again, so that a
+/// flooding client cannot keep the recorder from the ticks.
 const CLIENT_MESSAGES_PER_ROUND: usize = 256;
 /// Rounds after the run's end, enough to drain the longest client queue (2048 events).
 const LAST_ROUNDS: usize = 8;
-/// How long an orphaned physics, whose launcher was killed, may take to end.
+/// Time limit for an orphaned physics, whose launcher was killed, to end.
 const ORPHANED_LIMIT: Duration = Duration::from_secs(5);
 /// Time without a state after which the timing lane is flushed to its file.
 const QUIET_TIME: Duration = Duration::from_millis(100);
@@ -77,13 +77,14 @@ impl Recorder {
             if self.take_round()? {
                 quiet_since = Instant::now();
             } else if quiet_since.elapsed() >= QUIET_TIME {
-                // During a pause no tick closes a chunk, but what users do meanwhile must reach the file.
+                // During a pause no tick closes a chunk, but user actions in the meantime must reach the
+                // file.
                 self.timing.flush()?;
                 quiet_since = Instant::now();
             }
             self.report_foreign_messages()?;
         }
-        // The launcher writes the end reason before it asks. Its lock may briefly outlive it.
+        // The launcher writes the end reason before it requests the end. Its lock may briefly outlive it.
         if self.reason_path().is_none() || !host_is_alive(&self.session_folder) {
             self.wait_for_physics()?;
         }
@@ -96,9 +97,9 @@ impl Recorder {
         Ok(())
     }
 
-    /// Waits for the physics to end. A launcher stops the recorder only when nobody publishes any more, but if the
-    /// launcher was killed, all parts are asked to end at once. Everything that the physics publishes until its end
-    /// must reach the log.
+    /// Waits for the physics to end. A launcher stops the recorder only when no part publishes any more, but
+    /// if the launcher was killed, all parts are asked to end at once. Everything that the physics publishes
+    /// until its end must reach the log.
     fn wait_for_physics(&mut self) -> Result<(), RecorderError> {
         let limit = Instant::now() + ORPHANED_LIMIT;
         while !self.run_has_ended && Instant::now() < limit {
@@ -108,9 +109,9 @@ impl Recorder {
         Ok(())
     }
 
-    /// Reads some ticks, and everything else that waits. In lockstep the physics runs as fast as states are read: a
-    /// recorder that kept reading states would starve the other queues, and they would overflow. Returns whether a
-    /// state arrived.
+    /// Reads some ticks, and everything else that is queued. In lockstep the physics runs as fast as states
+    /// are read: a recorder that kept reading states would starve the other queues until they overflow.
+    /// Returns whether a state arrived.
     fn take_round(&mut self) -> Result<bool, RecorderError> {
         let came = self.take_ticks()?;
         self.take_frames()?;
@@ -216,14 +217,16 @@ impl Recorder {
             return Ok(());
         }
         let text = format!(
-            "ticks {} to {} are missing from the log: the recorder stalled for longer than its queues can bridge",
+            "ticks {} to {} are missing from the log: the recorder stalled for longer than its queues can \
+             bridge",
             missing.start,
             missing.end - 1
         );
         Ok(self.ports.events_sent.warn(Tick(self.newest_tick), EventCode::MessagesLost, &text)?)
     }
 
-    /// Reports when programs have sent messages on a service that they do not own; the log does not record these.
+    /// Reports messages that programs have sent on services that they do not own; the log does not record
+    /// these.
     fn report_foreign_messages(&mut self) -> Result<(), RecorderError> {
         let foreign_messages = self.ports.foreign_messages();
         let new = foreign_messages - self.foreign_messages;
@@ -253,14 +256,14 @@ impl Recorder {
         Ok(())
     }
 
-    /// Where the launcher has written the end reason, if it has.
+    /// Returns the path of the end reason, if the launcher has written it.
     fn reason_path(&self) -> Option<PathBuf> {
         reason_file::find(&self.session_folder, self.run.path().parent().unwrap_or(Path::new(".")))
     }
 
     pub fn finish(self, output: &Path, recorded: Recorded) -> Result<(), RecorderError> {
-        // Another signal may arrive before the launcher's reason. If the run is over, the launcher is about to write
-        // it.
+        // Another signal may arrive before the launcher's reason. If the run is over, the launcher is about
+        // to write it.
         let limit = Instant::now() + ORPHANED_LIMIT;
         let launcher_lives = || host_is_alive(&self.session_folder);
         while self.run_has_ended && self.reason_path().is_none() && launcher_lives() && Instant::now() < limit
@@ -271,12 +274,12 @@ impl Recorder {
         let reason = match reason_path.as_deref().map(reason_file::read) {
             _ if recorded == Recorded::UpToAnError => EndReason::PartDied(Part::Recorder.name().to_owned()),
             Some(Ok(reason)) => reason,
-            // Nobody ended the run, so someone stopped the recorder itself.
+            // No part ended the run, so the recorder itself was stopped.
             _ if launcher_lives() => EndReason::PartDied(Part::Recorder.name().to_owned()),
             // The launcher was killed before it could write a reason.
             _ => EndReason::PartDied(Part::Host.name().to_owned()),
         };
-        // The reason file has done its job.
+        // The reason file is no longer needed.
         reason_path.iter().for_each(|path| drop(std::fs::remove_file(path)));
         let lost = self.gaps.lost();
         let paths = [self.run.path().to_owned(), self.timing.path().to_owned()];
@@ -307,8 +310,8 @@ fn finish_file(
     Ok(marker)
 }
 
-/// Copies a service's waiting messages into the timing lane through `write`. A client message of the wrong size is not a valid message
-/// and is not logged; its recipient has already reported it in an event.
+/// Copies a service's queued messages into the timing lane through `write`. A client message of the wrong
+/// size is invalid and is not logged; its recipient has already reported it in an event.
 fn copy_all<M: Message>(
     subscriber: &Subscriber<M>,
     mut write: impl FnMut(&[u8]) -> Result<(), LogError>,

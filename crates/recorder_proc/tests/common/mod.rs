@@ -1,4 +1,4 @@
-//! The toy simulation of the core's tests, with logs in files.
+//! The toy simulation of `run_log`'s tests, with logs in files.
 #![allow(
     clippy::unwrap_used,
     missing_docs,

@@ -40,7 +40,7 @@ def with_rerun(log, folder):
     rows = collections.Counter()
     chunk = re.compile(r"Chunk\(\S+\) with ([\d ]+) rows \(.*?\) - (/\S+) - data columns: \[(.*)\]")
     for count, entity, columns in chunk.findall(printed.stdout):
-        # What rerun makes of a message whose type it knows only by its schema, and of an image.
+        # How rerun shows a message whose type it knows only by its schema, and an image.
         if any(column.endswith((":message", "Image:buffer")) for column in columns.split()):
             rows[entity] += int(count.replace(" ", ""))
     for entity, count in rows.items():

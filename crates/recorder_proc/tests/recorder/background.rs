@@ -1,5 +1,5 @@
-//! The writer thread: the same bytes with either kind of write, errors that reach the caller, a file with the right
-//! end.
+//! The writer thread: the same bytes with either kind of write, errors that reach the caller, a file with the
+//! correct end.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, missing_docs)]
 
 use fastrand::Rng;
@@ -16,16 +16,17 @@ const SMALL: BackgroundOptions =
     BackgroundOptions { buffers: 2, buffer_bytes: 8192, direct: true, fresh: false };
 
 fn folders() -> Vec<tempfile::TempDir> {
-    // tmpfs (without O_DIRECT, or only pretending to have it) and whatever file system holds the target folder
-    // (usually a disk).
+    // tmpfs (without O_DIRECT, or only pretending to have it) and the file system of the target folder
+    // (usually on a disk).
     let shm = Path::new("/dev/shm");
     let mut folders = vec![tempfile::tempdir_in(env!("CARGO_TARGET_TMPDIR")).unwrap()];
     folders.extend(shm.is_dir().then(|| tempfile::tempdir_in(shm).unwrap()));
     folders
 }
 
-/// Random pieces and flushes: the file holds exactly the bytes, with or without direct writes. After each flush it
-/// holds at least what was flushed before the buffers ran out, followed by at most less than a block of zeros.
+/// Random pieces and flushes: the file holds exactly the bytes, with or without direct writes. After each
+/// flush it holds at least what was flushed before the buffers ran out, followed by less than a block of
+/// zeros.
 #[test]
 fn any_pieces_and_flushes_leave_the_same_bytes() {
     for folder in folders() {
@@ -68,8 +69,8 @@ fn a_log_written_by_the_thread_is_the_log_written_at_once() {
     assert!(std::fs::read(&path).unwrap() == write_log(&steps));
 }
 
-/// A recorder killed between two writes leaves zeros up to the end of a block. They mean a truncated log, not damage;
-/// anything else after them, or more zeros, is damage.
+/// A recorder killed between two writes leaves zeros up to the end of a block. They mean a truncated log, not
+/// damage; anything else after them, or more zeros, is damage.
 #[test]
 fn a_log_that_ends_in_a_block_of_zeros_is_cut() {
     let bytes = write_log(&run_messages(300, None));

@@ -1,4 +1,4 @@
-//! The programs that people use to open logs: rosbags, rerun, pandas' Parquet reader, Lichtblick's layout, the guide.
+//! Common programs for opening logs: rosbags, rerun, pandas' Parquet reader, Lichtblick's layout, the guide.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, missing_docs)]
 
 use std::collections::BTreeSet;

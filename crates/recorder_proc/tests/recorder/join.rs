@@ -7,7 +7,7 @@ use recorder_proc::rewritten::{Sizes, cat_files, compress, split};
 use run_log::diff::diff;
 use run_log::*;
 
-/// Messages of a whole file, read by the mcap crate's own reader: topic, number, bytes.
+/// Returns the messages of a complete file, read by the mcap crate's own reader: topic, number, bytes.
 fn messages(bytes: &[u8]) -> Vec<(String, u32, Vec<u8>)> {
     let read = mcap::MessageStream::new(bytes).unwrap().map(Result::unwrap);
     read.map(|m| (m.channel.topic.clone(), m.sequence, m.data.to_vec())).collect()
@@ -75,7 +75,7 @@ fn joined_logs_split_into_what_they_were() {
         messages(&bytes).iter().filter(|(topic, _, _)| *topic == format!("{prefix}/state")).count()
     };
     assert_eq!((states("/run1"), states("/run2")), (301, 451));
-    // Our reader does not take it for one run.
+    // Our reader does not mistake it for one run.
     let error = LogReader::open(&LogFile::at(&joined)).err().unwrap();
     assert!(
         matches!(error, LogError::SeveralRuns { .. }) && error.to_string().contains("log split"),

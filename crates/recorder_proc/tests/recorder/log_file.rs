@@ -1,4 +1,5 @@
-//! Logs in files: errors for one that cannot be opened or written, and where the index of a long log waits.
+//! Logs in files: errors for a log that cannot be opened or written, and where the index of a long log is
+//! kept.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, missing_docs)]
 
 use std::collections::BTreeMap;
@@ -22,7 +23,7 @@ fn errors_name_the_file_and_the_cause() {
     let error = LogReader::open(&LogFile::at(&missing)).err().unwrap();
     assert!(matches!(error, LogError::Open { .. }) && error.to_string().contains("no/such/folder"));
     let error = LogReader::open(&LogFile::at("/dev/null")).err().unwrap();
-    assert!(error.to_string().contains("it is no regular file"), "{error}");
+    assert!(error.to_string().contains("not a regular file"), "{error}");
 }
 
 /// `/dev/full` fails every write with ENOSPC, like a full disk.
@@ -44,7 +45,7 @@ fn a_full_disk_is_an_error_with_the_path() {
     );
 }
 
-/// Counts the waiting bytes.
+/// Counts the bytes stored.
 struct Watched {
     index: Box<dyn IndexStore>,
     bytes: Arc<AtomicU64>,
@@ -81,7 +82,7 @@ fn nameless_files(folder: &Path) -> usize {
     targets.filter(|target| is_nameless(target)).count()
 }
 
-/// Regression: with more indexes than memory holds, the recorder grew by 0.7 MiB per minute.
+/// Regression: with more indexes than fit in memory, the recorder grew by 0.7 MiB per minute.
 #[test]
 fn chunk_indexes_beyond_the_memory_go_to_the_disk_and_leave_no_file() {
     let folder = tempfile::tempdir_in(env!("CARGO_TARGET_TMPDIR")).unwrap();

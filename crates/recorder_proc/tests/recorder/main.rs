@@ -1,4 +1,4 @@
-//! The recorder and logs in files, in one program: it is linked once, and its tests share both cores.
+//! The recorder and logs in files, in one test binary: it is linked once, and its tests share both cores.
 
 #[path = "../common/mod.rs"]
 mod common;

@@ -1,4 +1,4 @@
-//! A reader in another language on the same files: `mcap-ros2-support` for Python.
+//! Reads the same files in another language: `mcap-ros2-support` for Python.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, missing_docs)]
 
 use fastrand::Rng;
@@ -14,7 +14,8 @@ use ipc_types::messages::*;
 use run_log::*;
 use zerocopy::{FromBytes, IntoBytes};
 
-/// The scalars of a message as the Python script prints them, read from the struct's bytes using its description.
+/// The scalars of a message as the Python script prints them, read from the struct's bytes using its
+/// description.
 fn expected(description: &'static Description, bytes: &[u8], prefix: &str, out: &mut BTreeSet<String>) {
     for field in description.schema_fields() {
         let size = field.size / field.array_length.unwrap_or(1);

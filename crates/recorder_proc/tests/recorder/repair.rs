@@ -59,8 +59,8 @@ fn ticks_of(bytes: &[u8]) -> (u64, LogReader, Option<LogError>) {
     (ticks, reader, error)
 }
 
-/// A log truncated anywhere is whole after its repair: other readers find an index, every tick of the truncated log is
-/// there, and the end marker says what happened.
+/// A log truncated anywhere is complete after its repair: other readers find an index, every tick of the
+/// truncated log is there, and the end marker describes what happened.
 #[test]
 fn a_cut_log_is_whole_after_its_repair() {
     let folder = tempfile::tempdir().unwrap();
@@ -99,8 +99,8 @@ fn a_cut_log_is_whole_after_its_repair() {
     assert!(repaired_count > 80, "{repaired_count}");
 }
 
-/// A chunk with changed bytes is left out. Its messages are counted as lost by topic, everything after it is kept, and
-/// every reader reports the gap.
+/// A chunk with changed bytes is skipped. Its messages are counted as lost by topic, everything after it is
+/// kept, and every reader reports the gap.
 #[test]
 fn a_damaged_chunk_in_the_middle_is_counted_by_topic() {
     let folder = tempfile::tempdir().unwrap();
@@ -153,9 +153,9 @@ fn a_damaged_chunk_in_the_middle_is_counted_by_topic() {
     }
 }
 
-/// Damage in the chunk that declares every topic loses only that chunk. The declarations are taken from the summary,
-/// wherever it now is, or, in a log that is also truncated, from the fixed order in which every run lane declares its
-/// topics.
+/// Damage in the chunk that declares every topic loses only that chunk. The declarations are taken from the
+/// summary, wherever it now is, or, in a log that is also truncated, from the fixed order in which every run
+/// lane declares its topics.
 #[test]
 fn damage_in_the_chunk_that_declares_the_topics_takes_no_other_chunk() {
     let folder = tempfile::tempdir().unwrap();
@@ -207,7 +207,8 @@ fn damage_in_the_chunk_that_declares_the_topics_takes_no_other_chunk() {
     flipped[(start + end) / 2] ^= 1;
     let found = repaired(folder.path(), &flipped).unwrap();
     assert!(messages(&found.bytes) == all[1..] && found.report.lost()["/command/a"] == 1);
-    // Without the summary nothing identifies the topic of the remaining messages, and the repair reports that.
+    // Without the summary nothing identifies the topic of the remaining messages, and the repair reports
+    // that.
     let data_end = mcap::Summary::read(&bytes).unwrap().unwrap().chunk_indexes[2].clone();
     let cut = (data_end.chunk_start_offset + data_end.chunk_length) as usize;
     let found = repaired(folder.path(), &flipped[..cut]).unwrap();
@@ -270,8 +271,8 @@ fn a_gap_that_no_repair_has_told_is_damage() {
     assert!(matches!(error, Some(LogError::Gap { .. })), "{error:?}");
 }
 
-/// Whatever bytes are changed, moved or removed: the repair terminates, everything it keeps was in the log, and its
-/// counts add up.
+/// Whatever bytes are changed, moved or removed: the repair terminates, everything it keeps was in the log,
+/// and its counts add up.
 #[test]
 fn any_damage_is_repaired_or_refused() {
     let folder = tempfile::tempdir().unwrap();
@@ -326,8 +327,8 @@ fn any_damage_is_repaired_or_refused() {
     assert!(refused < 150 && kept_all > 20);
 }
 
-/// 1000 truncations and 1000 bit flips of a small log: never a panic, never a tick that was not in the log, never an
-/// unreported loss.
+/// 1000 truncations and 1000 bit flips of a small log: never a panic, never a tick that was not in the log,
+/// never an unreported loss.
 #[test]
 fn a_thousand_random_cuts_and_flips_tell_their_last_complete_tick() {
     let bytes = write_log(&run_messages(60, None));

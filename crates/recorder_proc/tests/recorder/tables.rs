@@ -60,7 +60,8 @@ fn a_csv_has_a_line_a_message_and_a_column_a_number() {
     assert_eq!(count, 90);
 }
 
-/// Reads the values back with an independent implementation: the parquet crate, which shares no code with ours.
+/// Reads the values back with an independent implementation: the parquet crate, which shares no code with
+/// ours.
 #[test]
 fn a_parquet_file_holds_the_same_numbers() {
     let folder = tempfile::tempdir().unwrap();

@@ -1,4 +1,4 @@
-//! One verdict per log: all readers say the same about every changed bit, every truncation and every gap.
+//! One verdict per log: all readers agree on every changed bit, every truncation and every gap.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, missing_docs)]
 
 use fastrand::Rng;
@@ -27,7 +27,7 @@ fn boundaries(bytes: &[u8]) -> Vec<usize> {
     found
 }
 
-/// What a reader gets from a log: the header, and the messages in order.
+/// The content a reader gets from a log: the header, and the messages in order.
 #[derive(PartialEq, Debug)]
 struct Content {
     header: LogHeader,
@@ -43,7 +43,7 @@ fn content(path: &Path) -> Option<Content> {
     Some(Content { header: stream.header().clone(), messages })
 }
 
-/// The verdicts of info, replay and repair on a log; none if they refuse it.
+/// Returns the verdicts of info, replay and repair on a log; `None` where it is rejected.
 fn said(folder: &Path, bytes: &[u8]) -> [Option<Verdict>; 3] {
     let log = save(folder, "in.mcap", bytes);
     let output = folder.join("out.mcap");
@@ -67,8 +67,8 @@ fn said(folder: &Path, bytes: &[u8]) -> [Option<Verdict>; 3] {
     [info, replayed, repaired.map(|report| report.before)]
 }
 
-/// Regression: 12 of 300 flipped bits gave "nothing was wrong with it", exit code 0; one in the header made a whole
-/// log unreadable.
+/// Regression: 12 of 300 flipped bits gave "the log was intact", exit code 0; one in the header made a
+/// whole log unreadable.
 #[test]
 fn every_flipped_bit_that_changes_what_a_reader_gets_is_named_by_all() {
     let folder = tempfile::tempdir().unwrap();
@@ -136,8 +136,8 @@ fn every_cut_is_named_by_all() {
     assert!(named > 3 * 20, "{named}");
 }
 
-/// Regression: the header was a single point of failure. Any flipped bit in it, or a lost block, made a whole log
-/// unreadable.
+/// Regression: the header was a single point of failure. Any flipped bit in it, or a lost block, made a whole
+/// log unreadable.
 #[test]
 fn a_log_whose_first_or_second_header_is_destroyed_reads_as_before() {
     let folder = tempfile::tempdir().unwrap();
@@ -179,8 +179,8 @@ fn a_log_whose_first_or_second_header_is_destroyed_reads_as_before() {
     assert!(content(&folder.path().join("out.mcap")).unwrap() == whole);
 }
 
-/// A gap costs only the ticks up to the next keyframe: the full replay, partial replays and the repaired log all
-/// resume there.
+/// A gap costs only the ticks up to the next keyframe: the full replay, partial replays and the repaired log
+/// all resume there.
 #[test]
 fn a_replay_goes_on_behind_each_gap_at_the_next_keyframe() {
     let folder = tempfile::tempdir().unwrap();
@@ -266,7 +266,7 @@ fn write_keyframes(ticks: u64) -> Vec<u8> {
     log.finish(EndReason::Completed, &BTreeMap::new()).unwrap().1
 }
 
-/// Regression: a stalled recorder's gap of 886 missing messages gave "nothing was wrong with it".
+/// Regression: a stalled recorder's gap of 886 missing messages gave "the log was intact".
 #[test]
 fn a_gap_is_named_by_all_with_its_ticks_and_topics() {
     let folder = tempfile::tempdir().unwrap();

@@ -1,4 +1,4 @@
-//! `crtk_msgs`, and `rmw_dds_common` by which a ROS 2 node makes itself known.
+//! `crtk_msgs`, and `rmw_dds_common`, with which a ROS 2 node announces itself.
 
 use serde::{Deserialize, Serialize};
 
@@ -13,7 +13,7 @@ pub struct OperatingStateMessage {
     pub state: String,
     /// Always true: a simulated arm needs no homing.
     pub is_homed: bool,
-    /// Whether a `move_*` is under way.
+    /// Whether a `move_*` is in progress.
     pub is_busy: bool,
 }
 
@@ -26,7 +26,7 @@ pub struct StringStamped {
     pub string: String,
 }
 
-/// `rmw_dds_common/msg/Gid` from Iron on: the DDS GUID.
+/// `rmw_dds_common/msg/Gid` since Iron: the DDS GUID.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Gid {
     /// The GUID's bytes.

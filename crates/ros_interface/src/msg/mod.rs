@@ -1,5 +1,5 @@
-//! The ROS 2 messages that the bridge exchanges, field by field as their `.msg` files have them (Jazzy), so that their CDR bytes are
-//! those of every ROS 2 from Humble on.
+//! The ROS 2 messages that the bridge exchanges, field by field as in their `.msg` files (Jazzy); their CDR
+//! bytes match every ROS 2 since Humble.
 
 mod control;
 mod geometry;
@@ -18,12 +18,12 @@ const NS_PER_S: u64 = 1_000_000_000;
 pub struct Time {
     /// Seconds.
     pub sec: i32,
-    /// Nanoseconds behind them.
+    /// Nanoseconds after `sec`.
     pub nanosec: u32,
 }
 
 impl Time {
-    /// A simulated time, rounded to a nanosecond; times that do not fit are cut off at the ends.
+    /// Converts a simulated time, rounded to a nanosecond; out-of-range times are clamped.
     pub fn of_simulated(seconds: f64) -> Time {
         // Saturates, and NaN becomes 0.
         let ns = (seconds * NS_PER_S as f64).round() as u64;
@@ -37,7 +37,7 @@ impl Time {
 pub struct Header {
     /// Simulated time of what follows.
     pub stamp: Time,
-    /// The frame that its numbers are in.
+    /// The frame in which the numbers are given.
     pub frame_id: String,
 }
 

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize, Serializer};
 
 use super::Header;
 
-/// `sensor_msgs/msg/JointState`. Arrays are as long as `name`, or empty where nothing is known.
+/// `sensor_msgs/msg/JointState`. Arrays are as long as `name`, or empty if nothing is known.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct JointState {
     /// Time; the frame is empty.
@@ -39,7 +39,7 @@ pub struct Image {
     pub data: Vec<u8>,
 }
 
-/// In one piece: byte by byte costs a hundred times as much.
+/// Serializes in one piece: byte by byte is a hundred times as slow.
 fn whole<S: Serializer>(data: &[u8], serializer: S) -> Result<S::Ok, S::Error> {
     serializer.serialize_bytes(data)
 }
@@ -55,22 +55,22 @@ pub struct RegionOfInterest {
     pub height: u32,
     /// Columns; 0: all.
     pub width: u32,
-    /// Whether it was rectified on its own.
+    /// Whether it was rectified separately.
     pub do_rectify: bool,
 }
 
 /// `sensor_msgs/msg/CameraInfo`.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct CameraInfo {
-    /// As the image's.
+    /// Same as the image's.
     pub header: Header,
     /// Rows.
     pub height: u32,
     /// Columns.
     pub width: u32,
-    /// `plumb_bob`; a C-arm in software has no distortion.
+    /// `plumb_bob`; a simulated C-arm has no distortion.
     pub distortion_model: String,
-    /// Its five coefficients.
+    /// The five distortion coefficients.
     pub d: Vec<f64>,
     /// K, row-major, pixels.
     pub k: [f64; 9],
@@ -82,6 +82,6 @@ pub struct CameraInfo {
     pub binning_x: u32,
     /// 0: no binning.
     pub binning_y: u32,
-    /// All of the image.
+    /// The whole image.
     pub roi: RegionOfInterest,
 }

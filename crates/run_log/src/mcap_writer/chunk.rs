@@ -1,4 +1,4 @@
-//! A chunk being filled: records are compressed with LZ4 as they arrive.
+//! A chunk being filled. Records are compressed with LZ4 as they arrive.
 
 use std::collections::BTreeMap;
 use std::io::{Cursor, Result, Write};
@@ -12,7 +12,7 @@ const COMPRESSION: &str = "lz4";
 /// Bytes of a message's fields before its data.
 const MESSAGE_FIELDS: u64 = 2 + 4 + 8 + 8;
 
-/// Where a chunk's messages are, by channel.
+/// Offsets of a chunk's messages, by channel.
 pub(super) type Messages = BTreeMap<u16, Vec<MessageIndexEntry>>;
 
 /// A chunk being filled.
@@ -24,7 +24,7 @@ pub(super) struct Chunk {
     messages: Messages,
 }
 
-/// The open chunk; opens one if there is none.
+/// Returns the open chunk; opens one if necessary.
 pub(super) fn open(chunk: &mut Option<Chunk>) -> Result<&mut Chunk> {
     match chunk {
         Some(chunk) => Ok(chunk),
@@ -66,7 +66,7 @@ impl Chunk {
         self.write(data)
     }
 
-    /// The chunk's header, its compressed bytes, and where its messages are.
+    /// Completes the chunk: returns its header, its compressed bytes and the offsets of its messages.
     pub(super) fn finish(self) -> Result<(ChunkHeader, Vec<u8>, Messages)> {
         let (data, ended) = self.packed.finish();
         ended?;

@@ -1,4 +1,4 @@
-//! Encodes records as bytes, and counts the bytes written.
+//! Encodes records as bytes and counts the bytes written.
 
 use std::io::{Cursor, Result, Write};
 
@@ -29,14 +29,14 @@ pub(super) fn begin(out: &mut impl Write, opcode: u8, length: u64) -> Result<()>
     out.write_all(&start_of(opcode, length))
 }
 
-/// The bytes before a record's body: type and length.
+/// Returns the bytes before a record's body: type and length.
 pub(super) fn start_of(opcode: u8, length: u64) -> [u8; 9] {
     let mut start = [opcode; 9];
     start[1..].copy_from_slice(&length.to_le_bytes());
     start
 }
 
-/// Encodes a record's body with the `mcap` crate's layout.
+/// Encodes a record's body in the `mcap` crate's layout.
 pub(super) fn encode<R>(record: &R, body: &mut Vec<u8>) -> Result<()>
 where
     R: for<'a> BinWrite<Args<'a> = ()>,

@@ -1,8 +1,9 @@
 //! An MCAP writer whose memory use does not grow with the file.
 //!
-//! The `mcap` crate's writer holds the index of every chunk in memory until the end: 0.7 MiB per minute for a run with
-//! its timing lane. This one stores it in an [`IndexStore`] and copies it into the log's summary at the end. Record
-//! layouts come from the crate, and every byte of the file matches the crate's own output (a test compares the two).
+//! The `mcap` crate's writer holds the index of every chunk in memory until the end: 0.7 MiB per minute for a
+//! run with its timing lane. This one stores it in an [`IndexStore`] and copies it into the log's summary at
+//! the end. Record layouts come from the crate, and the file matches the crate's own output byte for byte (a
+//! test compares the two).
 
 use std::collections::BTreeMap;
 use std::io::{Read, Result, Seek, SeekFrom, Write};
@@ -20,7 +21,7 @@ mod encoding;
 use chunk::{Chunk, open};
 use encoding::{Counted, begin, encode, encode_schema};
 
-/// Where the chunk indexes wait until the file ends: in memory, or in a file for a long run.
+/// Stores the chunk indexes until the file ends: in memory, or in a file for a long run.
 pub trait IndexStore: Read + Write + Seek + Send {}
 
 impl<T: Read + Write + Seek + Send> IndexStore for T {}
@@ -212,7 +213,7 @@ impl<W: Write> McapWriter<W> {
         Ok(self.out.inner)
     }
 
-    /// Writes the groups of the summary; returns where each one lies.
+    /// Writes the groups of the summary; returns their offsets.
     fn summary(&mut self) -> Result<Vec<SummaryOffset>> {
         let (schemas, channels) = (std::mem::take(&mut self.schemas), std::mem::take(&mut self.channels));
         let statistics = std::mem::take(&mut self.statistics);
@@ -293,7 +294,7 @@ mod tests {
 
     use super::*;
 
-    /// Makes the same calls to both writers.
+    /// Drives both writers with the same calls.
     struct Both {
         crates: Writer<NoSeek<Vec<u8>>>,
         own: McapWriter<Vec<u8>>,

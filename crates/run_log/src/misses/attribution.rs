@@ -4,8 +4,8 @@ use messages::TickTiming;
 
 use super::cause::{Cause, LostTime};
 
-/// Cost of the first touch of a 4 KiB page: 1.8 to 2.0 µs, measured on a virtual machine whose host reclaims free
-/// pages.
+/// Cost of the first touch of a 4 KiB page: 1.8 to 2.0 µs, measured on a virtual machine whose host reclaims
+/// free pages.
 const PAGE_FAULT_NS: u64 = 2_000;
 /// Granularity of the machine's steal counter.
 pub(super) const STEAL_STEP_NS: u64 = 10_000_000;
@@ -26,9 +26,9 @@ impl Ledger {
     }
 }
 
-/// Splits a tick's lost time by its own readings; none if the tick was on time. The parts sum to its lateness. Time
-/// without any evidence is unknown: only the steal counter, read over many ticks, can tell whether it was stolen
-/// ([`Misses`](super::Misses)).
+/// Splits a tick's lost time using its own readings; returns `None` if the tick was on time. The parts sum to
+/// its lateness. Time without any evidence is unknown: only the steal counter, read over many ticks, can show
+/// whether it was stolen ([`Misses`](super::Misses)).
 pub fn attribute(timing: &TickTiming) -> Option<LostTime> {
     if timing.missed == 0 {
         return None;
@@ -41,12 +41,12 @@ pub fn attribute(timing: &TickTiming) -> Option<LostTime> {
     // Time that the work spent off its core, whether or not it made the tick late.
     let mut off = Ledger { left_ns: off_core_ns, lost: LostTime::default() };
     let throttled_ns = off.take(Cause::Throttled, timing.throttled_ns);
-    // Some kernels count a throttled thread as waiting in the run queue, others do not. Either way the quota is the
-    // cause.
+    // Some kernels count a throttled thread as waiting in the run queue, others do not. The quota is the
+    // cause in both cases.
     let queued_ns = timing.run_queue_wait_ns.saturating_sub(timing.throttled_ns);
     let queued_ns = off.take(Cause::RunQueue, queued_ns);
     let stopped_ns = off.take(Cause::Stopped, timing.stopped_ns);
-    // A thread that slept until its tick yielded its core once by doing so.
+    // A thread that slept until its tick has thereby yielded its core once.
     let sleeps = u32::from(timing.overrun_ns < 0);
     let seen = match (timing.major_page_faults, timing.voluntary_switches > sleeps) {
         (1.., _) => Cause::PageFault,

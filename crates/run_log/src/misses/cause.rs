@@ -3,7 +3,7 @@
 /// Number of causes.
 pub(super) const CAUSES: usize = 10;
 
-/// Why time was lost.
+/// The cause of lost time.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Cause {
     /// The previous tick's own work took too long.
@@ -59,7 +59,7 @@ impl Cause {
         }
     }
 
-    /// Its letter in figures, so that they do not rely on colour.
+    /// The cause's letter in figures, so that they do not rely on colour.
     pub fn letter(self) -> char {
         match self {
             Cause::OwnComputation => 'O',

@@ -1,8 +1,9 @@
-//! Why ticks began late: splits the lost time of each miss into causes, using the readings in its [`TickTiming`].
+//! Explains why ticks began late: splits the lost time of each miss into causes, using the readings in its
+//! [`TickTiming`].
 //!
-//! A miss is a tick that began more than a period after its deadline. All of its lateness is lost, because the
-//! schedule restarts from there. The lateness has two parts: the *overrun*, while the previous tick's work was still
-//! running, and then the time during which the thread was due but had not begun.
+//! A miss is a tick that began more than a period after its deadline. All of its lateness is lost, because
+//! the schedule restarts from there. The lateness has two parts: the *overrun*, while the previous tick's
+//! work was still running, and then the time during which the thread was due but had not begun.
 //!
 //! | part | time | cause |
 //! |---|---|---|
@@ -16,10 +17,10 @@
 //! | due | collecting the controllers' commands | controllers |
 //! | due | otherwise: the timer fired late although the core was free | no evidence |
 //!
-//! Time without evidence counts as stolen as far as the machine's steal counter covers it ([`Misses`]), and as
-//! unknown beyond that. With `CONFIG_PARAVIRT_TIME_ACCOUNTING` the kernel excludes stolen time from a thread's
-//! processor time. A kernel without it charges stolen time to the thread; then whatever the counter shows beyond its
-//! step of 10 ms is subtracted from the computation.
+//! Time without evidence counts as stolen as far as the machine's steal counter covers it ([`Misses`]), and
+//! as unknown beyond that. With `CONFIG_PARAVIRT_TIME_ACCOUNTING` the kernel excludes stolen time from a
+//! thread's processor time. Other kernels charge stolen time to the thread; there, whatever the counter shows
+//! beyond its step of 10 ms is subtracted from the computation.
 
 use messages::{RunStatus, TickTiming};
 use zerocopy::FromBytes;
@@ -37,9 +38,9 @@ use cause::CAUSES;
 
 /// The deadline misses of a run.
 ///
-/// On a virtual machine, unknown time counts as stolen as far as the machine's own counter (`/proc/stat`) shows it: at
-/// that miss, or at earlier misses up to one counter step back, because the counter moves in steps of 10 ms. The
-/// stolen total therefore never exceeds the counter.
+/// On a virtual machine, unknown time counts as stolen as far as the machine's own counter (`/proc/stat`)
+/// shows it: at that miss, or at earlier misses up to one counter step back, because the counter moves in
+/// steps of 10 ms. The stolen total therefore never exceeds the counter.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Misses {
     /// Number of ticks.
@@ -52,11 +53,12 @@ pub struct Misses {
     pub by_cause: [u64; CAUSES],
     /// Lost time over all misses.
     pub lost: LostTime,
-    /// Time stolen from a late tick's core in up to 100 ms before it, summed over all misses, according to the
-    /// machine's own counter (`/proc/stat`, in steps of 10 ms). Upper bound on the time counted as stolen here.
+    /// Time stolen from a late tick's core in up to 100 ms before it, summed over all misses, according to
+    /// the machine's own counter (`/proc/stat`, in steps of 10 ms). Upper bound on the time counted as stolen
+    /// here.
     pub steal_counter_ns: u64,
-    /// Ticks with a late command from a controller. In real time this costs no time: the controller's last command
-    /// holds.
+    /// Ticks with a late command from a controller. In real time this costs no time: the controller's last
+    /// command holds.
     pub late_controller_ticks: u64,
     /// Unknown time that the counter's next step may confirm, and the misses that it dominates.
     pending_ns: u64,
@@ -135,8 +137,8 @@ impl Misses {
         self.missed() - self.recorded
     }
 
-    /// Share of the lost time with an identified cause; none without lost time. Misses without readings are excluded,
-    /// because their lost time is unknown.
+    /// Returns the share of the lost time with an identified cause; `None` without lost time. Misses without
+    /// readings are excluded, because their lost time is unknown.
     pub fn confirmed_share(&self) -> Option<f64> {
         let total_ns = self.lost.total_ns();
         let named_ns = total_ns - self.lost.of(Cause::Unknown).min(total_ns);
@@ -148,7 +150,8 @@ impl Misses {
         self.missed() - self.by_cause[Cause::Stolen as usize]
     }
 
-    /// One line: `12 missed (0.10 %): 8 run queue, 3 stolen, 1 not recorded; 31.2 ms lost, 99.1 % confirmed`.
+    /// Describes the misses in one line: `12 missed (0.10 %): 8 run queue, 3 stolen, 1 not recorded; 31.2 ms
+    /// lost, 99.1 % confirmed`.
     pub fn describe(&self) -> String {
         let ticks = self.ticks.max(1) + self.not_recorded();
         let share = 100.0 * self.missed() as f64 / ticks as f64;
@@ -178,7 +181,8 @@ mod tests {
 
     const MS: u64 = 1_000_000;
 
-    /// A miss: the previous tick's work ended `overrun_ms` after the deadline, and the tick began `late_ms` after it.
+    /// A miss: the previous tick's work ended `overrun_ms` after the deadline, and the tick began `late_ms`
+    /// after it.
     fn missed(late_ms: u64, overrun_ms: i64) -> TickTiming {
         let mut timing = TickTiming::zeroed();
         timing.missed = 1;
@@ -233,7 +237,8 @@ mod tests {
         assert_eq!(main_cause(&TickTiming { recorder_wait_ns: 3 * MS, ..missed(3, -1) }), Cause::Recorder);
     }
 
-    /// Holds whether the thread slept or worked. Regression: a SIGSTOP of 600 ms was reported as 652 ms "stolen".
+    /// Holds whether the thread slept or worked. Regression: a SIGSTOP of 600 ms was reported as 652 ms
+    /// "stolen".
     #[test]
     fn a_stop_is_stopped_and_a_quota_is_throttled() {
         for at in [missed(600, -1), TickTiming { work_cpu_ns: MS, voluntary_switches: 1, ..missed(600, 600) }]
@@ -260,7 +265,8 @@ mod tests {
 
     #[test]
     fn run_queue_time_of_an_earlier_part_explains_no_late_timer() {
-        // Work: 0.4 ms on the core, 0.3 ms in the run queue, finished in time; then the timer fired 2 ms late.
+        // Work: 0.4 ms on the core, 0.3 ms in the run queue, finished in time; then the timer fired 2 ms
+        // late.
         let timing = TickTiming {
             work_ns: 700_000,
             work_cpu_ns: 400_000,

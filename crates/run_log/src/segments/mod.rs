@@ -1,13 +1,14 @@
-//! Parallel verification: a segment is the ticks between two keyframes, and every segment is replayed from its own
-//! keyframe.
+//! Parallel verification: a segment is the ticks between two keyframes, and every segment is replayed from
+//! its own keyframe.
 //!
-//! A segment that begins at the recorded keyframe, reproduces every recorded tick and ends in the bytes of the next
-//! recorded keyframe proves that stretch. All segments together prove the run, just as one pass from the start would.
-//! A segment that fails names its first differing tick and field; the earliest of these is the log's first difference.
-//! Segments after a known difference are skipped.
+//! A segment that begins at the recorded keyframe, reproduces every recorded tick and ends in the bytes of
+//! the next recorded keyframe proves that part of the run. All segments together prove the run, as one pass
+//! from the start would. A segment that fails names its first differing tick and field; the earliest of these
+//! is the log's first difference. Segments after a known difference are skipped.
 //!
-//! [`step_segments`] only steps the ticks, with the same proof in larger pieces: a segment that ends in the bytes of the next keyframe has
-//! come to the state in which the next segment began, as one pass from the start would have.
+//! [`step_segments`] only steps the ticks, with the same proof at a coarser grain: a segment that ends in the
+//! bytes of the next keyframe has reached the state in which the next segment began, as one pass from the
+//! start would have.
 
 mod work;
 
@@ -31,15 +32,15 @@ const SEGMENT_BLOCKS: usize = 40;
 /// What to verify, and how.
 #[derive(Debug, Clone)]
 pub struct SegmentOptions {
-    /// Keyframe of this log to begin at ([`keyframe_before`]); none for the start.
+    /// Keyframe of this log to begin at ([`keyframe_before`]); `None` for the start.
     pub start: Option<SavedState>,
-    /// Last tick (`State.tick`) to replay; none for all.
+    /// Last tick (`State.tick`) to replay; `None` for all.
     pub to_tick: Option<Tick>,
     /// Number of segments replayed in parallel, at least 1.
     pub threads: usize,
 }
 
-/// What a parallel replay found.
+/// Result of a parallel replay.
 #[derive(Debug)]
 pub struct SegmentReport {
     /// The same report as a replay in one pass; its ticks are those after `first_tick`.
@@ -55,9 +56,9 @@ pub struct SegmentReport {
 /// A gap in a log that a replay skipped, or stopped at.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Passed {
-    /// Last complete tick before the gap; none if the start of the log is missing.
+    /// Last complete tick before the gap; `None` if the start of the log is missing.
     pub after: Option<Tick>,
-    /// Tick of the next keyframe, where the replay resumed; none if there is none.
+    /// Tick of the next keyframe, where the replay resumed; `None` if no keyframe follows.
     pub resumed: Option<Tick>,
 }
 
@@ -79,8 +80,8 @@ impl std::fmt::Display for Passed {
     }
 }
 
-/// The last keyframe of a log at or before a tick. Consumes the reader. If the log cannot be read beyond that point, the replay
-/// reports why.
+/// Returns the last keyframe of a log at or before a tick. Consumes the reader. If the log cannot be read
+/// beyond that point, the replay reports why.
 pub fn keyframe_before(mut reader: LogReader, tick: Tick) -> Option<SavedState> {
     let mut found = None;
     loop {
@@ -98,7 +99,7 @@ pub fn keyframe_before(mut reader: LogReader, tick: Tick) -> Option<SavedState> 
     }
 }
 
-/// What is compared with the log.
+/// Extent of the comparison with the log.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Compared {
     Ticks,
@@ -106,7 +107,7 @@ enum Compared {
     Keyframes,
 }
 
-/// Ticks that have been read and not handed to a worker.
+/// Ticks that have been read but not handed to a worker.
 struct Waiting {
     compared: Compared,
     ticks: Vec<TickRecord>,
@@ -118,9 +119,9 @@ impl Waiting {
         Waiting { compared, ticks: Vec::new(), commands: Vec::new() }
     }
 
-    /// Keeps a tick; returns a block once there are enough.
+    /// Stores a tick; returns a block once there are enough.
     fn keep(&mut self, record: TickRecord) -> Option<Block> {
-        // Grown block by block: a handed-over one has left its memory to the worker.
+        // Grown block by block: a block that was handed over has taken its memory along.
         match self.compared {
             Compared::Ticks => {
                 self.ticks.reserve_exact(BLOCK_TICKS - self.ticks.len());
@@ -142,7 +143,7 @@ impl Waiting {
     }
 }
 
-/// What reading the log came to.
+/// Result of reading the log.
 struct Read {
     /// Tick at which the replay began.
     first_tick: Tick,
@@ -151,9 +152,9 @@ struct Read {
     gaps: Vec<Passed>,
 }
 
-/// Replays a log from its start or a keyframe on several threads. Compares the hash, every byte of the state and the
-/// removed voxels at every tick, and every byte of each keyframe. `make` builds the simulation of the log's scene;
-/// each thread gets its own.
+/// Replays a log from its start or a keyframe on several threads. Compares the hash, every byte of the state
+/// and the removed voxels at every tick, and every byte of each keyframe. `make` builds the simulation of the
+/// log's scene; each thread gets its own.
 pub fn verify_segments<S: Plant>(
     reader: &mut LogReader,
     make: &(impl Fn() -> Result<S, String> + Sync),
@@ -162,9 +163,10 @@ pub fn verify_segments<S: Plant>(
     replay_segments(reader, make, options, Compared::Ticks)
 }
 
-/// Steps a log on several threads without comparing its ticks, and returns what stepping it in one pass comes to. None if that cannot be
-/// said: the log has a gap or damage, the simulation fails otherwise than in the run, or a segment does not end in the keyframe that the
-/// next one began with. The caller then steps it in one pass.
+/// Steps a log on several threads without comparing its ticks, and returns the result of stepping it in one
+/// pass. Returns `None` if the result is uncertain: the log has a gap or damage, the simulation fails
+/// differently from the run, or a segment does not end in the keyframe that the next one began with. The
+/// caller then steps the log in one pass.
 pub fn step_segments<S: Plant>(
     reader: &mut LogReader,
     make: &(impl Fn() -> Result<S, String> + Sync),

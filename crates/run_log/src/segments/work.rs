@@ -1,4 +1,4 @@
-//! Replaying one segment after the other, in a thread.
+//! A worker thread that replays one segment after the other.
 
 use std::panic::AssertUnwindSafe;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -28,11 +28,11 @@ pub(super) struct Segment {
 
 pub(super) enum Block {
     Ticks(Vec<TickRecord>),
-    /// Ticks that are only stepped.
+    /// Ticks that are only stepped, not compared.
     Commands(Vec<Latched>),
     /// The last block: the keyframe of the last tick.
     Keyframe(SavedState),
-    /// The last block of the log: the tick that the simulation could not compute.
+    /// The last block of the log: the tick that the simulation failed to compute.
     Failure(RecordedFailure),
 }
 
@@ -43,7 +43,7 @@ pub(super) struct Outcome {
     pub keyframes: u64,
     pub last_tick: Tick,
     pub hash: [u64; 2],
-    /// The simulation failed as it had in the run.
+    /// Set if the simulation failed as it had in the run.
     pub failure: Option<String>,
     pub problem: Option<Problem>,
 }
@@ -59,10 +59,11 @@ pub(super) fn work<S: Plant>(
     segments: &Mutex<Receiver<Segment>>,
     bound: &AtomicU64,
 ) -> Vec<Outcome> {
-    // A panicking worker would leave its segments waiting forever.
+    // If a worker panicked, its segments would wait forever.
     let make =
         || std::panic::catch_unwind(AssertUnwindSafe(make)).unwrap_or_else(|_| Err(PANICKED.to_owned()));
-    // Not before there is something to replay: a log without keyframes needs one simulation on any number of threads.
+    // Built only once there is something to replay: a log without keyframes needs a single simulation on any
+    // number of threads.
     let mut built = None;
     let mut outcomes = Vec::new();
     loop {
@@ -109,7 +110,7 @@ impl Outcome {
         }
     }
 
-    /// The outcome of a worker that died: nothing it replayed is proven.
+    /// Returns the outcome of a worker that died: nothing it replayed is proven.
     pub fn without_worker(start_tick: Tick) -> Outcome {
         Outcome {
             start_tick,

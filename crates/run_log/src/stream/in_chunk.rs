@@ -1,4 +1,4 @@
-//! The records of one chunk: declarations, and messages, which are checked before they are returned.
+//! Reads the records of one chunk: declarations, and messages, which are checked before they are returned.
 
 use std::ops::Range;
 
@@ -15,7 +15,7 @@ use crate::limits::check_declaration;
 use crate::records::chunk_record;
 use crate::topics::{self, Topic};
 
-/// Longest removal message: as many voxels as its service can carry.
+/// Longest removal message in bytes: as many voxels as its service can carry.
 const MAX_REMOVED_BYTES: usize = Removed::DESCRIPTION.size + MAX_REMOVED_PER_MESSAGE * 4;
 
 /// A message found in the chunk: channel, number, time, range of its body.
@@ -34,7 +34,7 @@ impl MessageStream {
                 return Ok(None);
             }
             let Some((opcode, body, length)) = chunk_record(&chunk[self.position..]) else {
-                return Err(self.damaged("a record that reaches beyond its chunk".to_string()));
+                return Err(self.damaged("record extends beyond its chunk".to_string()));
             };
             let end = self.position + length;
             let start = end - body.len();
@@ -73,7 +73,7 @@ impl MessageStream {
         self.declared.channel(self.records.path(), &channel)?;
         let schema = self.schemas.get(&channel.schema_id).cloned();
         let Some(schema) = schema else {
-            // No reader wants this topic: skip its messages too.
+            // No reader requested this topic, so skip its messages too.
             if !self.wants(&channel.topic) {
                 return Ok(());
             }
@@ -93,11 +93,11 @@ impl MessageStream {
         data: Range<usize>,
     ) -> Result<Option<Found>, LogError> {
         let Some(channel) = self.channels.get(&header.channel_id) else {
-            // Declared in a skipped chunk; wanted channels are checked at the end.
+            // Declared in a skipped chunk; requested channels are checked at the end.
             if self.wanted.is_some() {
                 return Ok(None);
             }
-            return Err(self.damaged(format!("a message of the undeclared channel {}", header.channel_id)));
+            return Err(self.damaged(format!("message on undeclared channel {}", header.channel_id)));
         };
         // Chunks of other topics may be skipped, so their numbers prove nothing.
         if !self.wants(&channel.topic) {
@@ -110,7 +110,7 @@ impl MessageStream {
         };
         let expected = (channel.count + channel.missing) as u32;
         let jump = header.sequence.wrapping_sub(expected);
-        // A repaired log says so at its start and counts its losses at its end.
+        // A repaired log announces this at its start and counts its losses at its end.
         if jump != 0 && !(self.repaired && jump < u32::MAX / 2) {
             let cause = format!("message {} of {}, expected {expected}", header.sequence, channel.topic);
             return Err(self.damaged(cause));
@@ -128,7 +128,8 @@ impl MessageStream {
                 format!("a message of {} of {} bytes, expected {expected}", channel.topic, body.len());
             return Err(self.damaged(cause));
         }
-        // A tick's voxels are held until its state arrives, so refuse any message larger than the service can publish.
+        // A tick's voxels are held until its state arrives, so reject any message larger than the service can
+        // publish.
         if channel.known == Some(Topic::Removed) && body.len() > MAX_REMOVED_BYTES {
             let cause = format!(
                 "a message of {} of {} bytes, at most {MAX_REMOVED_BYTES}",

@@ -55,7 +55,7 @@ struct Channel {
     schema: String,
     count: u64,
     bytes: u64,
-    /// Messages lost to damage, according to the numbers; only in a repaired log.
+    /// Messages lost to damage, according to the numbers; nonzero only in a repaired log.
     missing: u64,
 }
 
@@ -66,8 +66,8 @@ pub struct TopicCount {
     pub messages: u64,
     /// Bytes of these messages, without framing, before compression.
     pub bytes: u64,
-    /// Messages lost to damage in between. Nonzero only for a repaired log, because reading any other log stops at a
-    /// gap.
+    /// Messages lost to damage in between. Nonzero only for a repaired log, because reading any other log
+    /// stops at a gap.
     pub missing: u64,
 }
 
@@ -90,11 +90,11 @@ pub struct MessageStream {
     has_second: bool,
     header_fault: Option<(HeaderCopy, String)>,
     continuity: Continuity,
-    /// The end marker of a log that another program wrote again with its metadata before its messages.
+    /// The end marker of a log that another program rewrote with its metadata before its messages.
     early_marker: Option<EndMarker>,
     /// Where reading stopped, and why.
     damage: Option<(u64, String)>,
-    /// Topics to return; none for all.
+    /// Topics to return; `None` for all.
     wanted: Option<Vec<String>>,
     done: bool,
 }
@@ -105,9 +105,9 @@ impl MessageStream {
         MessageStream::from_reader(log.open()?, log.path(), options)
     }
 
-    /// Opens a log for some topics only. If the log has an index, chunks without these topics are skipped, so reading
-    /// states costs the same with or without images beside them; the whole-file checksum is then not checked, those of
-    /// the chunks read are.
+    /// Opens a log for some topics only. If the log has an index, chunks without these topics are skipped, so
+    /// that reading states costs the same with or without images beside them. The whole-file checksum is then
+    /// not checked; those of the chunks that are read are.
     ///
     /// # Errors
     /// As [`open`](Self::open).
@@ -128,7 +128,7 @@ impl MessageStream {
         Ok(stream)
     }
 
-    /// Reads the header of a log from any source; errors will name `path`.
+    /// Reads the header of a log from any source; errors name `path`.
     pub fn from_reader(
         source: Box<dyn ReadSeek>,
         path: &Path,
@@ -177,13 +177,14 @@ impl MessageStream {
         self.records.path()
     }
 
-    /// How the file ends. Known once [`next_message`](Self::next_message) has returned none.
+    /// How the file ends. Known once [`next_message`](Self::next_message) has returned `None`.
     pub fn ending(&self) -> &Ending {
         &self.ending
     }
 
-    /// What is wrong with the log, as far as it has been read: complete once [`next_message`](Self::next_message) has
-    /// returned none or an error. When reading only some topics, covers the chunks read.
+    /// Returns what is wrong with the log, as far as it has been read: complete once
+    /// [`next_message`](Self::next_message) has returned `None` or an error. When reading only some topics,
+    /// covers the chunks read.
     pub fn verdict(&self) -> Verdict {
         let mut faults = Vec::new();
         if let Some((copy, cause)) = &self.header_fault {
@@ -214,7 +215,7 @@ impl MessageStream {
         self.channels.values().map(|channel| (channel.topic.clone(), count(channel))).collect()
     }
 
-    /// Topics of the log. Complete once [`next_message`](Self::next_message) has returned none.
+    /// Topics of the log. Complete once [`next_message`](Self::next_message) has returned `None`.
     pub(crate) fn topics(&self) -> BTreeSet<&str> {
         let declared = self.channels.values().map(|channel| channel.topic.as_str());
         let counted = self.ending.marker.iter().flat_map(|marker| marker.counts.keys().map(String::as_str));
@@ -231,7 +232,7 @@ impl MessageStream {
         self.records.offset()
     }
 
-    /// The next message; none at the end, however the file ends. After an error there are no more.
+    /// Returns the next message; `None` at the end, however the file ends. After an error there are no more.
     pub fn next_message(&mut self) -> Result<Option<LogMessage<'_>>, LogError> {
         let found = self.find().inspect_err(|error| {
             self.done = true;
@@ -301,7 +302,7 @@ impl MessageStream {
         }
     }
 
-    /// The next record of the file. A damaged second copy of the header does not stop reading.
+    /// Reads the next record of the file. A damaged second copy of the header does not stop reading.
     fn next_record(&mut self) -> Result<FileRecord, LogError> {
         loop {
             match self.records.next_record() {
@@ -315,7 +316,8 @@ impl MessageStream {
         }
     }
 
-    /// Whether a record that has its place behind messages stands before all of them, since another program wrote the file again.
+    /// Returns whether a record that belongs after the messages precedes all of them, because another program
+    /// rewrote the file.
     fn is_moved_before_messages(&self) -> bool {
         self.chunks == 0 && self.records.is_written_by_another()
     }
@@ -332,7 +334,7 @@ impl MessageStream {
         }
         match header {
             Ok(header) if header == self.header => {}
-            Ok(_) => self.second_is_bad("it is not the one at the start".to_string()),
+            Ok(_) => self.second_is_bad("it differs from the one at the start".to_string()),
             Err(error) => self.second_is_bad(crate::opening::cause(&error)),
         }
     }
@@ -347,7 +349,7 @@ impl MessageStream {
     fn end_marker(&mut self, marker: EndMarker) -> Result<(), LogError> {
         let is_ours = !self.records.is_written_by_another();
         if !self.has_second && is_ours && crate::seal::is_sealed(&self.metadata) {
-            self.second_is_bad("there is none".to_string());
+            self.second_is_bad("missing".to_string());
         }
         for (topic, &written) in &marker.counts {
             let channel = self.channels.values().find(|channel| channel.topic == *topic);
@@ -355,7 +357,8 @@ impl MessageStream {
             let damaged = marker.damaged.get(topic).copied().unwrap_or(0);
             if self.wants(topic) && (read != written || missing > damaged) {
                 return Err(self.damaged(format!(
-                    "{topic} has {read} messages and {missing} missing, the end marker says {written} and {damaged}"
+                    "{topic} has {read} messages and {missing} missing, the end marker says {written} and \
+                     {damaged}"
                 )));
             }
         }

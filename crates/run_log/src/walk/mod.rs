@@ -1,8 +1,9 @@
-//! Walks the records of a file that may be damaged anywhere: what can be trusted, and what lies between.
+//! Walks the records of a file that may be damaged anywhere: which parts are intact, and what lies between.
 //!
-//! [`Records`](crate::records::Records) stops at the first damage, because its readers promise ticks without a gap.
-//! This walk continues: if a chunk's checksum is wrong but its length leads to a record, it resumes at that record; if
-//! a length is wrong, at the next byte that begins a chunk, header or end marker with a correct checksum.
+//! [`Records`](crate::records::Records) stops at the first damage, because its readers promise ticks without
+//! a gap. This walk continues: if a chunk's checksum is wrong but its length leads to a record, it resumes at
+//! that record; if a length is wrong, at the next byte that begins a chunk, header or end marker with a
+//! correct checksum.
 
 use std::collections::BTreeMap;
 use std::io::{self, BufReader, Read, Seek, SeekFrom};
@@ -25,18 +26,19 @@ mod signs;
 
 /// Window of a search for the next chunk, in bytes.
 const WINDOW: usize = 1 << 20;
-/// Budget for unpacking and copying over all searches: a multiple of the file's length plus a constant. Without it, a
-/// file full of fake chunk starts would be read again for each of them.
+/// Budget for unpacking and copying over all searches: a multiple of the file's length plus a constant.
+/// Without it, a file full of fake chunk starts would be read again for each of them.
 const SEARCH_BUDGET_FACTOR: u64 = 8;
 const SEARCH_BUDGET_BYTES: u64 = 1 << 28;
-/// A file still counts as a log with up to this many wrong bytes in its magic number.
+/// A file still counts as a log with at most this many wrong bytes in its magic number.
 const WRONG_MAGIC_BYTES: usize = 2;
-/// Bytes of a record that the search must see: header, chunk fields and the longest compression name.
+/// Size of the part of a record that the search must see: header, chunk fields and the longest compression
+/// name.
 const LOOKAHEAD_BYTES: usize = RECORD_HEADER + 8 + 8 + 8 + 4 + 4 + 4 + 8;
 
 const _: () = assert!(LOOKAHEAD_BYTES < WINDOW);
 
-/// What a walk finds, in file order.
+/// An item found by a walk, in file order.
 pub(crate) enum Piece<'a> {
     Attachment(Attached),
     Metadata {
@@ -59,7 +61,7 @@ pub(crate) enum Piece<'a> {
     DataEnd(u64),
     /// Not a record, or a record whose checksum is wrong.
     Lost(Lost),
-    /// The file stops here, inside a record or before the end that the format requires; bytes of the incomplete
+    /// The file ends here, inside a record or before the end that the format requires; size of the incomplete
     /// record.
     Cut {
         offset: u64,
@@ -74,7 +76,7 @@ pub struct Lost {
     pub offset: u64,
     /// Bytes.
     pub bytes: u64,
-    /// What is wrong.
+    /// The fault.
     pub cause: String,
 }
 
@@ -107,7 +109,7 @@ pub(crate) fn walk<R: Read + Seek>(
         check_magic(&walker.record, path)?;
     }
     if wrong > 0 {
-        let cause = "the magic number is wrong".to_string();
+        let cause = "wrong magic number".to_string();
         visit(Piece::Lost(Lost { offset: 0, bytes: MAGIC.len() as u64, cause }))?;
     }
     loop {
@@ -121,7 +123,7 @@ pub(crate) fn walk<R: Read + Seek>(
                 let Some(found) = found else {
                     return visit(Piece::Cut { offset: at, incomplete_bytes: walker.length - at });
                 };
-                let cause = "bytes that begin no record".to_string();
+                let cause = "not the start of a record".to_string();
                 visit(Piece::Lost(Lost { offset: at, bytes: found - at, cause }))?;
                 walker.at = found;
                 continue;
@@ -161,10 +163,11 @@ struct Walker<R> {
     budget: u64,
     record: Vec<u8>,
     chunk: Vec<u8>,
-    /// Before the end of the data section; behind it schemas and channels are repeated.
+    /// Before the end of the data section; after it, schemas and channels are repeated.
     in_data: bool,
     bare: BareRecords,
-    /// Bytes of the records outside of chunks that were passed on as one chunk so far; none while there is no such chunk.
+    /// Bytes of the records outside of chunks passed on as one chunk so far; `None` while there is no such
+    /// chunk.
     bare_bytes: Option<u64>,
 }
 
@@ -208,7 +211,7 @@ impl<R: Read + Seek> Walker<R> {
         Ok(())
     }
 
-    /// Where to resume after a bad record at `at`: where its length leads, or what the search finds.
+    /// Returns where to resume after a bad record at `at`: where its length leads, or what the search finds.
     fn behind(&mut self, at: u64, next: u64) -> io::Result<u64> {
         if self.begins_record(next)? {
             return Ok(next);
@@ -216,7 +219,7 @@ impl<R: Read + Seek> Walker<R> {
         Ok(self.search(at + 1)?.unwrap_or(self.length))
     }
 
-    /// Type and length of a possible record.
+    /// Returns the type and length of a possible record.
     fn header(&mut self, at: u64) -> io::Result<Option<(u8, u64)>> {
         self.read(at, RECORD_HEADER as u64)?;
         let mut length = [0; 8];
@@ -253,14 +256,15 @@ impl<R: Read + Seek> Walker<R> {
         }))
     }
 
-    /// Whether a length that leads here is plausible: here is a record, part of one, or the tail of a truncated log.
+    /// Returns whether a length that leads here is plausible: here is a record, part of one, or the end of a
+    /// truncated log.
     fn leads_on(&mut self, at: u64) -> io::Result<bool> {
         Ok(self
             .header(at)?
             .is_none_or(|(opcode, length)| (opcode, length) == (0, 0) || plausible(opcode, length)))
     }
 
-    /// Passes on the loaded record, which ends at `next`; the inner error says what is wrong with it.
+    /// Passes on the loaded record, which ends at `next`; the inner error describes what is wrong with it.
     fn pieces(
         &mut self,
         path: &Path,
@@ -278,34 +282,32 @@ impl<R: Read + Seek> Walker<R> {
                     visit(Piece::ChunkBegin(self.at))?;
                     of_chunk(path, &self.chunk, visit)
                 }
-                _ => Ok(Err("a chunk that is none".to_string())),
+                _ => Ok(Err("malformed chunk".to_string())),
             },
             op::METADATA => match metadata(&self.record) {
                 Ok((name, entries)) if is_unbroken(&entries) => {
                     visit(Piece::Metadata { name, entries }).map(Ok)
                 }
-                Ok((name, _)) => Ok(Err(format!("the checksum of the metadata record '{name}' is wrong"))),
+                Ok((name, _)) => Ok(Err(format!("wrong checksum in metadata record '{name}'"))),
                 Err(cause) => Ok(Err(cause)),
             },
             op::ATTACHMENT => match attachment(&self.record) {
                 Ok(attached) => visit(Piece::Attachment(attached)).map(Ok),
                 Err(cause) => Ok(Err(cause)),
             },
-            // A header that cannot be parsed says nothing of what follows.
-            op::HEADER if self.bare.header(&self.record).is_err() => {
-                Ok(Err("a header that is none".to_string()))
-            }
+            // If the header cannot be parsed, nothing is known about what follows.
+            op::HEADER if self.bare.header(&self.record).is_err() => Ok(Err("malformed header".to_string())),
             // These records have no checksum, and a wrong length would skip whole chunks.
             _ => match self.leads_on(next) {
                 Ok(true) if self.in_data && is_bare(opcode) => self.bare(path, opcode, next, visit),
                 Ok(true) => Ok(Ok(())),
-                Ok(false) => Ok(Err("a record whose length leads to no other".to_string())),
+                Ok(false) => Ok(Err("invalid record length: no record follows it".to_string())),
                 Err(source) => Err(LogError::Read { path: path.into(), offset: next, source }),
             },
         }
     }
 
-    /// Passes on a record outside of chunks, as one of a chunk.
+    /// Passes on a record outside of chunks as part of a chunk.
     fn bare(
         &mut self,
         path: &Path,
@@ -314,7 +316,7 @@ impl<R: Read + Seek> Walker<R> {
         visit: &mut dyn FnMut(Piece<'_>) -> Result<(), LogError>,
     ) -> Result<Result<(), String>, LogError> {
         let body = self.at + RECORD_HEADER as u64;
-        // To see where its length leads, the record was read over.
+        // Checking where the length leads has overwritten the record.
         self.read(body, next - body).map_err(|source| LogError::Read {
             path: path.into(),
             offset: body,
@@ -337,7 +339,8 @@ impl<R: Read + Seek> Walker<R> {
         if self.bare_bytes.take().is_some() { visit(Piece::ChunkEnd) } else { Ok(()) }
     }
 
-    /// The first byte at or after `from` that begins a chunk with a correct checksum, or the end marker.
+    /// Returns the first byte at or after `from` that begins a chunk with a correct checksum, or the end
+    /// marker.
     fn search(&mut self, from: u64) -> io::Result<Option<u64>> {
         let mut start = from;
         let mut window = Vec::new();
@@ -396,7 +399,7 @@ fn of_chunk(
 ) -> Result<Result<(), String>, LogError> {
     while !rest.is_empty() {
         let Some((opcode, body, length)) = chunk_record(rest) else {
-            return Ok(Err("a record that reaches beyond its chunk".to_string()));
+            return Ok(Err("record extends beyond its chunk".to_string()));
         };
         rest = &rest[length..];
         if let Err(cause) = of_record(path, opcode, body, visit)? {
@@ -406,7 +409,7 @@ fn of_chunk(
     visit(Piece::ChunkEnd).map(Ok)
 }
 
-/// Passes on a schema, a channel or a message; others carry nothing that is kept.
+/// Passes on a schema, a channel or a message; other records carry nothing worth keeping.
 fn of_record(
     path: &Path,
     opcode: u8,
@@ -428,7 +431,7 @@ fn of_record(
     Ok(Ok(()))
 }
 
-/// Whether records fill these bytes to the end.
+/// Returns whether a sequence of records fills these bytes to the end.
 fn is_chain(mut rest: &[u8]) -> bool {
     while !rest.is_empty() {
         let Some((opcode, _, length)) = chunk_record(rest) else { return false };

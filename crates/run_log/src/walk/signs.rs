@@ -1,4 +1,4 @@
-//! What the start of a chunk, a header or an end marker looks like among other bytes.
+//! Recognizes the start of a chunk, a header or an end marker among other bytes.
 
 use mcap::records::op;
 
@@ -12,7 +12,8 @@ fn number(bytes: &[u8], at: usize, width: usize) -> Option<u64> {
     Some(u64::from_le_bytes(buffer))
 }
 
-/// Whether bytes look like the start of a chunk: a length that fits its own fields and a known compression.
+/// Returns whether bytes look like the start of a chunk: a length that fits its own fields and a known
+/// compression.
 pub(super) fn begins_chunk(bytes: &[u8]) -> bool {
     let fits = || {
         let length = number(bytes, 1, 8)?;
@@ -30,7 +31,7 @@ fn name_is_short(bytes: &[u8]) -> bool {
     number(bytes, RECORD_HEADER + 28, 4).is_some_and(|length| length <= 4)
 }
 
-/// Whether bytes look like the start of the header or the end marker.
+/// Returns whether bytes look like the start of the header or the end marker.
 pub(super) fn begins_metadata(bytes: &[u8]) -> bool {
     let name = || {
         let length = number(bytes, RECORD_HEADER, 4)? as usize;
@@ -39,7 +40,7 @@ pub(super) fn begins_metadata(bytes: &[u8]) -> bool {
     bytes.first() == Some(&op::METADATA) && name().is_some_and(is_sought)
 }
 
-/// Whether bytes look like the start of one of the header's attachments.
+/// Returns whether bytes look like the start of one of the header's attachments.
 pub(super) fn begins_attachment(bytes: &[u8]) -> bool {
     let name = || {
         let length = number(bytes, RECORD_HEADER + 16, 4)? as usize;
@@ -55,7 +56,7 @@ pub(super) fn is_sought(name: &[u8]) -> bool {
     [HEADER_RECORD, END_RECORD].iter().any(|sought| name == sought.as_bytes())
 }
 
-/// Types that the format defines (0x01 to 0x0f), and private ones.
+/// Returns whether the type is defined by the format (0x01 to 0x0f) or private.
 pub(super) fn plausible(opcode: u8, length: u64) -> bool {
     (matches!(opcode, 1..=0x0f) || opcode >= 0x80) && length <= MAX_RECORD_BYTES
 }

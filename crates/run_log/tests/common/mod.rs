@@ -1,4 +1,4 @@
-//! A small deterministic simulation, and the messages of a run with it.
+//! A small deterministic simulation, and the messages of a run of it.
 #![allow(
     clippy::unwrap_used,
     clippy::panic,
@@ -59,15 +59,16 @@ pub fn latched(tick: u64) -> Latched {
 /// Voxels that are missing from the start, enough for two messages.
 pub const PREDRILLED: [u32; 4] = [4_000_000_000, 2, 9, 1];
 
-/// A simulation that only feeds commands back into the state, so that one wrong bit changes everything after it.
+/// A simulation that only feeds commands back into the state, so that one wrong bit changes everything after
+/// it.
 pub struct Toy {
     pub state: State,
     pub removed: Vec<u32>,
     /// Tick at which a link pose is off by one unit in the last place.
     pub fault_tick: Option<u64>,
-    /// Tick that fails to remove a voxel.
+    /// Tick at which a voxel is not removed.
     pub forget_tick: Option<u64>,
-    /// Tick that fails.
+    /// Tick at which the simulation fails.
     pub fail_tick: Option<u64>,
 }
 
@@ -264,8 +265,8 @@ pub fn open_bytes(bytes: &[u8]) -> Result<LogReader, LogError> {
     )?)
 }
 
-/// Removes the checksums inside the metadata records, as in logs of earlier builds, so that a test can edit them
-/// without causing damage.
+/// Removes the checksums inside the metadata records, as in logs of earlier builds, so that a test can edit
+/// them without causing damage.
 pub fn unsealed(mut bytes: Vec<u8>) -> Vec<u8> {
     let key = b"\x05\0\0\0crc32";
     let places: Vec<usize> =

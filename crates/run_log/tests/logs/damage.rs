@@ -9,8 +9,8 @@ use crate::common::*;
 use messages::Tick;
 use run_log::*;
 
-/// Chunk ends of a whole file with the last state tick in each: found by walking the record lengths here and by
-/// reading each prefix with the mcap crate's own reader.
+/// Chunk ends of a whole file with the last state tick in each: found by walking the record lengths here and
+/// by reading each prefix with the mcap crate's own reader.
 fn chunk_ends(bytes: &[u8]) -> Vec<(usize, u64)> {
     let (mut at, mut ends) = (8, Vec::new());
     while at < bytes.len() - 8 {
@@ -156,7 +156,7 @@ fn removals_that_no_volume_can_hold_are_refused() {
     let endless = log([100, 10, 3], 5000, 600);
     refused(&endless, "removals of 3600 voxels in a tick, the volume has 3000");
     refused(&log([4, 4, 4], 1000, 0), "removals of 66 voxels in a tick, the volume has 64");
-    // As many as the volume has is fine.
+    // As many as the volume has are accepted.
     let error = open_bytes(&log([100, 10, 3], 5, 600)).err().unwrap();
     assert!(matches!(error, LogError::NoStates { .. }), "{error}");
 }
@@ -179,8 +179,8 @@ fn a_missing_frame_is_named_and_counted() {
     assert_eq!(info.ending.marker.unwrap().lost["/drr/frame"], 1);
 }
 
-/// A flipped byte in a chunk is found by its CRC before any of its messages is returned; elsewhere by a length, a
-/// number, or the data section's CRC. Everything read before is correct, and nothing panics.
+/// A flipped byte in a chunk is found by its CRC before any of its messages is returned; elsewhere by a
+/// length, a number, or the data section's CRC. Everything read before is correct, and nothing panics.
 #[test]
 fn flipped_bytes_never_panic_and_never_pass() {
     let bytes = write_log(&run_messages(400, None));

@@ -1,4 +1,4 @@
-//! The file's bytes are a function of the message sequence.
+//! The file's bytes are a function of the sequence of messages.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, missing_docs)]
 
 use crate::common::*;
@@ -64,7 +64,7 @@ proptest! {
     }
 }
 
-/// Frames and their replies, each delayed by some ticks after the tick that it shows.
+/// Delays frames and their replies by some ticks after the tick that each shows.
 fn delayed(steps: &[Step], mut ticks: impl FnMut() -> u64) -> Vec<Step> {
     let (mut tick, mut out, mut waiting) = (0, Vec::new(), std::collections::VecDeque::new());
     for step in steps {
@@ -84,8 +84,8 @@ fn delayed(steps: &[Step], mut ticks: impl FnMut() -> u64) -> Vec<Step> {
     out
 }
 
-/// Rendering times of up to 300 ms do not show in the file; with longer ones the file differs, but the run is the
-/// same.
+/// Rendering times of up to 300 ms do not show in the file; with longer ones the file differs, but the run is
+/// the same.
 #[test]
 fn the_speed_of_the_renderer_does_not_matter() {
     let steps = run_messages(2000, None);

@@ -1,5 +1,5 @@
-//! Commands that write logs from logs take time proportional to the log, however many chunks it has. Regression:
-//! 300,000 chunks took over 40 s.
+//! Commands that derive logs from logs take time proportional to the log, however many chunks it has.
+//! Regression: 300,000 chunks took over 40 s.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, missing_docs)]
 
 use std::cell::Cell;
@@ -33,7 +33,7 @@ impl Seek for Counted {
     }
 }
 
-/// Bytes that a repair reads, as a multiple of the log's size.
+/// Returns the bytes that a repair reads, as a multiple of the log's size.
 fn read_by_repair(log: Vec<u8>) -> f64 {
     let (length, bytes) = (log.len() as f64, Rc::new(Cell::new(0)));
     let source = Counted { source: Cursor::new(log), bytes: Rc::clone(&bytes) };
@@ -52,8 +52,8 @@ fn many_chunks(chunks: u64) -> Vec<u8> {
     log.finish(EndReason::Completed, &BTreeMap::new()).unwrap().1
 }
 
-/// Counts bytes rather than time, which other load on the machine would affect. Each byte is read once, or as often as
-/// the buffers overlap.
+/// Counts bytes rather than time, which other load on the machine would affect. Each byte is read once, or as
+/// often as the buffers overlap.
 #[test]
 fn a_log_of_many_chunks_is_read_once_and_not_once_a_chunk() {
     for chunks in [1000, 20_000] {
@@ -70,7 +70,8 @@ fn a_log_of_many_chunks_is_read_once_and_not_once_a_chunk() {
     }
 }
 
-/// An untrusted file may contain something like the start of a chunk every few bytes, each of which would be unpacked.
+/// An untrusted file may contain something like the start of a chunk every few bytes, each of which would be
+/// unpacked.
 #[test]
 fn what_looks_like_chunks_everywhere_is_given_up() {
     let mut log = many_chunks(1);

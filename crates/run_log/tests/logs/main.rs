@@ -1,4 +1,4 @@
-//! Logs in memory, in one program: it is linked once, and its tests share both cores.
+//! Logs in memory, in one test binary: it is linked once, and its tests share both cores.
 
 #[path = "../common/mod.rs"]
 mod common;

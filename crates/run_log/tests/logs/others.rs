@@ -1,5 +1,6 @@
-//! Logs that another program has written again: valid MCAP, with chunks without checksums, without chunks, with metadata behind the messages.
-//! Regression: each was called damaged. A file that is no log of ours was sent to `repair`, which sent it away.
+//! Logs that another program has rewritten: valid MCAP, with chunks without checksums, without chunks, or
+//! with metadata after the messages. Regression: each was reported as damaged. A file that is not one of our
+//! logs was referred to `repair`, which rejected it.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, missing_docs)]
 
 use std::io::Cursor;
@@ -14,7 +15,7 @@ use run_log::*;
 #[derive(Clone, Copy, PartialEq)]
 enum Beside {
     WhereTheyStood,
-    /// Each once, behind all messages.
+    /// Each once, after all messages.
     AtTheEnd,
     /// All, before the messages: attachments, then metadata.
     AtTheStart,
@@ -22,12 +23,12 @@ enum Beside {
     OnceAtTheStart,
 }
 
-/// The log as the `mcap` crate's writer writes its records.
+/// Returns the log as written by the `mcap` crate's writer.
 fn written_again(log: &[u8], options: WriteOptions, beside: Beside) -> Vec<u8> {
     edited_again(log, options, beside, |_, data| data)
 }
 
-/// The same with each message's bytes as `edit` makes them from its topic and its bytes.
+/// The same, with each message's bytes replaced by `edit`, given its topic and bytes.
 fn edited_again(
     log: &[u8],
     options: WriteOptions,
@@ -92,7 +93,7 @@ fn attachment(header: mcap::records::AttachmentHeader, data: Vec<u8>) -> Attachm
     }
 }
 
-/// All attachments and metadata of a log.
+/// Returns all attachments and metadata of a log.
 fn all_beside(log: &[u8]) -> (Vec<Attachment<'static>>, Vec<mcap::records::Metadata>) {
     let (mut attachments, mut metadata) = (Vec::new(), Vec::new());
     for record in mcap::read::ChunkFlattener::new(log).unwrap() {
@@ -145,7 +146,8 @@ fn variants(log: &[u8]) -> Vec<(&'static str, Vec<u8>)> {
     use Beside::{AtTheEnd, AtTheStart, OnceAtTheStart, WhereTheyStood};
     vec![
         ("as it was", written_again(log, plain(), WhereTheyStood)),
-        // The crate's checksum of the data section is wrong without those of chunks (mcap 0.26, `ChunkWriter::finish`).
+        // The crate's checksum of the data section is wrong without those of chunks (mcap 0.26,
+        // `ChunkWriter::finish`).
         (
             "chunk CRC 0",
             written_again(
@@ -157,7 +159,7 @@ fn variants(log: &[u8]) -> Vec<(&'static str, Vec<u8>)> {
         ("no chunks", written_again(log, plain().use_chunks(false), WhereTheyStood)),
         ("metadata at the end", written_again(log, plain(), AtTheEnd)),
         ("no chunks, metadata at the end", written_again(log, plain().use_chunks(false), AtTheEnd)),
-        // As a loop over attachments, one over metadata and one over messages leave it, in Python.
+        // As written by a Python loop over attachments, one over metadata and one over messages.
         ("metadata at the start", written_again(log, plain(), AtTheStart)),
         ("metadata once at the start", written_again(log, plain(), OnceAtTheStart)),
         ("no chunks, metadata at the start", written_again(log, plain().use_chunks(false), AtTheStart)),
@@ -190,7 +192,7 @@ fn repair_and_compress_take_what_another_program_wrote() {
     }
 }
 
-/// Bug: `compress` and `cat-files` passed over such messages, and said that what they wrote held the same.
+/// Regression: `compress` and `cat-files` skipped such messages, and claimed that their output was the same.
 #[test]
 fn messages_outside_of_chunks_in_a_file_that_says_it_is_ours_are_damage() {
     let log = write_log(&run_messages(200, None));
@@ -209,7 +211,7 @@ fn messages_outside_of_chunks_in_a_file_that_says_it_is_ours_are_damage() {
     assert!(report.left_out_bytes > 200 * 1000, "{report:?}");
 }
 
-/// Bug: "the end marker says 200", where the file was cut.
+/// Regression: "the end marker says 200" for a truncated file.
 #[test]
 fn a_cut_log_with_its_metadata_before_its_messages_is_called_cut() {
     let log = write_log(&run_messages(200, None));
@@ -222,12 +224,12 @@ fn a_cut_log_with_its_metadata_before_its_messages_is_called_cut() {
     assert!(matches!(verdict.faults[..], [Fault::Cut { ended: false, .. }]), "{verdict}");
 }
 
-/// Bug: `compress` and `cat-files` took states of 20 bytes that no reader takes.
+/// Regression: `compress` and `cat-files` accepted states of 20 bytes that no reader accepts.
 #[test]
 fn a_message_too_short_for_its_topic_is_damage_though_its_checksum_is_right() {
     let log = write_log(&run_messages(200, None));
     let again = edited_again(&log, WriteOptions::new(), Beside::WhereTheyStood, |topic, data| match topic {
-        // Of these, 4 are before the message.
+        // The first 4 bytes precede the message.
         "/state" => &data[..20],
         _ => data,
     });

@@ -1,4 +1,4 @@
-//! Readings of sensors in a log: their place, and what is missing.
+//! Sensor readings in a log: their place, and missing ones.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "tests fail")]
 
@@ -8,7 +8,8 @@ use crate::common::header;
 use messages::{Latched, SensorReading, State, Tick};
 use run_log::{EndReason, LogError, LogReader, MessageStream, ReadOptions, RunLog, Topic};
 
-/// A log of six states; of each but the first, a reading of these numbers, given as early as the recorder may have it.
+/// A log of six states. Each but the first has a reading with one of these numbers, passed as early as the
+/// recorder may receive it.
 fn log(sequences: [u64; 5]) -> Vec<u8> {
     let mut log = RunLog::create(Vec::new(), &header()).unwrap();
     let reading =

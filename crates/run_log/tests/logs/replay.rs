@@ -205,7 +205,7 @@ fn info_says_what_a_log_holds_and_where_it_ends() {
     }
     let cut = text(&bytes[..bytes.len() / 2]);
     println!("{}", cut.lines().last().unwrap());
-    assert!(cut.contains("no end marker") && cut.contains("cut after byte"));
+    assert!(cut.contains("no end marker") && cut.contains("truncated after byte"));
     let mut flipped = bytes.clone();
     flipped[bytes.len() / 2] ^= 4;
     assert!(text(&flipped).contains("damaged at byte"));

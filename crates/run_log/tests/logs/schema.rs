@@ -1,5 +1,5 @@
-//! Parses the schemas' text with an independent parser, lays them out by the rules of CDR, and compares the offsets
-//! with those of the structs.
+//! Parses the schemas' text with an independent parser, lays them out by the rules of CDR, and compares the
+//! offsets with those of the structs.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, missing_docs)]
 
 use std::collections::BTreeMap;
@@ -57,10 +57,10 @@ fn scalar_size(kind: &str) -> Option<usize> {
     })
 }
 
-/// Walks a message as an XCDR1 stream (DDS-XTypes 1.3, 7.4.1): a scalar is aligned to its size, counted from the start
-/// of the body; a structure has no alignment of its own; a string or a sequence is its length as uint32, then its
-/// content. Records the offset of each scalar as `path@offset`; `lengths` gives the lengths of strings and sequences
-/// in order.
+/// Walks a message as an XCDR1 stream (DDS-XTypes 1.3, 7.4.1): a scalar is aligned to its size, counted from
+/// the start of the body; a structure has no alignment of its own; a string or a sequence is its length as
+/// uint32, then its content. Records the offset of each scalar as `path@offset`; `lengths` gives the lengths
+/// of strings and sequences in order.
 struct Walk<'a> {
     types: &'a BTreeMap<String, Fields>,
     at: usize,

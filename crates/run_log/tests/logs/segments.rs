@@ -59,7 +59,7 @@ fn segments_prove_the_whole_run_on_any_number_of_threads() {
     assert_eq!((report.replay.identical_ticks, report.identical_keyframes), (300, 0));
 }
 
-/// What stepping a log in one pass comes to: ticks, last tick, hash.
+/// Steps a log in one pass; returns the ticks, the last tick and the hash.
 fn in_one_pass(bytes: &[u8], mut toy: Toy, to: u64) -> (u64, Tick, [u64; 2]) {
     let mut ticks = 0;
     for record in open_bytes(bytes).unwrap().map(Result::unwrap).take_while(|record| record.state.tick <= to)
@@ -91,13 +91,14 @@ fn steps_between_keyframes_come_to_what_one_pass_comes_to_or_to_nothing() {
         let plain = write_log(&run_messages(300, None));
         assert_eq!(stepped(&plain, &toy, &all), Some(in_one_pass(&plain, Toy::new(), u64::MAX)));
 
-        // Behind the last keyframe the simulation's own hash counts, whatever the log's is.
+        // After the last keyframe the simulation's own hash counts, whatever the log's is.
         let late = || Ok(Toy { fault_tick: Some(950), ..Toy::new() });
         let own = in_one_pass(&bytes, late().unwrap(), u64::MAX);
         assert_ne!(own.2, hash);
         assert_eq!(stepped(&bytes, &late, &all), Some(own));
 
-        // At a keyframe, the segment does not end where the next one begins. (A toy's own state forgets a fault in the next tick.)
+        // At a keyframe, the segment does not end where the next one begins. (A toy's own state forgets a
+        // fault in the next tick.)
         let early = || Ok(Toy { fault_tick: Some(600), ..Toy::new() });
         assert_eq!(stepped(&bytes, &early, &all), None);
         let fails = || Ok(Toy { fail_tick: Some(777), ..Toy::new() });
@@ -153,7 +154,7 @@ fn a_replay_begins_at_the_last_keyframe_before_a_tick() {
     assert_eq!(report.identical_keyframes, 3);
 }
 
-/// The replay must neither wait for a dead worker nor call ticks proven that nobody has replayed.
+/// The replay must neither wait for a dead worker nor call ticks proven that were not replayed.
 #[test]
 fn a_panic_while_a_simulation_is_built_is_a_simulation_error() {
     let panicked = Some((Tick::START, "the simulation panicked (its message is above)".to_string()));
@@ -180,7 +181,7 @@ fn logs_whose_keyframes_or_replies_differ_are_not_identical() {
     assert_eq!((altered.messages[0].topic, altered.messages[0].tick), (Topic::Keyframe, Tick(300)));
     let without = compared(&write_log(&run_messages(500, Some(250))));
     assert!(!without.same_run() && without.messages.is_empty());
-    assert!(without.remarks[0].ends_with("a.mcap has more of /keyframe"), "{:?}", without.remarks);
+    assert!(without.remarks[0].ends_with("a.mcap has more messages of /keyframe"), "{:?}", without.remarks);
 
     let mut steps = run_messages(500, None);
     let plain = save("c.mcap", &write_log(&steps));
@@ -246,7 +247,7 @@ fn a_missing_part_of_a_keyframe_is_told_and_costs_no_tick() {
     assert_eq!(gap.lost, marker.lost);
 }
 
-/// Late frames and keyframes keep their places when a log is rewritten in its own order.
+/// Late frames and keyframes keep their places when a log is rewritten in its original order.
 #[test]
 fn a_log_written_again_in_its_order_has_the_same_bytes() {
     let mut log = RunLog::create(Vec::new(), &header()).unwrap();

@@ -1,4 +1,4 @@
-//! What relates the keys of `[arm]` to each other.
+//! Checks how the keys of `[arm]` relate to each other.
 
 use core::ops::RangeInclusive;
 
@@ -9,33 +9,35 @@ use crate::declaration::Range;
 use crate::error::SceneError;
 use crate::model::{Arm, ArmJoint, ArmModel};
 
-/// Joints that turn: a tool is placed and turned freely by no fewer, and the messages have room for no more.
+/// Number of revolute joints: fewer cannot place and orient a tool freely, and the messages have room for no
+/// more.
 pub(crate) const TURNING: RangeInclusive<usize> = 6..=MAX_ARM_JOINTS;
 
-/// Least factor of a mesh, m for a unit of its file: micrometres.
+/// Smallest scale factor of a mesh, m per file unit: micrometres.
 const LEAST_SCALE: f64 = 1e-6;
 
 pub(super) fn check(arm: &Arm, checker: &Checker) -> Result<(), SceneError> {
     for (key, given) in [("arm.base_link", &arm.base_link), ("arm.tip_link", &arm.tip_link)] {
         if given.is_some() {
-            return Err(checker.invalid(key, "names a link of a URDF file; expected `arm.urdf` beside it"));
+            return Err(checker.invalid(key, "names a URDF link, but `arm.urdf` is not set"));
         }
     }
     if arm.meshes.is_some() {
-        let problem = "is about the meshes of a URDF file; expected `arm.urdf` beside it";
+        let problem = "applies to the meshes of a URDF file, but `arm.urdf` is not set";
         return Err(checker.invalid("arm.meshes", problem));
     }
     check_meshes(arm, checker)?;
     if arm.xray_density_g_per_cm3.is_some() && arm.mesh.as_ref().is_none_or(Vec::is_empty) {
-        let problem =
-            "is about the meshes of an arm, and there is none; expected `arm.urdf` with meshes or `arm.mesh`";
+        let problem = "needs arm meshes, but the arm has none; set `arm.urdf` (with meshes) or `arm.mesh`";
         return Err(checker.invalid("arm.xray_density_g_per_cm3", problem));
     }
     if let Some(model @ (ArmModel::Fixed | ArmModel::Gantry)) = arm.model {
         check_bench(arm, model, checker)?;
     }
     if arm.travel_mm.is_some() && arm.model != Some(ArmModel::Gantry) {
-        return Err(checker.invalid("arm.travel_mm", "is for a gantry; expected `arm.model = \"gantry\"`"));
+        return Err(
+            checker.invalid("arm.travel_mm", "applies only to a gantry; set `arm.model = \"gantry\"`")
+        );
     }
     let [lower, upper] = match &arm.joint {
         None => {
@@ -52,15 +54,15 @@ pub(super) fn check(arm: &Arm, checker: &Checker) -> Result<(), SceneError> {
         ("arm.initial_joints_deg", &arm.initial_joints_deg),
     ] {
         if let Some(given) = given.as_ref().filter(|given| given.len() != count) {
-            let problem =
-                format!("has {} angles, expected {count}: one for each joint that turns", given.len());
+            let problem = format!("has {} angles, expected {count}: one per revolute joint", given.len());
             return Err(checker.invalid(key, problem));
         }
     }
     let lower = arm.lower_joints_deg.as_ref().unwrap_or(&lower);
     let upper = arm.upper_joints_deg.as_ref().unwrap_or(&upper);
     for i in 0..count {
-        // The ends of an arm's own ranges may lie beyond those that the keys take: 2 pi in a file is a little more than 360 degrees.
+        // An arm's own joint limits can exceed those of the keys: 2 pi in a file is slightly more than 360
+        // degrees.
         let above = Range { lowest: lower[i] + 1e-3, highest: upper[i].max(360.0), or_zero: false };
         checker.range("arm.upper_joints_deg", upper[i], above)?;
         if let Some(start) = &arm.initial_joints_deg {
@@ -71,7 +73,7 @@ pub(super) fn check(arm: &Arm, checker: &Checker) -> Result<(), SceneError> {
     Ok(())
 }
 
-/// What has joints is refused where there are none, and what moves where nothing does.
+/// Refuses joint keys on an arm without joints, and motion keys on a fixed one.
 fn check_bench(arm: &Arm, model: ArmModel, checker: &Checker) -> Result<(), SceneError> {
     let given = [
         ("arm.joint", arm.joint.is_some()),
@@ -87,40 +89,42 @@ fn check_bench(arm: &Arm, model: ArmModel, checker: &Checker) -> Result<(), Scen
         ("arm.max_turn_deg_per_s3", arm.max_turn_deg_per_s3.is_some()),
     ];
     if model == ArmModel::Fixed && arm.max_force_n.is_some() {
-        return Err(checker.invalid("arm.max_force_n", "is for an arm that moves; `arm.model` is \"fixed\""));
+        return Err(
+            checker.invalid("arm.max_force_n", "needs an arm that moves, but `arm.model` is \"fixed\"")
+        );
     }
     match given.iter().find(|(_, given)| *given) {
         Some((key, _)) => {
             let name = if model == ArmModel::Gantry { "gantry" } else { "fixed" };
-            let problem = format!("is for an arm with joints that turn; `arm.model` is \"{name}\"");
+            let problem = format!("needs an arm with revolute joints, but `arm.model` is \"{name}\"");
             Err(checker.invalid(key, problem))
         }
         None => Ok(()),
     }
 }
 
-/// The redundant joint is one that turns, of seven.
+/// Checks that the redundant joint is a revolute joint of a seven-joint arm.
 fn check_redundant(arm: &Arm, checker: &Checker) -> Result<(), SceneError> {
     let Some(name) = &arm.redundant_joint else { return Ok(()) };
     let joints = arm.joint.as_deref().unwrap_or_default();
     let turning: Vec<&str> =
         joints.iter().filter(|joint| joint.axis.is_some()).map(|joint| joint.name.as_str()).collect();
     let problem = if turning.len() != MAX_ARM_JOINTS {
-        format!("is for an arm of {MAX_ARM_JOINTS} joints that turn; this one has none to spare")
+        format!("needs an arm with {MAX_ARM_JOINTS} revolute joints; this arm has no redundant joint")
     } else if turning.contains(&name.as_str()) {
         return Ok(());
     } else {
         let known = turning.iter().map(|name| foreign_text::foreign(name).to_string()).collect::<Vec<_>>();
-        format!("is `{}`, expected a joint that turns: {}", foreign_text::foreign(name), known.join(", "))
+        format!("is `{}`, expected a revolute joint: {}", foreign_text::foreign(name), known.join(", "))
     };
     Err(checker.invalid("arm.redundant_joint", problem))
 }
 
-/// Each mesh moves with a joint that is there, and has an extent.
+/// Checks that each mesh names an existing joint and has a nonzero scale.
 fn check_meshes(arm: &Arm, checker: &Checker) -> Result<(), SceneError> {
     let Some(meshes) = &arm.mesh else { return Ok(()) };
     let Some(joints) = &arm.joint else {
-        let problem = "stands without `arm.joint`; expected the joints with which the meshes move";
+        let problem = "needs `arm.joint`, the joints that the meshes move with";
         return Err(checker.invalid("arm.mesh", problem));
     };
     for mesh in meshes {
@@ -128,7 +132,8 @@ fn check_meshes(arm: &Arm, checker: &Checker) -> Result<(), SceneError> {
             && !joints.iter().any(|joint| joint.name == *name)
         {
             let name = foreign_text::foreign(name);
-            let problem = format!("is `{name}`, expected the name of an `arm.joint`, or none for the base");
+            let problem =
+                format!("is `{name}`, expected the name of an `arm.joint`; omit the key for the base");
             return Err(checker.invalid("arm.mesh.joint", problem));
         }
         if let Some(digits) = &mesh.file_xxh3
@@ -138,27 +143,29 @@ fn check_meshes(arm: &Arm, checker: &Checker) -> Result<(), SceneError> {
             return Err(checker.invalid("arm.mesh.file_xxh3", problem));
         }
         if mesh.scale.iter().any(|factor| factor.abs() < LEAST_SCALE) {
-            let problem =
-                format!("is {:?}, expected numbers of {LEAST_SCALE} or more, or below 0", mesh.scale);
+            let problem = format!(
+                "is {:?}, expected factors of at least {LEAST_SCALE} in magnitude (negative ones mirror)",
+                mesh.scale
+            );
             return Err(checker.invalid("arm.mesh.scale", problem));
         }
     }
     Ok(())
 }
 
-/// The ends of the ranges of an arm that the scene describes.
+/// Returns the joint limits of an arm described in the scene.
 fn check_joints(arm: &Arm, joints: &[ArmJoint], checker: &Checker) -> Result<[Vec<f64>; 2], SceneError> {
     let refused = |key: &str, problem: String| Err(checker.invalid(key, problem));
     if arm.model.is_some() {
         return refused(
             "arm.model",
-            "stands beside `arm.joint` or `arm.urdf`; expected one of them".to_owned(),
+            "and `arm.joint` or `arm.urdf` are mutually exclusive; set only one".to_owned(),
         );
     }
     if arm.compliance.is_some() {
         return refused(
             "arm.compliance",
-            "needs the masses of the arm's links; expected a named `arm.model`".to_owned(),
+            "needs the arm's link masses, which only a named `arm.model` has".to_owned(),
         );
     }
     let turning: Vec<&ArmJoint> = joints.iter().filter(|joint| joint.axis.is_some()).collect();
@@ -166,7 +173,8 @@ fn check_joints(arm: &Arm, joints: &[ArmJoint], checker: &Checker) -> Result<[Ve
     if !TURNING.contains(&count) {
         let (least, most) = (TURNING.start(), TURNING.end());
         let problem = format!(
-            "has {count} joints that turn, expected {least} or {most}: fewer cannot place a tool, and a state has room for no more"
+            "has {count} revolute joints, expected {least} or {most}: fewer cannot place a tool freely, \
+             and the state has room for no more"
         );
         return refused("arm.joint", problem);
     }
@@ -174,7 +182,7 @@ fn check_joints(arm: &Arm, joints: &[ArmJoint], checker: &Checker) -> Result<[Ve
         if joints[..index].iter().any(|other| other.name == joint.name) {
             return refused(
                 "arm.joint.name",
-                format!("`{}` stands twice", foreign_text::foreign(&joint.name)),
+                format!("has a duplicate: `{}`", foreign_text::foreign(&joint.name)),
             );
         }
     }
@@ -185,14 +193,14 @@ fn check_joints(arm: &Arm, joints: &[ArmJoint], checker: &Checker) -> Result<[Ve
         if length < 1e-6 {
             return refused(
                 "arm.joint.axis",
-                format!("of `{name}` has no direction; expected a vector of any length but 0"),
+                format!("of `{name}` is the zero vector; expected a direction of any other length"),
             );
         }
         let (Some(lower), Some(upper), Some(_)) =
             (joint.lower_deg, joint.upper_deg, joint.max_speed_deg_per_s)
         else {
             let problem =
-                format!("`{name}` turns; expected `lower_deg`, `upper_deg` and `max_speed_deg_per_s` of it");
+                format!("`{name}` is revolute; set its `lower_deg`, `upper_deg` and `max_speed_deg_per_s`");
             return refused("arm.joint", problem);
         };
         checker.at_least("arm.joint.upper_deg", upper, lower + 1e-3)?;
@@ -200,8 +208,7 @@ fn check_joints(arm: &Arm, joints: &[ArmJoint], checker: &Checker) -> Result<[Ve
         ends[1].push(upper);
     }
     if arm.initial_joints_deg.is_none() {
-        let problem =
-            "is absent; expected the angles at which the arm starts, away from singularities".to_owned();
+        let problem = "is missing; expected the arm's start angles, away from singularities".to_owned();
         return refused("arm.initial_joints_deg", problem);
     }
     Ok(ends)

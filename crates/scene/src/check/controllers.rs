@@ -1,10 +1,10 @@
-//! Checks the controllers of a scene: who drives what, and the keys of each kind that depend on each other.
+//! Checks the controllers of a scene: what each drives, and how the keys of each kind relate.
 
 use super::Checker;
 use crate::error::SceneError;
 use crate::model::{Controller, CurvedDrilling, Display, Drives, Drr, Feedback, Scene, TensionSweep};
 
-/// Names of the other parts, and end reasons that are not names of parts: a log's end names who caused it.
+/// Names of the other processes, and end reasons that are not process names: a log's end names its cause.
 const RESERVED_NAMES: [&str; 7] =
     ["physics", "drr", "recorder", "launcher", "completed", "stopped", "interrupted"];
 
@@ -12,19 +12,19 @@ pub(super) fn check(scene: &Scene, checker: &Checker) -> Result<(), SceneError> 
     let mut driven: Vec<(Drives, &str)> = Vec::new();
     for (index, controller) in scene.controller.iter().enumerate() {
         if RESERVED_NAMES.contains(&controller.name.as_str()) {
-            let problem = format!(
-                "`{}` is the name of something else; expected none of {RESERVED_NAMES:?}",
-                controller.name
-            );
+            let problem =
+                format!("`{}` is a reserved name; reserved are {RESERVED_NAMES:?}", controller.name);
             return Err(checker.invalid("controller.name", problem));
         }
         if scene.controller[..index].iter().any(|other| other.name == controller.name) {
-            return Err(checker.invalid("controller.name", format!("`{}` stands twice", controller.name)));
+            return Err(checker.invalid("controller.name", format!("has a duplicate: `{}`", controller.name)));
         }
         for part in &controller.drives {
             if let Some((_, other)) = driven.iter().find(|(driven, _)| driven == part) {
-                let problem =
-                    format!("{part:?} is driven by `{other}` and by `{}`; expected one", controller.name);
+                let problem = format!(
+                    "{part:?} is driven by both `{other}` and `{}`; only one may drive it",
+                    controller.name
+                );
                 return Err(checker.invalid("controller.drives", problem));
             }
             driven.push((*part, &controller.name));
@@ -36,7 +36,8 @@ pub(super) fn check(scene: &Scene, checker: &Checker) -> Result<(), SceneError> 
     Ok(())
 }
 
-/// Image feedback finds the burr as the darkest end of the tool, so it needs frames in which metal is dark.
+/// Checks that image feedback has frames in which metal is dark: it finds the burr as the darkest end of the
+/// tool.
 fn check_image_feedback(
     controller: &Controller,
     drr: Option<&Drr>,
@@ -46,26 +47,27 @@ fn check_image_feedback(
     let problem = match drr {
         _ if drilling.feedback != Feedback::Image => return Ok(()),
         None if drilling.guidance_gain_n_per_mm > 0.0 => {
-            "is `image` with a gain, but there is no `[drr]`; expected `[drr]`, or `shape` or `none`"
+            "is `image` with a gain, but there is no `[drr]`; add `[drr]`, or use `shape` or `none`"
         }
         Some(drr) if drr.display != Display::BoneDark => {
-            "is `image`, which finds the burr as the darkest; expected `drr.display = \"bone_dark\"`, or `shape` or `none`"
+            "is `image`, which looks for the burr as the darkest spot; set `drr.display = \"bone_dark\"`, \
+             or use `shape` or `none`"
         }
         _ => return Ok(()),
     };
     Err(checker.invalid("controller.curved_drilling.feedback", problem))
 }
 
-/// Only a tool that slides out of another tube has one to drive, and only so far.
+/// Checks that a driven tube exists, and that the deployment stays within its travel and speed.
 fn check_tube(controller: &Controller, scene: &Scene, checker: &Checker) -> Result<(), SceneError> {
     let outer = scene.manipulator.outer_tube();
     match (outer, &controller.tube_deployment) {
         (None, Some(_)) => {
-            let problem = "needs a tool with `outer_tube`; the scene's has none";
+            let problem = "needs a tool with `outer_tube`; the scene's tool has none";
             Err(checker.invalid("controller.tube_deployment", problem))
         }
         (None, None) if controller.drives.contains(&Drives::Tube) => {
-            let problem = "has `tube`, which is of a tool with `outer_tube`; the scene's has none";
+            let problem = "lists `tube`, which needs a tool with `outer_tube`; the scene's tool has none";
             Err(checker.invalid("controller.drives", problem))
         }
         (Some(outer), Some(plan)) => {
@@ -89,15 +91,16 @@ fn check_controller(controller: &Controller, checker: &Checker) -> Result<(), Sc
         controller.external,
     ];
     if kinds.iter().filter(|kind| **kind).count() != 1 {
-        let problem = "needs exactly one of `curved_drilling`, `skiving`, `tension_sweep`, `tube_deployment`, `hold`, `command`, `external`";
+        let problem = "needs exactly one of `curved_drilling`, `skiving`, `tension_sweep`, \
+                       `tube_deployment`, `hold`, `command`, `external`";
         return Err(checker.invalid(&format!("controller `{}`", controller.name), problem));
     }
     if controller.optional && !controller.external && controller.command.is_none() {
-        let problem = "is for a controller with `external` or `command`";
+        let problem = "applies only to a controller with `external` or `command`";
         return Err(checker.invalid("controller.optional", problem));
     }
     if controller.restarts > 0 && controller.command.is_none() {
-        return Err(checker.invalid("controller.restarts", "is for a controller with `command`"));
+        return Err(checker.invalid("controller.restarts", "applies only to a controller with `command`"));
     }
     if let Some(drilling) = &controller.curved_drilling {
         check_curved_drilling(drilling, checker)?;
@@ -120,7 +123,7 @@ fn check_sweep(sweep: &TensionSweep, checker: &Checker) -> Result<(), SceneError
             checker.at_most("controller.tension_sweep.step_mm", step_mm, most_mm)
         }
         _ => {
-            let problem = "needs either `most_n` and `step_n` or `most_mm` and `step_mm`";
+            let problem = "needs either `most_n` and `step_n`, or `most_mm` and `step_mm`";
             Err(checker.invalid("controller.tension_sweep", problem))
         }
     }
@@ -134,7 +137,9 @@ fn check_curved_drilling(drilling: &CurvedDrilling, checker: &Checker) -> Result
         );
     }
     if drilling.calibration.is_some() && drilling.target_mm.is_none() {
-        return Err(checker.invalid(&key("calibration"), "needs a `target_mm`, from which the bend follows"));
+        return Err(
+            checker.invalid(&key("calibration"), "needs `target_mm`, from which the bend is computed")
+        );
     }
     checker.at_least(&key("ramp_end_mm"), drilling.ramp_end_mm, drilling.ramp_start_mm)
 }

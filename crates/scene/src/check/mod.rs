@@ -1,4 +1,4 @@
-//! Checks what relates a scene's keys to each other. Ranges of single keys: [`ranges`].
+//! Checks how a scene's keys relate to each other. Ranges of single keys: [`ranges`].
 
 mod arm;
 mod controllers;
@@ -14,7 +14,7 @@ use crate::ranges;
 
 pub(crate) use tool::tool;
 
-/// Makes the errors of one scene file.
+/// Builds the errors of one scene file.
 pub(crate) struct Checker<'a> {
     pub(crate) file: &'a Path,
 }
@@ -33,13 +33,13 @@ impl Checker<'_> {
         })
     }
 
-    /// A declared range whose lower end another key raises.
+    /// Checks against the declared range, its lower end raised by another key.
     fn at_least(&self, key: &str, value: f64, lowest: f64) -> Result<(), SceneError> {
         let declared = self.declared(key)?;
         self.range(key, value, Range { lowest: declared.lowest.max(lowest), ..declared })
     }
 
-    /// A declared range whose upper end another key lowers.
+    /// Checks against the declared range, its upper end lowered by another key.
     fn at_most(&self, key: &str, value: f64, highest: f64) -> Result<(), SceneError> {
         let declared = self.declared(key)?;
         self.range(key, value, Range { highest: declared.highest.min(highest), ..declared })
@@ -55,7 +55,7 @@ impl Checker<'_> {
     }
 }
 
-/// Checks a scene: first every value against its range, in the order of the declarations, then what relates keys to each other.
+/// Checks a scene: first every value against its range, in declaration order, then how the keys relate.
 pub(crate) fn check(scene: &Scene, given: &toml::Table, file: &Path) -> Result<(), SceneError> {
     let checker = Checker { file };
     ranges::check(&SCENE, given, "", &checker)?;
@@ -64,10 +64,11 @@ pub(crate) fn check(scene: &Scene, given: &toml::Table, file: &Path) -> Result<(
         return Ok(());
     }
     if scene.has_registration_error() && scene.volume.is_none() {
-        return Err(checker
-            .invalid("truth.registration_error_mm", "needs a `[volume]`, the bone that lies elsewhere"));
+        return Err(
+            checker.invalid("truth.registration_error_mm", "needs a `[volume]`: the misregistered bone")
+        );
     }
-    // What is true must be possible together, too; what is wrong about it then comes from `[truth]`.
+    // The true world must be consistent, too; any error found only here is reported under `[truth]`.
     check_relations(&scene.as_it_is(), &checker).map_err(|error| error.below("truth"))
 }
 
@@ -75,7 +76,7 @@ fn check_relations(scene: &Scene, checker: &Checker) -> Result<(), SceneError> {
     match &scene.volume {
         Some(volume) => check_volume(volume, checker)?,
         None if !scene.predrill.is_empty() => {
-            return Err(checker.invalid("predrill", "needs a `[volume]` to be drilled into"));
+            return Err(checker.invalid("predrill", "needs a `[volume]` to drill into"));
         }
         None => {}
     }
@@ -84,14 +85,14 @@ fn check_relations(scene: &Scene, checker: &Checker) -> Result<(), SceneError> {
     tool::beside(scene, checker)?;
     check_tendons(scene, checker)?;
     if scene.drilling.edge_force_n_per_mm.is_some() && scene.drilling.edge_pressure_mpa.is_some() {
-        let problem = "stands beside `drilling.edge_pressure_mpa`; expected one of the two";
+        let problem = "and `drilling.edge_pressure_mpa` are mutually exclusive; set only one";
         return Err(checker.invalid("drilling.edge_force_n_per_mm", problem));
     }
     arm::check(&scene.arm, checker)?;
     if let Some(drr) = &scene.drr {
         check_drr(drr, checker)?;
         if scene.volume.is_none() {
-            return Err(checker.invalid("drr", "needs a `[volume]` to look through"));
+            return Err(checker.invalid("drr", "needs a `[volume]` to image"));
         }
     }
     controllers::check(scene, checker)?;
@@ -101,23 +102,28 @@ fn check_relations(scene: &Scene, checker: &Checker) -> Result<(), SceneError> {
 fn check_volume(volume: &Volume, checker: &Checker) -> Result<(), SceneError> {
     match (&volume.phantom, &volume.path) {
         (Some(_), Some(_)) => {
-            return Err(checker.invalid("volume", "has both `phantom` and `path`; expected one"));
+            return Err(checker.invalid(
+                "volume",
+                "has both `phantom` and `path`, which are mutually exclusive; set only one",
+            ));
         }
         (None, None) => {
-            return Err(checker.invalid("volume", "has neither `phantom` nor `path`; expected one"));
+            return Err(checker.invalid("volume", "has neither `phantom` nor `path`; set one"));
         }
         _ => {}
     }
     if volume.mask && volume.path.is_none() {
-        return Err(checker.invalid("volume.mask", "is for a file; a phantom is not a mask"));
+        return Err(checker.invalid("volume.mask", "applies only to a file; a phantom is not a mask"));
     }
     if volume.resample_mm.is_some() && volume.path.is_none() {
-        return Err(checker.invalid("volume.resample_mm", "is for a file; a phantom has `spacing_mm`"));
+        return Err(
+            checker.invalid("volume.resample_mm", "applies only to a file; for a phantom set `spacing_mm`")
+        );
     }
     check_choices(volume, checker)
 }
 
-/// What is chosen of a file's content.
+/// Checks the keys that select part of a file.
 fn check_choices(volume: &Volume, checker: &Checker) -> Result<(), SceneError> {
     let chosen = [
         ("volume.series", volume.series.is_some()),
@@ -125,10 +131,10 @@ fn check_choices(volume: &Volume, checker: &Checker) -> Result<(), SceneError> {
         ("volume.label", volume.label.is_some()),
     ];
     if let Some((key, _)) = chosen.iter().find(|(_, given)| *given && volume.path.is_none()) {
-        return Err(checker.invalid(key, "is for a file; a phantom has none"));
+        return Err(checker.invalid(key, "applies only to a file, not to a phantom"));
     }
     if volume.label.is_some() && !volume.mask {
-        return Err(checker.invalid("volume.label", "is for a mask; expected `volume.mask = true` beside it"));
+        return Err(checker.invalid("volume.label", "applies only to a mask; set `volume.mask = true`"));
     }
     Ok(())
 }
@@ -136,7 +142,7 @@ fn check_choices(volume: &Volume, checker: &Checker) -> Result<(), SceneError> {
 fn check_bodies(scene: &Scene, checker: &Checker) -> Result<(), SceneError> {
     for (index, body) in scene.body.iter().enumerate() {
         if scene.body[..index].iter().any(|other| other.name == body.name) {
-            return Err(checker.invalid("body.name", format!("`{}` stands twice", body.name)));
+            return Err(checker.invalid("body.name", format!("has a duplicate: `{}`", body.name)));
         }
         check_shape(body, checker)?;
     }
@@ -160,15 +166,14 @@ fn check_tool(tool: &Tool, checker: &Checker) -> Result<(), SceneError> {
     let [a, b] = [&tool.direction, &tool.bend_toward];
     let cross = [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
     if length(&cross) < 1e-3 * length(a) * length(b) {
-        return Err(
-            checker.invalid("tool.bend_toward", "lies along `tool.direction`; expected another direction")
-        );
+        return Err(checker
+            .invalid("tool.bend_toward", "is parallel to `tool.direction`; expected another direction"));
     }
     Ok(())
 }
 
 fn check_tendons(scene: &Scene, checker: &Checker) -> Result<(), SceneError> {
-    // A tolerance lets the tendons determine the model.
+    // A tolerance leaves the model to be chosen to fit the tendons.
     let model = scene.manipulator.model;
     let flat = match model {
         None => !scene.tolerance.as_ref().is_some_and(|t| t.tip_mm.is_some() || t.path_mm.is_some()),
@@ -181,7 +186,7 @@ fn check_tendons(scene: &Scene, checker: &Checker) -> Result<(), SceneError> {
     let twist = twist.chain(tool.map(|it| ("manipulator.tool.tendon.twist_deg_per_mm", it.twist_deg_per_mm)));
     let twist = twist.map(|(key, twist)| (key, twist.unwrap_or(0.0)));
     if let Some((key, _)) = across.chain(twist).find(|(_, value)| flat && *value != 0.0) {
-        let problem = "bends out of the plane; expected `manipulator.model` to be spatial or full";
+        let problem = "bends the tool out of the plane; set `manipulator.model` to spatial or full";
         return Err(checker.invalid(key, problem));
     }
     Ok(())
@@ -195,7 +200,7 @@ fn check_drr(drr: &Drr, checker: &Checker) -> Result<(), SceneError> {
     drr.carm.as_ref().map_or(Ok(()), |carm| check_c_arm(carm, checker))
 }
 
-/// Requires exactly one of the two forms, complete. The values are checked where they become a C-arm.
+/// Requires exactly one of the two forms, complete. The values are checked when the C-arm is built.
 fn check_c_arm(carm: &CArm, checker: &Checker) -> Result<(), SceneError> {
     let camera = [carm.intrinsics.is_some(), carm.rotation.is_some(), carm.translation_mm.is_some()];
     let points = [
@@ -210,7 +215,8 @@ fn check_c_arm(carm: &CArm, checker: &Checker) -> Result<(), SceneError> {
     if as_camera || as_points {
         return Ok(());
     }
-    let problem = "is not one C-arm; expected either `intrinsics`, `rotation`, `translation_mm` (and `pixel_centre`), or \
+    let problem = "does not define one C-arm; expected either `intrinsics`, `rotation`, `translation_mm` \
+                   (and `pixel_centre`), or \
                    `source_mm`, `detector_centre_mm`, `row_axis`, `column_axis`";
     Err(checker.invalid("drr.carm", problem))
 }

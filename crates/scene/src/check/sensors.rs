@@ -1,4 +1,4 @@
-//! Checks the sensors of a scene, and which controllers use them.
+//! Checks the sensors of a scene and the controllers that use them.
 
 use super::Checker;
 use crate::declaration::Range;
@@ -9,7 +9,7 @@ use crate::{MAX_READINGS_UNDERWAY, Tracker};
 pub(super) fn check(scene: &Scene, checker: &Checker) -> Result<(), SceneError> {
     for (index, sensor) in scene.sensor.iter().enumerate() {
         if scene.sensor[..index].iter().any(|other| other.name == sensor.name) {
-            return Err(checker.invalid("sensor.name", format!("`{}` stands twice", sensor.name)));
+            return Err(checker.invalid("sensor.name", format!("has a duplicate: `{}`", sensor.name)));
         }
         check_kind(sensor, checker)?;
         checker.at_most("sensor.rate_hz", sensor.rate_hz, 1.0 / scene.dt_s())?;
@@ -36,13 +36,14 @@ fn check_kind(sensor: &Sensor, checker: &Checker) -> Result<(), SceneError> {
     Ok(())
 }
 
-/// Readings that are measured and have not arrived wait in the simulation's state.
+/// Bounds the readings in transit: those measured but not yet delivered, which the simulation's state holds.
 fn check_underway(sensor: &Sensor, checker: &Checker) -> Result<(), SceneError> {
     let longest_ms = MAX_READINGS_UNDERWAY as f64 / sensor.rate_hz * 1e3;
     if sensor.delay_ms + sensor.jitter_ms > longest_ms {
         let problem = format!(
-            "and `sensor.jitter_ms` are {} ms together, for which more than {MAX_READINGS_UNDERWAY} readings of sensor `{}` are underway; \
-             expected at most {longest_ms:.3} ms at {} Hz",
+            "and `sensor.jitter_ms` add up to {} ms, so that more than {MAX_READINGS_UNDERWAY} readings of \
+             sensor `{}` would be \
+             in transit; expected at most {longest_ms:.3} ms at {} Hz",
             sensor.delay_ms + sensor.jitter_ms,
             sensor.name,
             sensor.rate_hz
@@ -63,12 +64,12 @@ fn check_use(controller: &Controller, scene: &Scene, checker: &Checker) -> Resul
     }
     let fail = |problem: String| Err(checker.invalid("controller.sensors", problem));
     if controller.external || controller.command.is_some() {
-        return fail("is for a built-in controller; other programs read every sensor".to_owned());
+        return fail("applies only to a built-in controller; other programs read every sensor".to_owned());
     }
     for (index, name) in controller.sensors.iter().enumerate() {
         if !scene.sensor.iter().any(|sensor| sensor.name == *name) {
             let names: Vec<&str> = scene.sensor.iter().map(|sensor| sensor.name.as_str()).collect();
-            return fail(format!("names `{name}`, which is no `[[sensor]]`; expected some of {names:?}"));
+            return fail(format!("names `{name}`, which is not a `[[sensor]]`; expected some of {names:?}"));
         }
         if controller.sensors[..index].contains(name) {
             return fail(format!("names `{name}` twice"));
@@ -77,7 +78,8 @@ fn check_use(controller: &Controller, scene: &Scene, checker: &Checker) -> Resul
     let image = |plan: &crate::CurvedDrilling| plan.feedback == Feedback::Image;
     if controller.curved_drilling.as_ref().is_some_and(image) {
         return fail(
-            "is beside `feedback = \"image\"`, which measures by X-ray; expected `shape`".to_owned(),
+            "conflicts with `feedback = \"image\"`, which uses only X-ray frames; set `feedback = \"shape\"`"
+                .to_owned(),
         );
     }
     Ok(())

@@ -1,4 +1,4 @@
-//! Checks what relates the keys of a tool description to each other.
+//! Checks how the keys of a tool description relate to each other.
 
 use messages::MAX_JOINTS;
 
@@ -9,16 +9,16 @@ use crate::error::SceneError;
 use crate::model::{CutterShape, ManipulatorRung, Scene, ToolDescription, ToolFlexure, ToolTendon};
 use crate::tool::FlexurePlace;
 
-/// Flexures may touch; so much less is rounding, mm.
+/// Tolerated overlap of flexures, mm: they can touch, and this is rounding.
 const TOUCH_MM: f64 = 1e-6;
-/// Least distance between the last two corners of a cutter, mm: a shorter one is another shape.
+/// Least distance between the last two corners of a cutter, mm: a shorter one would be another shape.
 const SHORTEST_MM: f64 = 0.1;
-/// Most that a tendon winds about the tool from one flexure to the next, degrees: the model lets it run straight there.
+/// Largest twist of a tendon between neighbouring flexures, degrees: the model takes it as straight there.
 const MOST_TWIST_DEG: f64 = 45.0;
-/// Rest curvatures that differ by less than this share of the largest are one.
+/// Relative tolerance for rest curvatures to count as equal.
 const SAME_CURVATURE: f64 = 0.01;
 
-/// Checks a tool. `above` is the path of its keys: empty in a tool file.
+/// Checks a tool. `above` prefixes its keys: empty in a tool file.
 pub(crate) fn tool(tool: &ToolDescription, above: &str, checker: &Checker) -> Result<(), SceneError> {
     let check = Check { tool, above, checker };
     check.tube()?;
@@ -53,7 +53,7 @@ impl Check<'_> {
 
     fn tube(&self) -> Result<(), SceneError> {
         let tube = &self.tool.tube;
-        // A wall thinner than a hundredth of a millimetre is no tube.
+        // A wall must be at least a hundredth of a millimetre thick.
         self.range("tube.inner_diameter_mm", tube.inner_diameter_mm, 0.0, tube.outer_diameter_mm - 0.02)?;
         let cable_mm = tube.drive_cable_diameter_mm.unwrap_or(0.0);
         self.range("tube.drive_cable_diameter_mm", cable_mm, 0.0, tube.inner_diameter_mm)
@@ -67,10 +67,10 @@ impl Check<'_> {
             }
         }
         let number = self.tool.flexure.iter().map(|flexure| flexure.count).sum::<usize>();
-        self.range("flexure (their number)", number as f64, 1.0, MAX_JOINTS as f64)
+        self.range("flexure (count)", number as f64, 1.0, MAX_JOINTS as f64)
     }
 
-    /// From the flange on, and none into another.
+    /// Checks that the flexures lie in order from the flange and do not overlap.
     fn places(&self, places: &[FlexurePlace]) -> Result<(), SceneError> {
         for (index, pair) in places.windows(2).enumerate() {
             let half_mm = |place: usize| 0.5 * places[place].flexure.length_mm.unwrap_or(0.0);
@@ -78,7 +78,8 @@ impl Check<'_> {
             if pair[1].at_mm < lowest - TOUCH_MM {
                 let key = format!("flexure[{}].at_mm", pair[1].entry);
                 let problem = format!(
-                    "puts a flexure at {}, allowed is {lowest} or more: it would overlap the one before it",
+                    "puts a flexure at {}; allowed: {lowest} or more, so that it does not overlap the one \
+                     before",
                     pair[1].at_mm
                 );
                 return Err(self.invalid(&key, problem));
@@ -101,17 +102,17 @@ impl Check<'_> {
             return Ok(());
         }
         if self.tool.tube.youngs_modulus_gpa.is_none() {
-            let problem = "is missing; expected it, or `tube.youngs_modulus_gpa`, from which it follows";
+            let problem = "is missing; set it, or `tube.youngs_modulus_gpa`, from which it is computed";
             return Err(self.invalid(&format!("flexure[{entry}].stiffness_nm_per_deg"), problem));
         }
         if ToolDescription::length_mm(places, index).is_none() {
-            let problem = "is missing; the only flexure has no neighbours from which it follows";
+            let problem = "is missing; a single flexure has no neighbours to compute it from";
             return Err(self.invalid(&format!("flexure[{entry}].length_mm"), problem));
         }
         Ok(())
     }
 
-    /// The range in which the formulas for notches hold.
+    /// Checks the notch against the range in which the notch formulas hold.
     fn notch(&self, pitch_mm: Option<f64>, entry: usize, flexure: &ToolFlexure) -> Result<(), SceneError> {
         let (width_mm, past_mm) = match (flexure.notch_width_mm, flexure.notch_past_axis_mm) {
             (None, None) => return Ok(()),
@@ -122,13 +123,13 @@ impl Check<'_> {
             }
         };
         let Some(pitch_mm) = pitch_mm else {
-            let problem = "needs two flexures or more: a flexure is what two notches leave between them";
+            let problem = "needs two or more flexures: a flexure is the material between two notches";
             return Err(self.invalid(&format!("flexure[{entry}].notch_width_mm"), problem));
         };
         self.range(&format!("flexure[{entry}].notch_width_mm"), width_mm, 0.05, 0.95 * pitch_mm)?;
         let tube = &self.tool.tube;
         let middle_mm = 0.25 * (tube.outer_diameter_mm + tube.inner_diameter_mm);
-        // Behind the notch's end half a ring is left, as high as two pitches less the notch.
+        // The ring left behind the notch's end is as high as two pitches less the notch.
         let most_mm = middle_mm - 0.5 * (2.0 * pitch_mm - width_mm);
         self.range(&format!("flexure[{entry}].notch_past_axis_mm"), past_mm, 0.5 * width_mm, most_mm)
     }
@@ -140,22 +141,23 @@ impl Check<'_> {
         self.range("shaft.contact_from_mm", shaft.contact_from_mm.unwrap_or(0.0), 0.0, to_mm)
     }
 
-    /// The centre of the cutter's last ball is ahead of the tube's end, half a pitch behind which the last flexure sits.
+    /// The centre of the cutter's last ball lies ahead of the tube's end, which is half a pitch ahead of the
+    /// last flexure.
     fn burr(&self, places: &[FlexurePlace]) -> Result<(), SceneError> {
         self.shape()?;
         let length_mm = ToolDescription::length_mm(places, places.len() - 1);
         let end_mm = 0.5 * length_mm.unwrap_or(0.0) + self.tool.burr.span_mm();
         let offset_mm = self.tool.burr.offset_mm;
         if offset_mm < end_mm - TOUCH_MM {
-            let problem = format!(
-                "is {offset_mm}, allowed is {end_mm} to 500: the cutter would lie inside the tube, which ends there"
-            );
+            let problem =
+                format!("is {offset_mm}; allowed: {end_mm} to 500, so that the cutter lies outside the tube");
             return Err(self.invalid("burr.offset_mm", problem));
         }
         Ok(())
     }
 
-    /// A shaft bends over a length, runs in a lumen, and turns a cutter that has mass. What rubs can be overcome.
+    /// Checks the drive shaft: it needs a flexure length to bend over, a lumen, a cutter with mass, and a
+    /// motor stronger than its friction.
     fn drive_shaft(&self, places: &[FlexurePlace]) -> Result<(), SceneError> {
         let Some(shaft) = &self.tool.drive_shaft else { return Ok(()) };
         if self.tool.tube.inner_diameter_mm == 0.0 {
@@ -163,17 +165,18 @@ impl Check<'_> {
         }
         let has_length = (0..places.len()).all(|index| ToolDescription::length_mm(places, index).is_some());
         if shaft.bending_stiffness_nm2 > 0.0 && !has_length {
-            let problem = "is missing; the shaft's bending stiffness acts over this length";
+            let problem = "is missing; the drive shaft bends over this length";
             return Err(self.invalid("flexure[0].length_mm", problem));
         }
         if shaft.torsional_stiffness_nm2.is_some() && self.tool.burr.mass_g == 0.0 {
-            let problem = "is 0; expected more: the burr turns on a shaft that twists";
+            let problem = "is 0; expected more than 0, because the burr turns on an elastic shaft";
             return Err(self.invalid("burr.mass_g", problem));
         }
         match shaft.stall_torque_nmm {
             Some(stall_nmm) if shaft.friction_torque_nmm >= stall_nmm => {
                 let problem = format!(
-                    "is {}, expected less than `drive_shaft.stall_torque_nmm`, which is {stall_nmm}: the burr would never turn",
+                    "is {}, expected less than `drive_shaft.stall_torque_nmm` ({stall_nmm}): the burr would \
+                     never turn",
                     shaft.friction_torque_nmm
                 );
                 Err(self.invalid("drive_shaft.friction_torque_nmm", problem))
@@ -182,7 +185,8 @@ impl Check<'_> {
         }
     }
 
-    /// It covers a part that bends and not the burr, has a wall and room for the tube, and no tendon slides with the tube.
+    /// Checks the outer tube: it covers a flexible part but not the burr, has a wall and room for the tube,
+    /// and the tool has no tendons, which would slide with the tube.
     fn outer_tube(&self, places: &[FlexurePlace]) -> Result<(), SceneError> {
         let Some(outer) = &self.tool.outer_tube else { return Ok(()) };
         let burr_mm = places[places.len() - 1].at_mm + self.tool.burr.offset_mm;
@@ -192,44 +196,47 @@ impl Check<'_> {
         self.range("outer_tube.outer_diameter_mm", outer_mm, tube_mm + 0.02, 30.0)?;
         self.range("outer_tube.inner_diameter_mm", outer.inner_diameter_mm, tube_mm, outer_mm - 0.02)?;
         if !self.tool.tendon.is_empty() {
-            let problem = "stands beside `outer_tube`; expected one of the two: a tendon in a tube that slides is not modelled";
+            let problem =
+                "and `outer_tube` are mutually exclusive: tendons in a sliding tube are not modelled";
             return Err(self.invalid("tendon", problem));
         }
         Ok(())
     }
 
-    /// Which keys a shape has, and that they give a body whose balls stand apart.
+    /// Checks that the shape has exactly its own keys, and that they give a body of distinct balls.
     fn shape(&self) -> Result<(), SceneError> {
         let burr = &self.tool.burr;
         let (is_cone, is_bit) = (burr.shape() == CutterShape::Cone, burr.shape() == CutterShape::Bit);
         let is_long = burr.shape() != CutterShape::Ball;
         for (key, is_given, has, of) in [
-            ("burr.length_mm", burr.length_mm.is_some(), is_long, "every shape but a ball"),
+            ("burr.length_mm", burr.length_mm.is_some(), is_long, "shapes other than a ball"),
             ("burr.tip_diameter_mm", burr.tip_diameter_mm.is_some(), is_cone || is_bit, "a cone or a bit"),
             ("burr.point_deg", burr.point_deg.is_some(), is_bit, "a bit"),
         ] {
             match (is_given, has) {
                 (true, false) => {
-                    return Err(self.invalid(key, format!("is of {of}; `burr.shape` is another")));
+                    return Err(self.invalid(key, format!("applies only to {of}; `burr.shape` is different")));
                 }
                 (false, true) => {
-                    return Err(self.invalid(key, format!("is missing; expected it of {of}")));
+                    return Err(self.invalid(key, format!("is missing; required for {of}")));
                 }
                 _ => {}
             }
         }
         if burr.scallop_mm.is_some() && !is_long {
-            return Err(
-                self.invalid("burr.scallop_mm", "is of every shape but a ball; `burr.shape` is another")
-            );
+            return Err(self.invalid(
+                "burr.scallop_mm",
+                "applies only to shapes other than a ball; `burr.shape` is different",
+            ));
         }
         let (Some(length_mm), true) = (burr.length_mm, is_long) else { return Ok(()) };
         let tip_mm = burr.tip_diameter_mm.unwrap_or(burr.diameter_mm);
         if is_cone || is_bit {
-            // A step so small is a cylinder's.
+            // A smaller step would be a cylinder's.
             self.range("burr.tip_diameter_mm", tip_mm, 0.1, burr.diameter_mm - 0.05)?;
         }
-        // The corners before the last one keep their place: what is left is the last piece, and balls that lie in each other are no shape.
+        // The corners before the last one keep their place, so only the last piece can be too short; nested
+        // balls are no shape.
         let before_mm = 1e3 * burr.corners().iter().rev().nth(1).map_or(0.0, |corner| corner.behind_m);
         let ends_mm = 0.5 * (tip_mm + burr.diameter_mm);
         let cone_mm = if is_cone { 0.5 * (burr.diameter_mm - tip_mm) } else { 0.0 };
@@ -237,7 +244,8 @@ impl Check<'_> {
         let wanted = burr.balls_wanted();
         if wanted > MAX_CUTTER_BALLS {
             let problem = format!(
-                "is {}: that takes {wanted} balls, allowed are {MAX_CUTTER_BALLS}; expected a larger scallop or a shorter cutter",
+                "is {}, which takes {wanted} balls; allowed: {MAX_CUTTER_BALLS}. Use a larger scallop or a \
+                 shorter cutter",
                 burr.scallop_mm.unwrap_or(STANDARD_SCALLOP_MM)
             );
             return Err(self.invalid("burr.scallop_mm", problem));
@@ -262,12 +270,12 @@ impl Check<'_> {
     }
 }
 
-/// Checks that a scene's other keys go with the tool that it describes.
+/// Checks that a scene's other keys are compatible with the tool it describes.
 pub(crate) fn beside(scene: &Scene, checker: &Checker) -> Result<(), SceneError> {
     let manipulator = &scene.manipulator;
     let is_modal = manipulator.model == Some(ManipulatorRung::Modal);
     if manipulator.modes.is_some() && !is_modal {
-        let problem = "is of the model modal; expected `manipulator.model` to be modal, or no modes";
+        let problem = "applies only to the modal model; set `manipulator.model` to modal, or omit `modes`";
         return Err(checker.invalid("manipulator.modes", problem));
     }
     let Some(described) = &manipulator.tool else { return Ok(()) };
@@ -278,11 +286,12 @@ pub(crate) fn beside(scene: &Scene, checker: &Checker) -> Result<(), SceneError>
         ("tendon", !scene.tendon.is_empty()),
     ];
     if let Some((key, _)) = notches.iter().find(|(_, given)| *given) {
-        let problem = "is of the standard tool; a scene with another tool has it in its description";
+        let problem = "applies only to the standard tool; for another tool, set it in the tool's description";
         return Err(checker.invalid(key, problem));
     }
     if manipulator.burr_diameter_mm.is_some() && described.burr.shape() != CutterShape::Ball {
-        let problem = "is of a ball; the tool has another cutter, whose dimensions its description states";
+        let problem =
+            "applies only to a ball burr; the tool's cutter has its dimensions in the tool's description";
         return Err(checker.invalid("manipulator.burr_diameter_mm", problem));
     }
     if manipulator.model == Some(ManipulatorRung::ConstantCurvature) {
@@ -294,16 +303,17 @@ pub(crate) fn beside(scene: &Scene, checker: &Checker) -> Result<(), SceneError>
     Ok(())
 }
 
-/// What a few smooth moments cannot follow: they jump where a tendon or an outer tube ends.
+/// Refuses tools that the modal model cannot represent: their moments jump where a tendon or an outer tube
+/// ends.
 fn smooth_moments(tool: &ToolDescription, checker: &Checker) -> Result<(), SceneError> {
     bends_in_parts(tool).map_or(Ok(()), |why| {
         let problem =
-            format!("is modal, whose bending moments are smooth; {why}; expected planar, spatial or full");
+            format!("is modal, which needs smooth bending moments; {why}; expected planar, spatial or full");
         Err(checker.invalid("manipulator.model", problem))
     })
 }
 
-/// Why the tool does not bend all along, if it does not.
+/// Returns why the tool does not bend along its whole length, if so.
 fn bends_in_parts(tool: &ToolDescription) -> Option<String> {
     if tool.outer_tube.is_some() {
         return Some(format!("`{}` slides out of a tube that holds it straight", tool.name));
@@ -315,11 +325,10 @@ fn bends_in_parts(tool: &ToolDescription) -> Option<String> {
     Some(format!("tendon {} of `{}` bends only part of the tool", index + 1, tool.name))
 }
 
-/// The cheapest rung is one arc: its rest shape and its tendons bend it all along.
+/// Checks a tool for the cheapest model, a single arc: its rest shape and its tendons must bend it uniformly.
 fn one_arc(tool: &ToolDescription, checker: &Checker) -> Result<(), SceneError> {
     let refused = |why: String| {
-        let problem =
-            format!("is constant_curvature, which is one arc; {why}; expected planar, spatial or full");
+        let problem = format!("is constant_curvature, a single arc; {why}; expected planar, spatial or full");
         Err(checker.invalid("manipulator.model", problem))
     };
     if let Some(why) = bends_in_parts(tool) {

@@ -5,7 +5,8 @@ use serde::{Deserialize, Serialize};
 
 use super::{FARTHEST_MM, NAME, NAME_EXPECTED};
 
-/// A rigid body beside the tool. The burr does not cut it. Exactly one of `cuboid`, `ball` and `capsule` is its shape.
+/// A rigid body beside the tool. The burr does not cut it. Its shape is exactly one of `cuboid`, `ball` and
+/// `capsule`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Body {
@@ -31,7 +32,7 @@ pub struct Body {
     #[serde(default = "Body::default_density_kg_per_m3")]
     #[schemars(range(min = 10.0, max = 25_000.0))]
     pub density_kg_per_m3: f64,
-    /// Friction coefficient against other bodies; against the tool it is the tool's (`[contact]`).
+    /// Friction coefficient against other bodies; against the tool, the tool's applies (`[contact]`).
     #[serde(default = "Body::default_friction")]
     #[schemars(range(min = 0.0, max = 2.0))]
     pub friction: f64,
@@ -43,7 +44,7 @@ defaults!(Body { default_density_kg_per_m3: f64 = 1900.0, default_friction: f64 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum BodyMotion {
-    /// Stands still: a clamp.
+    /// Does not move: a clamp.
     Fixed,
     /// Moves by forces: a bone fragment.
     Free,

@@ -1,4 +1,4 @@
-//! `[contact]` and `[drilling]`: what tool and bone do to each other.
+//! `[contact]` and `[drilling]`: interaction of tool and bone.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -14,24 +14,25 @@ pub struct Contact {
     /// Stiffness of a contact.
     #[schemars(range(min = 1e3, max = 1e9))]
     pub stiffness_n_per_m: Option<f64>,
-    /// Compressive strength of cortical bone of 1.9 g/cm³, which bounds the pressure of the tool on bone.
+    /// Compressive strength of cortical bone of 1.9 g/cm³, which limits the pressure of the tool on bone.
     #[schemars(range(min = 0.1, max = 1e5))]
     pub strength_mpa: Option<f64>,
-    /// Exponent of the density in that strength.
+    /// Exponent of the density for that strength.
     #[schemars(range(min = 0.0, max = 4.0))]
     pub strength_exponent: Option<f64>,
-    /// What a voxel is to the tool: `planes` is the standard; `balls` is a published way, for experiments.
+    /// How a voxel is represented in contact: `planes` is the standard; `balls` is a published method, for
+    /// experiments.
     pub voxels: Option<ContactVoxels>,
 }
 
-/// What a voxel is to a sphere of the tool that touches it.
+/// How a voxel is represented to a sphere of the tool that touches it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum ContactVoxels {
-    /// A part of the bone's smoothed surface, a plane to the sphere.
+    /// As part of the bone's smoothed surface, locally a plane.
     #[default]
     Planes,
-    /// A ball in the voxel's middle.
+    /// As a ball in the voxel's centre.
     Balls,
 }
 
@@ -40,29 +41,33 @@ pub enum ContactVoxels {
 #[serde(deny_unknown_fields, default)]
 #[schemars(extend("x-absent" = "standard"))]
 pub struct Drilling {
-    /// Energy to remove a volume of cortical bone of 1.9 g/cm³.
+    /// Energy per volume to remove cortical bone of 1.9 g/cm³.
     #[schemars(range(min = 1e-4, max = 10.0))]
     pub specific_energy_j_per_mm3: Option<f64>,
-    /// Exponent of the density in that energy.
+    /// Exponent of the density for that energy.
     #[schemars(range(min = 0.0, max = 4.0))]
     pub density_exponent: Option<f64>,
-    /// Cutting force over normal force: tangential over normal. Measured torque over thrust gives 2 to 4 for twist drills.
+    /// Cutting force over normal force (tangential over normal). Measured torque over thrust gives 2 to 4 for
+    /// twist drills.
     #[schemars(range(min = 0.01, max = 5.0))]
     pub cutting_coefficient: Option<f64>,
-    /// Pressure of the burr's edges on cortical bone of 1.9 g/cm³ below which they plough and do not cut; 0 is the standard.
+    /// Pressure of the burr's edges on cortical bone of 1.9 g/cm³ below which they plough instead of cutting;
+    /// 0 is the standard.
     #[schemars(range(min = 0.0, max = 1e3))]
     pub edge_pressure_mpa: Option<f64>,
-    /// The same as a force for each millimetre of the hole's diameter, in place of `edge_pressure_mpa`: edges have a length, and a larger
-    /// burr ploughs with less pressure. 7 N/mm with an `edge_exponent` of 1.5 fits published thrusts best (docs/reproduction.md).
+    /// The same as a force per millimetre of the hole's diameter, in place of `edge_pressure_mpa`: edges have
+    /// a length, and a larger burr ploughs with less pressure. 7 N/mm with an `edge_exponent` of 1.5 fits
+    /// published thrusts best (docs/reproduction.md).
     #[schemars(range(min = 0.0, max = 1e3))]
     pub edge_force_n_per_mm: Option<f64>,
-    /// Exponent of the density in that pressure or force.
+    /// Exponent of the density for that pressure or force.
     #[schemars(range(min = 0.0, max = 4.0))]
     pub edge_exponent: Option<f64>,
-    /// Whether cutting also pushes the burr aside, with the cutting coefficient times a contact's force, across its normal and the burr's
-    /// axis. For tools that bend out of the plane (`spatial`, `full`); off by default.
+    /// Whether cutting also pushes the burr sideways: by the cutting coefficient times a contact's force,
+    /// perpendicular to its normal and to the burr's axis. For tools that bend out of the plane (`spatial`,
+    /// `full`); off by default.
     pub side_force: Option<bool>,
-    /// How voxels end: `energy` is the standard; the others are published rules, for experiments.
+    /// How voxels are removed: `energy` is the standard; the others are published rules, for experiments.
     pub removal: Option<Removal>,
 }
 
@@ -70,12 +75,12 @@ pub struct Drilling {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Removal {
-    /// By the energy that it takes to cut them.
+    /// By the energy needed to cut them.
     Energy,
-    /// All that the burr touches, at once.
+    /// All that the burr touches, immediately.
     Naive,
-    /// At most ten touched voxels a tick, in proportion to the burr's speed.
+    /// At most ten touched voxels per tick, in proportion to the burr's speed.
     Capped,
-    /// A strength in proportion to density, less a value in proportion to the burr's speed each tick.
+    /// By a strength proportional to density, reduced each tick in proportion to the burr's speed.
     Decrement,
 }

@@ -5,15 +5,15 @@ use serde::{Deserialize, Serialize};
 
 use super::FARTHEST_MM;
 
-/// How a frame's intensities are shown.
+/// How a frame's intensities are displayed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Display {
-    /// What the detector sees: bone and metal dark.
+    /// As the detector sees them: bone and metal dark.
     BoneDark,
     /// Inverted: bone and metal bright.
     BoneBright,
-    /// The detector's readout itself, no logarithm and no window: 65535 is a readout of 1.
+    /// The detector's readout itself, without logarithm and window: 65535 is a readout of 1.
     Linear,
 }
 
@@ -27,15 +27,17 @@ pub enum Projector {
     Joseph,
     /// Bilinear, slice by slice; the fastest of full resolution.
     SliceOrdered,
-    /// The same with cubes of voxels joined to one.
+    /// As `slice_ordered`, with cubes of voxels merged.
     Preview,
 }
 
-/// The C-arm, where positioner angles do not say it: either as a camera or as points; a key of neither is refused.
+/// The C-arm, if not given by positioner angles: either as a camera or as points; the two forms are mutually
+/// exclusive.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct CArm {
-    /// Camera: K in pixels, `[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]`; the detector is |fx| times `pixel_pitch_mm` away.
+    /// Camera: K in pixels, `[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]`; the detector is |fx| times
+    /// `pixel_pitch_mm` away.
     pub intrinsics: Option<[[f64; 3]; 3]>,
     /// Camera: R, rows are the camera's axes in the world, z towards the detector.
     pub rotation: Option<[[f64; 3]; 3]>,
@@ -53,17 +55,18 @@ pub struct CArm {
     pub column_axis: Option<[f64; 3]>,
 }
 
-/// Where pixel centres are counted.
+/// Pixel-centre convention.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum PixelCentre {
-    /// At whole numbers.
+    /// At integers.
     Whole,
-    /// At halves.
+    /// At half-integers.
     Half,
 }
 
-/// Many photon energies instead of one: tissue, bone, nitinol and steel each attenuate by NIST's coefficients.
+/// A spectrum of photon energies instead of a single one: tissue, bone, nitinol and steel each attenuate by
+/// NIST's coefficients.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Spectrum {
@@ -76,7 +79,7 @@ pub struct Spectrum {
     /// Effective photon energy of the CT.
     #[schemars(range(min = 30.0, max = 120.0))]
     pub ct_energy_kev: f64,
-    /// Voxels above this hold bone.
+    /// Voxels above this contain bone.
     #[schemars(range(min = 0.0, max = 1000.0))]
     pub bone_above_hu: f64,
 }
@@ -97,7 +100,7 @@ pub struct Detector {
     /// Dark signal.
     #[schemars(range(min = 0.0, max = 0.5))]
     pub offset: f64,
-    /// Largest readout; none without it.
+    /// Largest readout; absent: unlimited.
     #[schemars(range(min = 0.01, max = 100.0))]
     pub saturation: Option<f64>,
 }
@@ -108,12 +111,12 @@ impl Default for Detector {
     }
 }
 
-/// Notches of the manipulator's links, which the published tool does not state: one in the middle of each link, in turns on
-/// either side of the bending plane.
+/// Notches of the manipulator's links, which the published tool does not specify: one in the middle of each
+/// link, alternating between the two sides of the bending plane.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Notch {
-    /// Width along the tool; a shorter link has none.
+    /// Width along the tool; a shorter link has no notch.
     #[schemars(range(min = 0.01, max = 5.0))]
     pub width_mm: f64,
     /// Depth from the tube's surface.
@@ -121,7 +124,7 @@ pub struct Notch {
     pub depth_mm: f64,
 }
 
-/// An image of the labels of a frame.
+/// A label image of a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum LabelImage {
@@ -129,9 +132,9 @@ pub enum LabelImage {
     Anatomy,
     /// Attenuation of the metal.
     Metal,
-    /// Length in bone.
+    /// Path length in bone.
     BoneM,
-    /// Length in drilled voxels.
+    /// Path length in drilled voxels.
     TunnelM,
     /// Depth of the tool.
     ToolDepthM,
@@ -145,12 +148,13 @@ impl LabelImage {
         [Self::Anatomy, Self::Metal, Self::BoneM, Self::TunnelM, Self::ToolDepthM, Self::BoneDepthM];
 }
 
-/// What the labels of the frames are, which the log of a run makes bit for bit (`trabecula log export --dataset`): the mask, keypoints, camera
-/// and pose always, and these.
+/// Labels of the frames, which are derived bit for bit from the log of a run (`trabecula log export
+/// --dataset`): always the mask, keypoints, camera and pose, plus these.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct DrrLabels {
-    /// Voxels at or above this are bone in the labels; absent: `volume.bone_threshold_hu`, which decides what is drilled.
+    /// Voxels at or above this count as bone in the labels; absent: `volume.bone_threshold_hu`, which decides
+    /// what is drilled.
     #[schemars(range(min = -1000, max = 3000))]
     pub bone_from_hu: Option<i16>,
     /// Images in the files of `--dataset npz`.
@@ -167,13 +171,14 @@ impl Default for DrrLabels {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Drr {
-    /// Scheduled frames per simulated second; with 0, frames come only on request.
+    /// Scheduled frames per simulated second; with 0, frames only on request.
     #[schemars(range(min = 0.0, max = 200.0))]
     pub rate_hz: f64,
-    /// Point about which the C-arm turns, patient frame; absent beside `tool.plan`: the middle from start to target.
+    /// Point about which the C-arm rotates, patient frame; absent with `tool.plan`: the midpoint between
+    /// start and target.
     #[schemars(inner(range(min = -FARTHEST_MM, max = FARTHEST_MM)))]
     pub isocentre_mm: [f64; 3],
-    /// DICOM (0018,1510): 0 is detector in front of the chest, +90 at the patient's left.
+    /// DICOM (0018,1510): 0 has the detector in front of the chest, +90 at the patient's left.
     #[serde(default)]
     #[schemars(range(min = -180.0, max = 180.0))]
     pub primary_angle_deg: f64,
@@ -195,14 +200,14 @@ pub struct Drr {
     /// Pixel rows.
     #[schemars(range(min = 16, max = 4096))]
     pub rows: u32,
-    /// Distance of pixel centres on the detector.
+    /// Pixel pitch on the detector.
     #[schemars(range(min = 0.05, max = 5.0))]
     pub pixel_pitch_mm: f64,
     /// Photon energy.
     #[serde(default = "Drr::default_energy_kev")]
     #[schemars(range(min = 30.0, max = 120.0))]
     pub energy_kev: f64,
-    /// Photons per unattenuated pixel, at least 1; 0 is without noise.
+    /// Photons per unattenuated pixel, at least 1; 0: no noise.
     #[serde(default)]
     #[schemars(range(min = 0.0, max = 1e8))]
     pub photons_per_pixel: f64,
@@ -210,13 +215,14 @@ pub struct Drr {
     #[serde(default)]
     #[schemars(range(min = 0.0, max = 5.0))]
     pub blur_pixels: f64,
-    /// Bone and metal dark, as the detector sees them, or bright; or the readout without logarithm and window.
+    /// Bone and metal dark, as the detector sees them, or bright; or the readout without logarithm and
+    /// window.
     #[serde(default = "Drr::default_display")]
     pub display: Display,
     /// Gain, offset and saturation of the detector.
     #[serde(default)]
     pub detector: Detector,
-    /// Many photon energies; absent: `energy_kev` alone.
+    /// Spectrum of photon energies; absent: `energy_kev` alone.
     pub spectrum: Option<Spectrum>,
     /// The C-arm as a camera or as points; absent: by the angles and distances above.
     pub carm: Option<CArm>,
@@ -224,28 +230,28 @@ pub struct Drr {
     pub notch: Option<Notch>,
     /// Labels of the frames; absent: all, by the volume's threshold.
     pub labels: Option<DrrLabels>,
-    /// Line integral: `siddon` is exact for constant voxels and slow, `joseph` is bilinear, `slice_ordered` is bilinear in the
-    /// volume's own order and the quickest of full resolution, `preview` is that with voxels joined. `tolerance.drr_rel` chooses instead
-    /// of it.
+    /// Line integral: `siddon` is exact for constant voxels and slow, `joseph` is bilinear, `slice_ordered`
+    /// is bilinear in the volume's own order and the fastest at full resolution, `preview` is `slice_ordered`
+    /// with voxels merged. `tolerance.drr_rel` overrides it.
     #[serde(default = "Drr::default_projector")]
     pub projector: Projector,
-    /// Samples of `slice_ordered` for each voxel of the farthest slice; more are slower and closer to `joseph`. Below
-    /// 1, samples and voxels are equally far apart in the middle of the volume.
+    /// Samples of `slice_ordered` per voxel of the farthest slice; more are slower and closer to `joseph`.
+    /// Below 1, samples and voxels have equal spacing in the middle of the volume.
     #[serde(default = "Drr::default_oversampling")]
     #[schemars(range(min = 0.8, max = 4.0))]
     pub oversampling: f64,
-    /// Voxels along each axis that `preview` joins to one.
+    /// Voxels along each axis that `preview` merges into one.
     #[serde(default = "Drr::default_reduction")]
     #[schemars(range(min = 2, max = 8))]
     pub reduction: u32,
-    /// Threads that render.
+    /// Number of rendering threads.
     #[serde(default = "Drr::default_threads")]
     #[schemars(range(min = 1, max = 64))]
     pub threads: usize,
 }
 
 impl super::Scene {
-    /// Voxels at or above this are bone in the labels of its frames; `None` without a volume.
+    /// Voxels at or above this count as bone in the labels of its frames; `None` without a volume.
     pub fn labels_bone_from_hu(&self) -> Option<i16> {
         let own = self.drr.as_ref().and_then(|drr| drr.labels.as_ref()?.bone_from_hu);
         self.volume.as_ref().map(|volume| own.unwrap_or(volume.bone_threshold_hu))
@@ -253,7 +259,7 @@ impl super::Scene {
 }
 
 impl Drr {
-    /// What its labels are.
+    /// Its labels.
     pub fn labels(&self) -> DrrLabels {
         self.labels.clone().unwrap_or_default()
     }

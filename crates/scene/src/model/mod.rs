@@ -1,6 +1,6 @@
-//! What a scene file may say, a file per subject.
+//! Contents of a scene file, one module per subject.
 
-/// Writes the functions from which serde takes the defaults of a table's keys.
+/// Generates the functions that give serde the defaults of a table's keys.
 macro_rules! defaults {
     ($table:ident { $($name:ident: $type:ty = $value:expr),+ $(,)? }) => {
         impl $table {
@@ -45,14 +45,14 @@ use messages::{MAX_BODIES, MAX_CONTROLLERS, MAX_SENSORS, MAX_TENDONS};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Farthest coordinate of a point of a scene: 100 m.
+/// Largest coordinate of a point of a scene: 100 m.
 const FARTHEST_MM: f64 = 1e5;
 
-/// Names of controllers, sensors and bodies, as a regular expression, and in words.
+/// Names of controllers, sensors and bodies: regular expression and description.
 const NAME: &str = "^[A-Za-z0-9_]{1,64}$";
 const NAME_EXPECTED: &str = "1 to 64 letters, digits, `_`";
 
-/// A scene's name, which is also a folder's.
+/// A scene's name, which is also a folder name.
 const SCENE_NAME: &str = "^[A-Za-z0-9_-]{1,64}$";
 const SCENE_NAME_EXPECTED: &str = "1 to 64 letters, digits, `_`, `-`";
 
@@ -60,7 +60,7 @@ const SCENE_NAME_EXPECTED: &str = "1 to 64 letters, digits, `_`, `-`";
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Scene {
-    /// Name; names the output folder.
+    /// Name of the scene and of its output folder.
     #[schemars(regex(pattern = SCENE_NAME), extend("patternErrorMessage" = SCENE_NAME_EXPECTED))]
     pub name: String,
     /// What the scene shows.
@@ -68,28 +68,28 @@ pub struct Scene {
     pub description: String,
     /// How it runs.
     pub run: Run,
-    /// Errors that are allowed; absent: the standard settings. What the scene names itself stays.
+    /// Allowed errors; absent: the standard settings. Values that the scene sets itself are kept.
     pub tolerance: Option<Tolerance>,
     /// The bone; absent: free space.
     pub volume: Option<Volume>,
-    /// Holes that are there before the run.
+    /// Holes that exist before the run.
     #[serde(default)]
     pub predrill: Vec<Predrill>,
     /// Rigid bodies beside the tool; absent: none, and no rigid-body engine.
     #[serde(default)]
     #[schemars(length(max = MAX_BODIES))]
     pub body: Vec<Body>,
-    /// Gravity in the patient frame, on the tool and on free bodies. None by default: the tool's own weight of 7 g
-    /// bends it by micrometres, and a scene says which way the patient lies.
+    /// Gravity in the patient frame, on the tool and on free bodies. Zero by default: the tool's own weight
+    /// of 7 g bends it by micrometres, and its direction depends on how the patient lies.
     #[serde(default)]
     #[schemars(inner(range(min = -100.0, max = 100.0)))]
     pub gravity_m_per_s2: [f64; 3],
-    /// Where the tool starts.
+    /// Start pose of the tool.
     pub tool: Tool,
     /// The manipulator, where it differs from the standard one.
     #[serde(default)]
     pub manipulator: Manipulator,
-    /// The tendons, in the order of the commands; none: the antagonist pair, 2.5 mm to either side.
+    /// The tendons, in command order; none: the antagonistic pair, 2.5 mm to either side.
     #[serde(default)]
     #[schemars(length(max = MAX_TENDONS))]
     pub tendon: Vec<Tendon>,
@@ -104,15 +104,15 @@ pub struct Scene {
     pub arm: Arm,
     /// X-ray frames; absent: none.
     pub drr: Option<Drr>,
-    /// What measures the tool; absent: nothing, and controllers see the exact state only.
+    /// Sensors of the tool; absent: none, and controllers see only the exact state.
     #[serde(default)]
     #[schemars(length(max = MAX_SENSORS))]
     pub sensor: Vec<Sensor>,
-    /// Who drives the tool.
+    /// Controllers that drive the tool.
     #[serde(default)]
     #[schemars(length(max = MAX_CONTROLLERS))]
     pub controller: Vec<Controller>,
-    /// Where the simulated world differs from what the scene says; absent: nowhere.
+    /// Where the simulated world differs from the rest of the scene; absent: nowhere.
     pub truth: Option<Truth>,
     /// What is recorded.
     #[serde(default)]

@@ -1,4 +1,4 @@
-//! `[recording]`: what a run keeps.
+//! `[recording]`: what a run records.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -7,16 +7,18 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Recording {
-    /// Frames whole; only their geometry and hash, from which they can be rendered again; or nothing of them.
+    /// X-ray frames: complete; only their geometry and hash, from which they can be rendered again; or
+    /// nothing.
     pub images: Images,
-    /// Simulated time between two keyframes, from which a replay can begin; 0 for none.
+    /// Simulated time between two keyframes, from which a replay can start; 0: no keyframes.
     #[schemars(extend("anyOf" = [{"const": 0.0}, {"minimum": 0.01, "maximum": 3600.0}]))]
     pub keyframe_interval_s: f64,
-    /// With `images = "full"`, every how many frames the image is recorded; of the others the hash.
+    /// With `images = "full"`, records the image of every Nth frame; of the others the hash.
     #[schemars(range(min = 1, max = 1_000_000))]
     pub image_every: u64,
-    /// When the recorder is so late that its queues would overflow, in real time: the log has a gap, and the run says so and ends with
-    /// exit code 3; or the physics waits, and its ticks begin late. Lockstep always waits.
+    /// Real time: what happens when the recorder's queues would overflow. Either the log gets a gap, which
+    /// the run reports and for which it ends with exit code 3; or the physics waits, and its ticks are late.
+    /// Lockstep always waits.
     pub on_full: OnFull,
 }
 
@@ -29,7 +31,7 @@ impl Recording {
 
 impl Default for Recording {
     fn default() -> Self {
-        // A tick in its time is what real time is for: the gap costs the log, a wait costs whoever holds the tool.
+        // Real time is about ticks on schedule: a gap costs only the log, but a wait is felt at the tool.
         Recording { images: Images::Full, keyframe_interval_s: 2.0, image_every: 1, on_full: OnFull::Gap }
     }
 }
@@ -38,7 +40,7 @@ impl Default for Recording {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Images {
-    /// All, whole.
+    /// All, complete.
     Full,
     /// Only their geometry and hash: they can be rendered again.
     HashOnly,
@@ -46,11 +48,11 @@ pub enum Images {
     None,
 }
 
-/// What happens when the recorder is so late that its queues would overflow.
+/// What happens when the recorder's queues would overflow.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum OnFull {
-    /// The physics waits for it.
+    /// The physics waits.
     Wait,
     /// The log has a gap.
     Gap,

@@ -9,7 +9,8 @@ use crate::LONGEST_RUN_S;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Run {
-    /// Lockstep: as fast as the parts allow, every tick waits for every controller. Real time: by the wall clock.
+    /// Lockstep: as fast as possible, every tick waits for every controller. Real time: ticks follow the wall
+    /// clock.
     pub mode: Mode,
     /// Simulated time of the whole run.
     #[schemars(range(min = 0.001, max = LONGEST_RUN_S))]
@@ -22,17 +23,17 @@ pub struct Run {
     #[serde(default = "Run::default_hold_ticks")]
     #[schemars(range(min = 0, max = 100_000))]
     pub hold_ticks: u64,
-    /// Lockstep: wall-clock time that a controller may take for one tick.
+    /// Lockstep: wall-clock time that a controller can take for one tick.
     #[serde(default = "Run::default_controller_limit_ms")]
     #[schemars(range(min = 10.0, max = 600_000.0))]
     pub controller_limit_ms: f64,
-    /// Seed of everything random: the noise of frames.
+    /// Seed of all random numbers: the noise of frames.
     #[serde(default)]
     pub seed: u64,
     /// How the physics waits for its tick, and physics and controllers for each other: see docs/timing.md.
     #[serde(default)]
     pub wait: Wait,
-    /// Real time: how the scheduler treats physics and controllers, where the system permits it.
+    /// Real time: scheduling policy of physics and controllers, where the system permits it.
     #[serde(default)]
     pub policy: Policy,
 }
@@ -47,7 +48,7 @@ defaults!(Run {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Mode {
-    /// As fast as the parts allow; every tick waits for every controller.
+    /// As fast as possible; every tick waits for every controller.
     Lockstep,
     /// Ticks follow the wall clock; late commands are held.
     Realtime,
@@ -57,22 +58,22 @@ pub enum Mode {
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Wait {
-    /// Never sleeps, while there are more cores than parts that spin.
+    /// Busy-waits, while there are more cores than spinning processes.
     Spin,
-    /// Sleeps at once.
+    /// Sleeps immediately.
     Event,
-    /// Looks for a short while, as long as nobody else needs the core, and then sleeps.
+    /// Polls for a short while, as long as no other process needs the core, then sleeps.
     #[default]
     Hybrid,
 }
 
-/// How the system's scheduler treats the physics and the controllers in real time, where it is permitted.
+/// Scheduling policy of physics and controllers in real time, where it is permitted.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Policy {
-    /// As other programs, with more weight.
+    /// As other processes, with a higher weight.
     #[default]
     Other,
-    /// Before all other programs (`SCHED_FIFO`).
+    /// Ahead of all other processes (`SCHED_FIFO`).
     Fifo,
 }

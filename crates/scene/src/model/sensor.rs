@@ -1,34 +1,35 @@
-//! `[[sensor]]`: what measures the tool.
+//! `[[sensor]]`: sensors of the tool.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{FARTHEST_MM, NAME, NAME_EXPECTED};
 
-/// A sensor. Exactly one of `fbg`, `tracker`, `encoders`, `load_cell` and `force_torque` says what it measures. Controllers read its
-/// readings beside the exact state, at the tick at which they arrive.
+/// A sensor. Its kind is exactly one of `fbg`, `tracker`, `encoders`, `load_cell` and `force_torque`.
+/// Controllers get its readings beside the exact state, at the tick at which they arrive.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Sensor {
     /// Name.
     #[schemars(regex(pattern = NAME), extend("patternErrorMessage" = NAME_EXPECTED))]
     pub name: String,
-    /// Readings a second, at most one a tick.
+    /// Readings per second, at most one per tick.
     #[schemars(range(min = 0.1, max = 10_000.0))]
     pub rate_hz: f64,
-    /// Time from the state that is measured to the state with which the reading arrives.
+    /// Delay from the measured state to the state with which the reading arrives.
     #[serde(default)]
     #[schemars(range(min = 0.0, max = 10_000.0))]
     pub delay_ms: f64,
-    /// Further delay, drawn evenly between 0 and this for each reading; readings do not overtake each other.
+    /// Additional delay, uniform between 0 and this for each reading; readings do not overtake each other.
     #[serde(default)]
     #[schemars(range(min = 0.0, max = 10_000.0))]
     pub jitter_ms: f64,
-    /// Share of the readings that drop out: they arrive with `valid` 0 and without values.
+    /// Fraction of readings that drop out: they arrive with `valid` 0 and without values.
     #[serde(default)]
     #[schemars(range(min = 0.0, max = 1.0))]
     pub dropout: f64,
-    /// Seed of its noise, bias, drift, jitter and drop-outs, beside `run.seed` and its place in the scene.
+    /// Seed of its noise, bias, drift, jitter and drop-outs, combined with `run.seed` and its index in the
+    /// scene.
     #[serde(default)]
     #[schemars(range(min = 0, max = 9_007_199_254_740_991_u64))]
     pub seed: u64,
@@ -44,16 +45,17 @@ pub struct Sensor {
     pub force_torque: Option<ForceTorque>,
 }
 
-/// Fibre-Bragg gratings along the part of the tool that bends. By default three nodes, as in Ma et al. 2023 (arXiv 2303.03613), with noise
-/// and bias from which the tip's error is about that paper's mean error of shape, 0.22 mm (docs/sensors.md).
+/// Fibre-Bragg gratings along the flexible part of the tool. By default three nodes, as in Ma et al. 2023
+/// (arXiv 2303.03613), with noise and bias for which the tip error is about that paper's mean shape error,
+/// 0.22 mm (docs/sensors.md).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Fbg {
-    /// Number of nodes, evenly along the part that bends.
+    /// Number of nodes, evenly spaced along the flexible part.
     #[serde(default = "Fbg::default_nodes")]
     #[schemars(range(min = 1, max = 16))]
     pub nodes: u32,
-    /// Length of fibre over which a node averages, an assumption.
+    /// Length of fibre that a node averages over (assumed).
     #[serde(default = "Fbg::default_gauge_mm")]
     #[schemars(range(min = 0.1, max = 100.0))]
     pub gauge_mm: f64,
@@ -61,7 +63,7 @@ pub struct Fbg {
     #[serde(default = "Fbg::default_noise_per_m")]
     #[schemars(range(min = 0.0, max = 1000.0))]
     pub noise_per_m: f64,
-    /// Standard deviation of each curvature's constant error, drawn once a run.
+    /// Standard deviation of each curvature's constant error, drawn once per run.
     #[serde(default = "Fbg::default_bias_per_m")]
     #[schemars(range(min = 0.0, max = 1000.0))]
     pub bias_per_m: f64,
@@ -81,7 +83,8 @@ pub struct Tracker {
     /// What carries the marker.
     #[serde(default)]
     pub on: Tracked,
-    /// Standard deviation of the position along each axis; the default, an assumption, is of the order of electromagnetic trackers.
+    /// Standard deviation of the position along each axis; the default, an assumption, is typical of
+    /// electromagnetic trackers.
     #[serde(default = "Tracker::default_position_noise_mm")]
     #[schemars(range(min = 0.0, max = 100.0))]
     pub position_noise_mm: f64,
@@ -89,14 +92,16 @@ pub struct Tracker {
     #[serde(default = "Tracker::default_orientation_noise_deg")]
     #[schemars(range(min = 0.0, max = 30.0))]
     pub orientation_noise_deg: f64,
-    /// Where the camera of an optical tracker stands, patient frame; absent: electromagnetic, which needs no line of sight.
+    /// Position of the camera of an optical tracker, patient frame; absent: electromagnetic, which needs no
+    /// line of sight.
     #[schemars(inner(range(min = -FARTHEST_MM, max = FARTHEST_MM)))]
     pub camera_mm: Option<[f64; 3]>,
-    /// Direction in which the marker of an optical tracker faces, in the axes of what carries it; by default back along the tool.
+    /// Direction in which the marker of an optical tracker faces, in the axes of its carrier; by default back
+    /// along the tool.
     #[serde(default = "Tracker::default_marker_faces")]
     #[schemars(inner(range(min = -1000.0, max = 1000.0)))]
     pub marker_faces: [f64; 3],
-    /// Largest angle between that direction and the camera at which the camera still sees the marker, an assumption.
+    /// Largest angle between that direction and the camera at which the marker is still visible (assumed).
     #[serde(default = "Tracker::default_view_deg")]
     #[schemars(range(min = 1.0, max = 180.0))]
     pub view_deg: f64,
@@ -126,7 +131,7 @@ pub enum Tracked {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Encoders {
-    /// Step of a reading; 0: none. The default, an assumption, is a 17-bit encoder on the joint.
+    /// Quantization step; 0: none. The default, an assumption, is a 17-bit encoder on the joint.
     #[serde(default = "Encoders::default_resolution_deg")]
     #[schemars(range(min = 0.0, max = 10.0))]
     pub resolution_deg: f64,
@@ -145,15 +150,15 @@ defaults!(Encoders {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct LoadCell {
-    /// Standard deviation of each tension, an assumption.
+    /// Standard deviation of each tension (assumed).
     #[serde(default = "LoadCell::default_noise_n")]
     #[schemars(range(min = 0.0, max = 100.0))]
     pub noise_n: f64,
-    /// Standard deviation of each tension's constant error, drawn once a run.
+    /// Standard deviation of each tension's constant error, drawn once per run.
     #[serde(default)]
     #[schemars(range(min = 0.0, max = 100.0))]
     pub bias_n: f64,
-    /// Step of a reading; 0: none.
+    /// Quantization step; 0: none.
     #[serde(default)]
     #[schemars(range(min = 0.0, max = 100.0))]
     pub resolution_n: f64,
@@ -161,20 +166,21 @@ pub struct LoadCell {
 
 defaults!(LoadCell { default_noise_n: f64 = 0.05 });
 
-/// A six-axis force/torque sensor between flange and tool. It measures what the tool exerts on the flange, about the tool's base and in its
-/// axes.
+/// A six-axis force/torque sensor between flange and tool. It measures what the tool exerts on the flange,
+/// about the tool's base and in its axes.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ForceTorque {
-    /// Standard deviation of each force, an assumption.
+    /// Standard deviation of each force (assumed).
     #[serde(default = "ForceTorque::default_noise_n")]
     #[schemars(range(min = 0.0, max = 100.0))]
     pub noise_n: f64,
-    /// Standard deviation of each torque, an assumption.
+    /// Standard deviation of each torque (assumed).
     #[serde(default = "ForceTorque::default_noise_nm")]
     #[schemars(range(min = 0.0, max = 100.0))]
     pub noise_nm: f64,
-    /// Random walk of each force: its standard deviation after a second; it grows with the root of time.
+    /// Random walk of each force: its standard deviation after one second; it grows with the square root of
+    /// time.
     #[serde(default)]
     #[schemars(range(min = 0.0, max = 100.0))]
     pub drift_n: f64,
@@ -182,7 +188,7 @@ pub struct ForceTorque {
     #[serde(default)]
     #[schemars(range(min = 0.0, max = 100.0))]
     pub drift_nm: f64,
-    /// Corner frequency of a first-order low pass before the noise; absent: none.
+    /// Corner frequency of a first-order low-pass filter before the noise; absent: none.
     #[schemars(range(min = 0.01, max = 10_000.0))]
     pub low_pass_hz: Option<f64>,
 }

@@ -1,21 +1,22 @@
-//! `[tolerance]`: the errors that a scene allows.
+//! `[tolerance]`: errors that a scene allows.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Largest errors wanted. What computes is the quickest that keeps them by the errors measured in the project's charts, or, for
-/// another tool than the standard one, on first use; without a key it is what the scene says elsewhere.
+/// Largest allowed errors. The fastest settings that meet them are chosen, by the errors measured in the
+/// project's charts or, for a tool other than the standard one, measured on first use; an absent key leaves
+/// the scene's own settings.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Tolerance {
-    /// Of the burr's place at rest: the physics' rung, links, integrator and step follow.
+    /// Error of the burr's position at rest: determines the physics' model, links, integrator and time step.
     #[schemars(range(min = 1e-3, max = 100.0))]
     pub tip_mm: Option<f64>,
-    /// Of the burr's path, root mean square: likewise.
+    /// Error of the burr's path, root mean square: likewise.
     #[schemars(range(min = 1e-3, max = 100.0))]
     pub path_mm: Option<f64>,
-    /// Error of the X-ray's line integrals beside Siddon's exact sum over the voxels, relative, root mean square:
-    /// chooses `drr.projector` and `drr.oversampling`.
+    /// Error of the X-ray's line integrals against Siddon's exact sum over the voxels, relative, root mean
+    /// square: determines `drr.projector` and `drr.oversampling`.
     #[schemars(range(min = 1e-9, max = 1.0))]
     pub drr_rel: Option<f64>,
 }

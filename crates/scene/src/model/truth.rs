@@ -1,34 +1,35 @@
-//! `[truth]`: where the simulated world differs from what plan and controllers take it for.
+//! `[truth]`: where the simulated world differs from what the plan and the controllers assume.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{Contact, Drilling};
 
-/// Where the simulated world differs from what the rest of the scene says, to test how robust a controller is. Physics, X-ray and the
-/// error at the end go by it; the plan and the built-in controllers do not know it. Absent: the scene is true.
+/// Where the simulated world differs from the rest of the scene, to test the robustness of a controller.
+/// Physics, X-ray and the final error use it; the plan and the built-in controllers do not see it. Absent:
+/// the scene is true.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Truth {
-    /// Registration error: how far the bone lies from where the plan has it. The scene's holes stay with the tool, which drilled
-    /// them by the same registration; bodies stay, too.
+    /// Registration error: displacement of the bone from its position in the plan. The scene's holes stay
+    /// with the tool, which drilled them with the same registration; so do bodies.
     #[schemars(inner(range(min = -100.0, max = 100.0)))]
     pub registration_error_mm: [f64; 3],
-    /// How far it is turned there, about `tool.burr_start_mm`: axis times angle.
+    /// Rotation of the bone about `tool.burr_start_mm`: axis times angle.
     #[schemars(inner(range(min = -90.0, max = 90.0)))]
     pub registration_error_deg: [f64; 3],
-    /// Model error: the tool as it is.
+    /// Model error: the true tool.
     pub manipulator: TrueManipulator,
-    /// The same of contact: keys given here take the place of those of `[contact]`.
+    /// True contact: keys set here replace those of `[contact]`.
     pub contact: Contact,
-    /// The same of bone and burr: keys given here take the place of those of `[drilling]`.
+    /// True bone and burr: keys set here replace those of `[drilling]`.
     pub drilling: Drilling,
 }
 
-/// What of the tool may differ from `[manipulator]`. Keys given here take the place of those there.
+/// Properties of the true tool that differ from `[manipulator]`. Keys set here replace those there.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
-#[schemars(extend("x-absent" = "as believed"))]
+#[schemars(extend("x-absent" = "as assumed"))]
 pub struct TrueManipulator {
     /// As `manipulator.stiffness_scale`.
     #[schemars(range(min = 0.001, max = 1000.0))]

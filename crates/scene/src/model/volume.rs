@@ -13,19 +13,21 @@ use super::FARTHEST_MM;
 pub struct Volume {
     /// A synthetic volume; either this or `path`.
     pub phantom: Option<Phantom>,
-    /// A volume file or DICOM folder, from the scene file's folder; either this or `phantom`.
+    /// A volume file or DICOM folder, relative to the scene file's folder; either this or `phantom`.
     #[schemars(extend("x-kind" = "path"))]
     pub path: Option<PathBuf>,
     /// True if the file is a 0/1 mask of bone, to be filled with synthetic Hounsfield units.
     #[serde(default)]
     pub mask: bool,
-    /// Of a segmentation with several labels, the one that is bone: its value, or the name of a segment in a `.seg.nrrd` of 3D Slicer.
+    /// The bone's label in a segmentation with several labels: its value, or the name of a segment in a
+    /// `.seg.nrrd` from 3D Slicer.
     pub label: Option<Label>,
     /// SeriesInstanceUID of the series to read, if the DICOM folder holds several.
     pub series: Option<String>,
-    /// Slices that are unevenly spaced or stacked askew (a tilted gantry) are resampled to a rectangular grid; refused if absent.
+    /// Resamples unevenly spaced or sheared slices (tilted gantry) to a rectangular grid; if absent, they are
+    /// refused.
     pub resample: Option<Resample>,
-    /// A file's volume is resampled to cubic voxels of this size: thick slices make a rough tunnel wall.
+    /// Resamples a file's volume to cubic voxels of this size: thick slices give a rough tunnel wall.
     #[schemars(range(min = 0.05, max = 5.0))]
     pub resample_mm: Option<f64>,
     /// Voxel size of the phantom.
@@ -36,7 +38,7 @@ pub struct Volume {
     #[serde(default = "Volume::default_bone_threshold_hu")]
     #[schemars(range(min = -1000, max = 3000))]
     pub bone_threshold_hu: i16,
-    /// Density of the block's far half over that of the near one.
+    /// Density of the block's far half over that of the near half.
     #[serde(default = "Volume::default_block_density_ratio")]
     #[schemars(range(min = 0.1, max = 20.0))]
     pub block_density_ratio: f64,
@@ -62,9 +64,9 @@ pub enum Phantom {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(untagged, expecting = "expected an integer of -32768 to 32767, or a segment's name")]
 pub enum Label {
-    /// Its voxels' value.
+    /// Value of its voxels.
     Value(i16),
-    /// Its segment's name.
+    /// Name of its segment.
     Name(String),
 }
 
@@ -72,14 +74,14 @@ pub enum Label {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Resample {
-    /// To the rectangular grid of the smallest distance between two slices, linearly.
+    /// To a rectangular grid with the smallest distance between two slices, linearly.
     Rectify,
 }
 
 /// Largest diameter of a predrilled hole, mm.
 pub const WIDEST_HOLE_MM: f64 = 50.0;
 
-/// A round-ended hole that is there before the run.
+/// A round-ended hole that exists before the run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Predrill {

@@ -1,10 +1,10 @@
-//! What counts as the surface of a solid.
+//! Tests which meshes count as the surface of a solid.
 #![allow(clippy::unwrap_used, reason = "a test fails by it")]
 
 use scene::closed_mesh::{ClosedMesh, MeshFault};
 use scene::mesh::Triangle;
 
-/// A box between two corners, seen from outside or, turned, from inside.
+/// A box between two corners, facing outward or, if turned, inward.
 fn cuboid(low: [f32; 3], high: [f32; 3], is_turned: bool) -> Vec<Triangle> {
     let mut triangles = Vec::new();
     for axis in 0..3 {
@@ -36,15 +36,16 @@ fn shells_are_turned_outward_and_those_turned_against_what_is_around_are_cavitie
     for (shells, expected) in [
         (vec![cube(1.0, false)], 8.0),
         (vec![cube(1.0, true)], 8.0),
-        // Beside each other, whichever way each is turned.
+        // Side by side, in either orientation.
         (vec![cube(1.0, false), beside(true)], 9.0),
         (vec![beside(false), cube(1.0, true)], 9.0),
-        // A cavity of half the size, in a file that is turned as a whole or not, and with something in the cavity.
+        // A cavity of half the size, in a file with either orientation, optionally with a solid inside the
+        // cavity.
         (vec![cube(0.5, true), cube(1.0, false)], 7.0),
         (vec![cube(1.0, true), cube(0.5, false)], 7.0),
         (vec![cube(1.0, false), cube(0.5, true), cube(0.25, false)], 7.125),
         (vec![cube(1.0, true), cube(0.5, false), cube(0.25, true)], 7.125),
-        // Turned alike, it is a second solid in the same place.
+        // With the same orientation, it is a second solid in the same place.
         (vec![cube(1.0, false), cube(0.5, false)], 9.0),
     ] {
         let found = volume(&shells);
@@ -72,7 +73,7 @@ fn holes_turned_neighbours_and_sheets_are_refused_with_their_place() {
         turned[gone].swap(0, 1);
         assert!(matches!(fault(&turned), MeshFault::Open { edges: 3, .. }), "{gone}");
     }
-    // A corner that is a little elsewhere in one triangle.
+    // A corner that is slightly displaced in one triangle.
     let mut torn = cube.clone();
     torn[0][0][0] += 1e-6;
     assert!(fault(&torn).to_string().contains("is not closed: 4 edges"), "{}", fault(&torn));
@@ -82,7 +83,7 @@ fn holes_turned_neighbours_and_sheets_are_refused_with_their_place() {
         (fault(&sheet), fault(&[[[0.0; 3]; 3]]), fault(&[])),
         (MeshFault::Flat, MeshFault::Flat, MeshFault::Flat)
     );
-    // No area, no harm; -0 is 0.
+    // A triangle without area is harmless; -0 equals 0.
     let mut more = cube.clone();
     more.push([[0.0; 3], [0.0; 3], [1.0; 3]]);
     more.iter_mut().take(5).flatten().flatten().filter(|x| **x == 0.0).for_each(|x| *x = -0.0);

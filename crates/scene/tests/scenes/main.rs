@@ -1,4 +1,4 @@
-//! Scenes, plans, meshes and URDF, in one program: it is linked once, and its tests share both cores.
+//! Tests of scenes, plans, meshes and URDF in one program, which is linked once and shares both cores.
 
 mod closed_meshes;
 mod meshes;

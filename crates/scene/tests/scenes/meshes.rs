@@ -1,4 +1,4 @@
-//! Meshes of an arm: the files, and where a URDF file names them.
+//! Tests of arm meshes: the files, and their references in URDF files.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by it")]
 
 use std::io::{Error, ErrorKind};
@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use scene::mesh::{MeshError, MeshFormat, Triangle, triangles};
 use scene::{ArmMesh, Scene};
 
-/// A binary STL whose head announces `count` triangles.
+/// A binary STL whose header declares `count` triangles.
 fn binary(head: &[u8], count: u32, corners: &[Triangle]) -> Vec<u8> {
     let mut bytes = head.to_vec();
     bytes.resize(80, b' ');
@@ -21,14 +21,15 @@ fn binary(head: &[u8], count: u32, corners: &[Triangle]) -> Vec<u8> {
 }
 
 const TRIANGLE: Triangle = [[0.0, 0.0, 0.5], [1.0, 0.0, 0.5], [0.0, 2.0, 0.5]];
-const FACET: &str = "facet normal 0 0 1\n outer loop\n  vertex 0 0 0.5\n  vertex 1e0 0 .5\n  vertex 0 2 5e-1\n endloop\nendfacet\n";
+const FACET: &str = "facet normal 0 0 1\n outer loop\n  vertex 0 0 0.5\n  vertex 1e0 0 .5\n  vertex 0 2 \
+                     5e-1\n endloop\nendfacet\n";
 
 #[test]
 fn the_same_triangle_comes_out_of_every_kind_of_file() {
     let text = |first: &str| format!("{first}\n{FACET}endsolid a\n").into_bytes();
     for (content, format) in [
         (binary(b"made by hand", 1, &[TRIANGLE]), MeshFormat::Stl),
-        // As some programs write: it begins as a text does.
+        // As some programs write: the header begins like ASCII STL.
         (binary(b"solid made by hand\n", 1, &[TRIANGLE]), MeshFormat::Stl),
         (text("solid a"), MeshFormat::Stl),
         (text("solid"), MeshFormat::Stl),
@@ -66,7 +67,7 @@ fn hostile_files_are_refused_with_what_is_wrong() {
     let stl = |content: &[u8]| refused(content, MeshFormat::Stl);
     let obj = |content: &str| refused(content.as_bytes(), MeshFormat::Obj);
     assert_eq!(stl(&[]), MeshError::NotStl { bytes: 0, count: None });
-    // Cut, longer than it says, and a count of 4 thousand million.
+    // Truncated, longer than declared, and a count of 4 billion.
     let whole = binary(b"", 2, &[TRIANGLE; 2]);
     for (content, count) in [
         (&whole[..whole.len() - 1], 2),
@@ -75,7 +76,7 @@ fn hostile_files_are_refused_with_what_is_wrong() {
     ] {
         let error = stl(content);
         assert_eq!(error, MeshError::NotStl { bytes: content.len(), count: Some(count) });
-        assert!(error.to_string().contains(&format!("announces {count}")), "{error}");
+        assert!(error.to_string().contains(&format!("declares {count}")), "{error}");
     }
     assert_eq!(stl(&binary(b"", 3, &[TRIANGLE; 3])), MeshError::TooMany { most: 2 });
     assert_eq!(
@@ -99,7 +100,7 @@ fn hostile_files_are_refused_with_what_is_wrong() {
     let corners = "v 0 0 0\nv 1 0 0\nv 0 1 0\n";
     assert_eq!(obj(""), MeshError::Empty);
     assert_eq!(obj(corners), MeshError::Empty);
-    // A face that the end of a cut file lacks corners of was passed over; triangles that show nothing were taken.
+    // Regressions: faces truncated at the end of a file were skipped; triangles without area were accepted.
     for (face, corners_left) in [("f 1 2", 2), ("f 1/1/1 # 2 3", 1), ("f", 0)] {
         let short = MeshError::ShortFace { line: 5, corners: corners_left };
         assert_eq!(obj(&format!("{corners}f 1 2 3\n{face}")), short);
@@ -127,13 +128,14 @@ bend_toward = [0.0, 0.0, 1.0]
 initial_joints_deg = [0.0, 10.0, 20.0, 30.0, 40.0, 50.0]
 ";
 
-/// Six joints; each link, from the base on, is drawn as the next of `looks` says.
+/// Six joints; the links, from the base, are drawn as given by `looks`.
 fn urdf(looks: &[&str]) -> String {
     let link = |i: usize| format!("<link name=\"l{i}\">{}</link>", looks.get(i).unwrap_or(&""));
     let joint = |i: usize| {
         let above = i - 1;
         format!(
-            "<joint name=\"j{i}\" type=\"revolute\"><parent link=\"l{above}\"/><child link=\"l{i}\"/><origin xyz=\"0 0.1 0.{i}\"/>\
+            "<joint name=\"j{i}\" type=\"revolute\"><parent link=\"l{above}\"/><child link=\"l{i}\"/><origin \
+             xyz=\"0 0.1 0.{i}\"/>\
              <axis xyz=\"0 {i} 1\"/><limit lower=\"-1.5\" upper=\"2.5\" velocity=\"3.0\"/></joint>"
         )
     };
@@ -148,18 +150,19 @@ fn mesh(kind: &str, file: &str, more: &str) -> String {
     format!("<{kind}>{more}<geometry><mesh filename=\"{file}\"/></geometry></{kind}>")
 }
 
-/// The meshes of a scene in `/scenes` whose arm is `/scenes/ws/ur/urdf/ur.urdf`; these files are there besides.
+/// The meshes of a scene in `/scenes` whose arm is `/scenes/ws/ur/urdf/ur.urdf`; `there` lists the other
+/// files that exist.
 fn meshes(keys: &str, urdf: &str, there: &[&str]) -> Result<Vec<ArmMesh>, String> {
     let read = |path: &Path| match path.to_str().unwrap() {
         "/scenes/ws/ur/urdf/ur.urdf" => Ok(urdf.to_owned()),
-        // As reading a binary file as a text ends.
+        // The error of reading a binary file as text.
         name if there.contains(&name) => Err(Error::from(ErrorKind::InvalidData)),
         _ => Err(Error::from(ErrorKind::NotFound)),
     };
     let text = format!("{SCENE}urdf = \"ws/ur/urdf/ur.urdf\"\n{keys}");
     let scene =
         Scene::parse_with(&text, Path::new("/scenes/a.toml"), &read).map_err(|error| error.to_string())?;
-    // As in a log: the text of the scene itself, read without any file.
+    // As in a log: the text of the scene itself, without any file.
     let kept = Scene::parse(&toml::to_string(&scene).unwrap(), Path::new("/elsewhere/a.toml")).unwrap();
     assert_eq!(kept.arm, scene.arm);
     Ok(scene.arm.mesh.unwrap_or_default())
@@ -183,7 +186,7 @@ fn a_package_is_looked_for_in_the_folders_above_and_a_path_beside_the_file() {
         &mesh("visual", "b.obj", ""),
         &mesh("visual", "file:///far/c.stl", ""),
         &mesh("visual", "../meshes/a.stl", "").replace("/></geo", " scale=\"0.001 0.001 -0.001\"/></geo"),
-        // What can be drawn counts, `visual` before `collision`.
+        // Whatever can be drawn counts, `visual` before `collision`.
         &[mesh("visual", "package://ur/meshes/a.dae", ""), mesh("collision", "b.obj", "")].concat(),
         &[mesh("collision", "nowhere.stl", ""), mesh("visual", "b.obj", "")].concat(),
         "<visual><geometry><box size=\"1 1 1\"/></geometry></visual>",
@@ -216,19 +219,18 @@ fn what_is_missing_or_malformed_is_named_with_link_mesh_and_what_was_expected() 
     said(
         "",
         &mesh("visual", "b.stl", ""),
-        &["the mesh b.stl, which is not there; expected /scenes/ws/ur/urdf/b.stl", "`arm.meshes = false`"],
+        &["the mesh b.stl, which was not found; expected /scenes/ws/ur/urdf/b.stl", "`arm.meshes = false`"],
     );
     said(
         "",
         &mesh("visual", "package://ur/a.stl", ""),
-        &[
-            "package://ur/a.stl, which is not there; expected ur/a.stl in /scenes/ws/ur/urdf or in a folder above it",
-        ],
+        &["package://ur/a.stl, which was not found; expected ur/a.stl in /scenes/ws/ur/urdf or in a folder \
+             above it"],
     );
     said(
         "",
         &mesh("visual", "https://a/b.stl", ""),
-        &["of the kind `https`, expected `package://`, `file://` or a path"],
+        &["with the unsupported scheme `https`, expected `package://`, `file://` or a path"],
     );
     said(
         "",
@@ -245,30 +247,35 @@ fn what_is_missing_or_malformed_is_named_with_link_mesh_and_what_was_expected() 
         &mesh("visual", "a.stl", "").replace("/></geo", " scale=\"1 1 1e9\"/></geo"),
         &["`mesh scale` = 1e9"],
     );
-    // A file without its meshes is an arm of tubes, if that is said.
+    // Without its meshes the arm is drawn as tubes, if the scene says so.
     let absent = urdf(&["", &mesh("visual", "b.stl", "")]);
     assert_eq!(meshes("meshes = false\n", &absent, &[]), Ok(Vec::new()));
     let many = urdf(&[&mesh("visual", "a.stl", "").repeat(257)]);
     let error = meshes("", &many, &["/scenes/ws/ur/urdf/a.stl"]).unwrap_err();
-    assert!(error.contains("`arm.mesh (their number)` is 257, allowed is 0 to 256"), "{error}");
+    assert!(error.contains("`arm.mesh (count)` is 257; allowed: 0 to 256"), "{error}");
     let flat = urdf(&[&mesh("visual", "a.stl", "").replace("/></geo", " scale=\"1 0 1\"/></geo")]);
     let error = meshes("", &flat, &["/scenes/ws/ur/urdf/a.stl"]).unwrap_err();
     assert!(error.contains("`arm.mesh.scale` is [1.0, 0.0, 1.0]"), "{error}");
     for (keys, words) in [
-        ("meshes = true\n", ["`arm.meshes`", "expected `arm.urdf` beside it"]),
-        ("[[arm.mesh]]\nfile = \"a.stl\"\n", ["`arm.mesh`", "stands without `arm.joint`"]),
+        ("meshes = true\n", ["`arm.meshes`", "`arm.urdf` is not set"]),
+        ("[[arm.mesh]]\nfile = \"a.stl\"\n", ["`arm.mesh`", "needs `arm.joint`"]),
     ] {
         let error = Scene::parse(&format!("{SCENE}{keys}"), Path::new("a.toml")).unwrap_err().to_string();
         assert!(words.iter().all(|word| error.contains(word)), "{words:?} in: {error}");
     }
     let error = meshes("[[arm.mesh]]\nfile = \"a.stl\"\n", &absent, &[]).unwrap_err();
-    assert!(error.contains("`arm.mesh` stands beside `arm.urdf`"), "{error}");
+    assert!(error.contains("`arm.mesh` and `arm.urdf` are mutually exclusive"), "{error}");
 }
 
 #[test]
 fn a_mesh_written_by_hand_is_relative_to_the_scene_and_moves_with_a_joint_that_is_there() {
     let joints: String = (1..=6)
-        .map(|i| format!("[[arm.joint]]\nname = \"j{i}\"\naxis = [0.0, {i}.0, 1.0]\nlower_deg = -90.0\nupper_deg = 90.0\nmax_speed_deg_per_s = 10.0\n"))
+        .map(|i| {
+            format!(
+                "[[arm.joint]]\nname = \"j{i}\"\naxis = [0.0, {i}.0, 1.0]\nlower_deg = \
+                          -90.0\nupper_deg = 90.0\nmax_speed_deg_per_s = 10.0\n"
+            )
+        })
         .collect();
     let parse = |joint: &str| {
         let text = format!("{SCENE}{joints}[[arm.mesh]]\njoint = \"{joint}\"\nfile = \"a.stl\"\n");

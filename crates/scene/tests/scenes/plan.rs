@@ -1,4 +1,4 @@
-//! Scenes whose points stand in a plan.
+//! Tests of scenes whose points come from a plan.
 #![allow(clippy::unwrap_used, reason = "a test fails by it")]
 
 use std::path::Path;
@@ -69,7 +69,8 @@ fn what_is_not_a_place_of_the_plan_may_stand_beside_it() {
     let text = SCENE
         .replace("rate_hz = 1.0", "rate_hz = 1.0\nisocentre_mm = [1.0, 2.0, 3.0]")
         .replace("tension_n", "insertion_mm = 9.0\nramp_end_mm = 8.0\ntension_n")
-        + "[manipulator]\nburr_diameter_mm = 8\n[[predrill]]\nfrom_mm = [0.0, 0.0, 0.0]\nto_mm = [0.0, 0.0, 9.0]\ndiameter_mm = 3.0\n";
+        + "[manipulator]\nburr_diameter_mm = 8\n[[predrill]]\nfrom_mm = [0.0, 0.0, 0.0]\nto_mm = [0.0, 0.0, \
+           9.0]\ndiameter_mm = 3.0\n";
     let scene = parse(&text).unwrap();
     assert_eq!(scene.drr.unwrap().isocentre_mm, [1.0, 2.0, 3.0]);
     let drilling = scene.controller[0].curved_drilling.as_ref().unwrap();
@@ -78,7 +79,7 @@ fn what_is_not_a_place_of_the_plan_may_stand_beside_it() {
     assert_eq!(diameters, [3.0, 8.5]);
 }
 
-/// Two places for one point are two points as soon as one of them is moved.
+/// A point must not be given twice: the two would differ once one is moved.
 #[test]
 fn a_point_of_the_plan_that_also_stands_in_the_scene_is_refused() {
     for (key, line) in [
@@ -91,9 +92,7 @@ fn a_point_of_the_plan_that_also_stands_in_the_scene_is_refused() {
         let said = parse(&SCENE.replace(head, line)).unwrap_err().to_string();
         assert_eq!(
             said,
-            format!(
-                "/scenes/a.toml: `{key}` stands beside `tool.plan`, from which it follows; expected one of the two"
-            )
+            format!("/scenes/a.toml: `{key}` follows from `tool.plan`; set only one of the two")
         );
     }
 }
@@ -105,7 +104,7 @@ fn errors_name_the_plan_or_the_line_of_the_scene() {
         ("rate_hz = 1.0", "rate = 1.0", "/scenes/a.toml, line 10: `drr.rate`: unknown field"),
         ("rate_hz = 1.0", "rate_hz = 900.0", "/scenes/a.toml: `drr.rate_hz` is 900"),
         ("tension_n = 3.0", "", "needs either `tension_n` or `calibration`"),
-        ("\"plans/hip.mrk.json\"", "3", "/scenes/a.toml: `tool.plan` is 3, expected a path as text"),
+        ("\"plans/hip.mrk.json\"", "3", "/scenes/a.toml: `tool.plan` is 3, expected a path as a string"),
         ("[tool]", "[tool", "/scenes/a.toml, line 7: "),
     ] {
         let error = parse(&SCENE.replacen(from, to, 1)).unwrap_err().to_string();
@@ -113,7 +112,8 @@ fn errors_name_the_plan_or_the_line_of_the_scene() {
     }
     let read = |_: &Path| Ok(PLAN.replace("target", "goal"));
     let error = Scene::parse_with(SCENE, Path::new("/scenes/a.toml"), &read).unwrap_err().to_string();
-    let said = "/scenes/a.toml: `tool.plan` /scenes/plans/hip.mrk.json: has a control point named `entry` and none named `target`";
+    let said = "/scenes/a.toml: `tool.plan` /scenes/plans/hip.mrk.json: has a control point named `entry` \
+                but none named `target`";
     assert!(error.starts_with(said), "{error}");
     let error = Scene::parse(SCENE, Path::new("/scenes/a.toml")).unwrap_err().to_string();
     assert!(error.contains("`tool.plan` /scenes/plans/hip.mrk.json: cannot be read"), "{error}");

@@ -1,4 +1,4 @@
-//! Refusals beyond the range of one number: an end that another key sets is said as it holds in this scene; values of one of two forms.
+//! Tests of refusals beyond fixed ranges: limits set by other keys, and values with alternative forms.
 #![allow(clippy::unwrap_used, reason = "a test fails by it")]
 
 use std::path::Path;
@@ -16,7 +16,8 @@ direction = [0.0, 0.0, 1.0]
 bend_toward = [1.0, 0.0, 0.0]
 "#;
 
-const DRR: &str = "[volume]\nphantom = \"block\"\n[drr]\nrate_hz = 0\nisocentre_mm = [0, 0, 0]\ncolumns = 16\nrows = 16\npixel_pitch_mm = 1\n";
+const DRR: &str = "[volume]\nphantom = \"block\"\n[drr]\nrate_hz = 0\nisocentre_mm = [0, 0, 0]\ncolumns = \
+                   16\nrows = 16\npixel_pitch_mm = 1\n";
 
 fn parsed(more: &str) -> Result<Scene, String> {
     Scene::parse(&format!("{LEAST}{more}"), Path::new("a.toml")).map_err(|error| error.to_string())
@@ -40,34 +41,34 @@ fn a_range_that_another_key_narrows_is_said_as_it_holds_in_this_scene() {
         (
             sweep("most_n = 5, step_n = 5"),
             sweep("most_n = 5, step_n = 6"),
-            "controller.tension_sweep.step_n` is 6, allowed is 0.01 to 5",
+            "controller.tension_sweep.step_n` is 6; allowed: 0.01 to 5",
         ),
         (
             sweep("most_mm = 1, step_mm = 0.5"),
             sweep("most_mm = 1, step_mm = 1.5"),
-            "controller.tension_sweep.step_mm` is 1.5, allowed is 0.001 to 1",
+            "controller.tension_sweep.step_mm` is 1.5; allowed: 0.001 to 1",
         ),
         (
             drilling("ramp_start_mm = 5, ramp_end_mm = 5"),
             drilling("ramp_start_mm = 5, ramp_end_mm = 4"),
-            "controller.curved_drilling.ramp_end_mm` is 4, allowed is 5 to 200",
+            "controller.curved_drilling.ramp_end_mm` is 4; allowed: 5 to 200",
         ),
-        (upper("90"), upper("-359.9999"), "arm.upper_joints_deg` is -359.9999, allowed is -359.999 to 360"),
-        (start("-90"), start("181"), "arm.initial_joints_deg` is 181, allowed is -180 to 180"),
+        (upper("90"), upper("-359.9999"), "arm.upper_joints_deg` is -359.9999; allowed: -359.999 to 360"),
+        (start("-90"), start("181"), "arm.initial_joints_deg` is 181; allowed: -180 to 180"),
         (
             format!("{DRR}source_isocentre_mm = 900\nsource_detector_mm = 900\n"),
             format!("{DRR}source_isocentre_mm = 900\nsource_detector_mm = 800\n"),
-            "drr.source_detector_mm` is 800, allowed is 900 to 3000",
+            "drr.source_detector_mm` is 800; allowed: 900 to 3000",
         ),
         (
             format!("{DRR}photons_per_pixel = 1\n"),
             format!("{DRR}photons_per_pixel = 0.5\n"),
-            "drr.photons_per_pixel` is 0.5, allowed is 1 to 100000000",
+            "drr.photons_per_pixel` is 0.5; allowed: 1 to 100000000",
         ),
         (
             format!("{DRR}labels = {{ bone_from_hu = 3000 }}\n"),
             format!("{DRR}labels = {{ bone_from_hu = 3001 }}\n"),
-            "drr.labels.bone_from_hu` is 3001, allowed is -1000 to 3000",
+            "drr.labels.bone_from_hu` is 3001; allowed: -1000 to 3000",
         ),
     ];
     for (allowed, refused, words) in cases {
@@ -76,14 +77,15 @@ fn a_range_that_another_key_narrows_is_said_as_it_holds_in_this_scene() {
     }
 }
 
-/// What the numbers mean together comes after each has been found in its range, so that the nearer cause is named.
+/// Each value is checked against its own range before relations are checked, so that the closer cause is
+/// named.
 #[test]
 fn a_value_out_of_its_own_range_is_named_before_what_it_is_in_relation_to() {
     let said = parsed(&sweep("most_n = 500, step_n = 600")).unwrap_err();
-    assert_eq!(said, "a.toml: `controller.tension_sweep.most_n` is 500, allowed is 0.1 to 60");
+    assert_eq!(said, "a.toml: `controller.tension_sweep.most_n` is 500; allowed: 0.1 to 60");
 }
 
-/// It was said that "data did not match any variant of untagged enum Label".
+/// Regression: the message was "data did not match any variant of untagged enum Label".
 #[test]
 fn a_label_of_another_form_is_refused_with_the_two_that_it_may_have() {
     let mask = |label: &str| format!("[volume]\npath = \"a.nrrd\"\nmask = true\nlabel = {label}\n");
@@ -96,12 +98,15 @@ fn a_label_of_another_form_is_refused_with_the_two_that_it_may_have() {
     }
 }
 
-/// Only a tool with an outer tube has a tube to drive, and only as far and as fast as its drive goes.
+/// Only a tool with an outer tube has a tube to drive, within its drive's travel and speed.
 #[test]
 fn a_tube_is_driven_where_there_is_one_and_within_its_travel() {
-    const TUBES: &str = "[manipulator.tool]\nname = \"tubes\"\n[manipulator.tool.tube]\nouter_diameter_mm = 3.6\ninner_diameter_mm = 3.1\n\
-        linear_density_kg_per_m = 0.03\nyoungs_modulus_gpa = 15\n[manipulator.tool.outer_tube]\nend_mm = 50\nouter_diameter_mm = 4.5\n\
-        inner_diameter_mm = 3.7\ntravel_mm = 20\nspeed_mm_per_s = 5\n[manipulator.tool.burr]\ndiameter_mm = 4\noffset_mm = 3\nmass_g = 1\n\
+    const TUBES: &str = "[manipulator.tool]\nname = \"tubes\"\n[manipulator.tool.tube]\nouter_diameter_mm = \
+                         3.6\ninner_diameter_mm = 3.1\n\
+        linear_density_kg_per_m = 0.03\nyoungs_modulus_gpa = 15\n[manipulator.tool.outer_tube]\nend_mm = \
+        50\nouter_diameter_mm = 4.5\n\
+        inner_diameter_mm = 3.7\ntravel_mm = 20\nspeed_mm_per_s = 5\n[manipulator.tool.burr]\ndiameter_mm = \
+        4\noffset_mm = 3\nmass_g = 1\n\
         [[manipulator.tool.flexure]]\nat_mm = 30\ncount = 10\npitch_mm = 2\n";
     let controller = |keys: &str| format!("[[controller]]\nname = \"a\"\ndrives = [\"tube\"]\n{keys}\n");
     let deployment = |keys: &str| {
@@ -114,22 +119,22 @@ fn a_tube_is_driven_where_there_is_one_and_within_its_travel() {
         (deployment("roll_deg = 0"), "`controller.tube_deployment` needs a tool with `outer_tube`"),
         (
             controller("external = true"),
-            "`controller.drives` has `tube`, which is of a tool with `outer_tube`",
+            "`controller.drives` lists `tube`, which needs a tool with `outer_tube`",
         ),
         (
             format!("{TUBES}{}", deployment("roll_deg = 0").replace("deployed_mm = 9", "deployed_mm = 21")),
-            "`controller.tube_deployment.deployed_mm` is 21, allowed is 0 to 20",
+            "`controller.tube_deployment.deployed_mm` is 21; allowed: 0 to 20",
         ),
         (
             format!(
                 "{TUBES}{}",
                 deployment("roll_deg = 0").replace("feed_mm_per_s = 1", "feed_mm_per_s = 6")
             ),
-            "`controller.tube_deployment.feed_mm_per_s` is 6, allowed is 0.01 to 5",
+            "`controller.tube_deployment.feed_mm_per_s` is 6; allowed: 0.01 to 5",
         ),
         (
             format!("{TUBES}{}", deployment("retraction_mm = 10")),
-            "`controller.tube_deployment.retraction_mm` is 10, allowed is 0 to 9",
+            "`controller.tube_deployment.retraction_mm` is 10; allowed: 0 to 9",
         ),
         (
             format!("[manipulator]\nmodel = \"constant_curvature\"\n{TUBES}"),

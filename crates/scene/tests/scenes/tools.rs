@@ -1,4 +1,4 @@
-//! Tools that a file describes: where they are kept, and what is refused.
+//! Tests of tool files: where tools are kept, and what is refused.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by it")]
 
 use std::path::Path;
@@ -64,166 +64,167 @@ fn a_scene_holds_its_tool_and_reads_as_the_same_without_the_file() {
     assert_eq!(overridden.manipulator.radii().cutter, Cutter::ball(3.5e-3));
 }
 
-/// Bug that it would be: the pilot hole of a plan as wide as the standard tool's burr.
+/// The pilot hole of a plan must not be as wide as the standard tool's burr.
 #[test]
 fn the_pilot_hole_of_a_plan_is_as_wide_as_the_described_burr() {
     let plan = r#"{"markups": [{"type": "Fiducial", "coordinateSystem": "RAS", "controlPoints": [
         {"label": "entry", "position": [10, 0, 0]}, {"label": "target", "position": [10, 0, 55]}]}]}"#;
-    let text = "name = \"a\"\nrun = { mode = \"lockstep\", duration_s = 1.0 }\nvolume = { phantom = \"block\" }\n\
-                tool = { plan = \"p.json\", bend_toward = [1.0, 0.0, 0.0] }\nmanipulator = { file = \"t.toml\" }\n";
+    let text = "name = \"a\"\nrun = { mode = \"lockstep\", duration_s = 1.0 }\nvolume = { phantom \
+                = \"block\" }\n\
+                tool = { plan = \"p.json\", bend_toward = [1.0, 0.0, 0.0] }\nmanipulator = { file \
+                = \"t.toml\" }\n";
     let read = |path: &Path| Ok(if path.ends_with("p.json") { plan } else { TOOL }.to_owned());
     let scene = Scene::parse_with(text, Path::new("/scenes/a.toml"), &read).unwrap();
     assert!((scene.predrill[0].diameter_mm - 8.5).abs() < 1e-12, "{}", scene.predrill[0].diameter_mm);
 }
 
-/// Each tool that cannot stand: what is changed, and what is said of it.
+/// Each inconsistent tool: what is changed, and the resulting message.
 #[test]
 fn a_tool_that_cannot_stand_is_refused_with_file_key_value_and_range() {
     for (from, to, said) in [
         (
             "stiffness_nm_per_deg = 0.01",
             "stiffness_nm_per_deg = -0.01",
-            "`flexure.stiffness_nm_per_deg` is -0.01, allowed is 0.000001 to 10000",
+            "`flexure.stiffness_nm_per_deg` is -0.01; allowed: 0.000001 to 10000",
         ),
         (
             "linear_density_kg_per_m = 0.1",
             "linear_density_kg_per_m = nan",
-            "`tube.linear_density_kg_per_m` is NaN, allowed is 0.0001 to 10",
+            "`tube.linear_density_kg_per_m` is NaN; allowed: 0.0001 to 10",
         ),
         (
             "at_mm = 38.0",
             "at_mm = 36.5",
-            "`flexure[1].at_mm` puts a flexure at 36.5, allowed is 36.75 or more: it would overlap the one before it",
+            "`flexure[1].at_mm` puts a flexure at 36.5; allowed: 36.75 or more, so that it does not overlap \
+             the one before",
         ),
-        ("at_mm = 38.0", "at_mm = 39.5", "`flexure[2].at_mm` puts a flexure at 40, allowed is 40.25 or more"),
-        ("at_mm = 38.0", "at_mm = 20.0", "`flexure[1].at_mm` puts a flexure at 20, allowed is 36.75 or more"),
+        ("at_mm = 38.0", "at_mm = 39.5", "`flexure[2].at_mm` puts a flexure at 40; allowed: 40.25 or more"),
+        ("at_mm = 38.0", "at_mm = 20.0", "`flexure[1].at_mm` puts a flexure at 20; allowed: 36.75 or more"),
         (
             "toward_mm = 2.5",
             "toward_mm = 2.5\nto_flexure = 8",
-            "`tendon[0].to_flexure` is 8, allowed is 1 to 7",
+            "`tendon[0].to_flexure` is 8; allowed: 1 to 7",
         ),
         (
             "toward_mm = 2.5",
             "toward_mm = 2.5\nfrom_flexure = 5\nto_flexure = 4",
-            "`tendon[0].to_flexure` is 4, allowed is 5 to 7",
+            "`tendon[0].to_flexure` is 4; allowed: 5 to 7",
         ),
         (
             "toward_mm = 2.5",
             "toward_mm = 2.5\ntwist_deg_per_mm = -30.0",
-            "`tendon[0].twist_deg_per_mm` is -30, allowed is -22.5 to 22.5",
+            "`tendon[0].twist_deg_per_mm` is -30; allowed: -22.5 to 22.5",
         ),
         (
             "offset_mm = 4.0",
             "offset_mm = 0.9",
-            "`burr.offset_mm` is 0.9, allowed is 1 to 500: the cutter would lie inside the tube",
+            "`burr.offset_mm` is 0.9; allowed: 1 to 500, so that the cutter lies outside the tube",
         ),
         (
             "inner_diameter_mm = 4.0",
             "inner_diameter_mm = 6.5",
-            "`tube.inner_diameter_mm` is 6.5, allowed is 0 to 5.98",
+            "`tube.inner_diameter_mm` is 6.5; allowed: 0 to 5.98",
         ),
         (
             "inner_diameter_mm = 4.0",
             "inner_diameter_mm = 4.0\ndrive_cable_diameter_mm = 5.0",
-            "`tube.drive_cable_diameter_mm` is 5, allowed is 0 to 4",
+            "`tube.drive_cable_diameter_mm` is 5; allowed: 0 to 4",
         ),
         ("pitch_mm = 2.0\n", "", "`flexure[2].pitch_mm` is missing; `count` is 5"),
-        ("count = 5", "count = 31", "`flexure (their number)` is 33, allowed is 1 to 32"),
+        ("count = 5", "count = 31", "`flexure (count)` is 33; allowed: 1 to 32"),
         (
             "pitch_mm = 2.0\nstiffness_nm_per_deg = 0.01\n",
             "pitch_mm = 2.0\n",
-            "`flexure[2].stiffness_nm_per_deg` is missing; expected it, or `tube.youngs_modulus_gpa`",
+            "`flexure[2].stiffness_nm_per_deg` is missing; set it, or `tube.youngs_modulus_gpa`",
         ),
         ("count = 5", "count = 5\nnotch_width_mm = 0.7", "`flexure[2].notch_past_axis_mm` is missing"),
         (
             "count = 5",
             "count = 5\nnotch_width_mm = 2.5\nnotch_past_axis_mm = 1.3",
-            "`flexure[2].notch_width_mm` is 2.5, allowed is 0.05 to 1.9",
+            "`flexure[2].notch_width_mm` is 2.5; allowed: 0.05 to 1.9",
         ),
         (
             "count = 5",
             "count = 5\nnotch_width_mm = 0.7\nnotch_past_axis_mm = 0.9",
-            "`flexure[2].notch_past_axis_mm` is 0.9, allowed is 0.35 to 0.85",
+            "`flexure[2].notch_past_axis_mm` is 0.9; allowed: 0.35 to 0.85",
         ),
-        (
-            "[burr]",
-            "[shaft]\ncontact_to_mm = 37.0\n[burr]",
-            "`shaft.contact_to_mm` is 37, allowed is 0 to 36",
-        ),
+        ("[burr]", "[shaft]\ncontact_to_mm = 37.0\n[burr]", "`shaft.contact_to_mm` is 37; allowed: 0 to 36"),
         (
             "diameter_mm = 8.0",
             "shape = \"cylinder\"\ndiameter_mm = 8.0",
-            "`burr.length_mm` is missing; expected it of every shape but a ball",
+            "`burr.length_mm` is missing; required for shapes other than a ball",
         ),
         (
             "diameter_mm = 8.0",
             "length_mm = 9.0\ndiameter_mm = 8.0",
-            "`burr.length_mm` is of every shape but a ball; `burr.shape` is another",
+            "`burr.length_mm` applies only to shapes other than a ball; `burr.shape` is different",
         ),
         (
             "diameter_mm = 8.0",
             "shape = \"cylinder\"\npoint_deg = 118.0\nlength_mm = 9.0\ndiameter_mm = 8.0",
-            "`burr.point_deg` is of a bit; `burr.shape` is another",
+            "`burr.point_deg` applies only to a bit; `burr.shape` is different",
         ),
         (
             "diameter_mm = 8.0",
             "scallop_mm = 0.1\ndiameter_mm = 8.0",
-            "`burr.scallop_mm` is of every shape but a ball; `burr.shape` is another",
+            "`burr.scallop_mm` applies only to shapes other than a ball; `burr.shape` is different",
         ),
         (
             "diameter_mm = 8.0",
             "shape = \"cylinder\"\nlength_mm = 8.05\ndiameter_mm = 8.0",
-            "`burr.length_mm` is 8.05, allowed is 8.1 to 60",
+            "`burr.length_mm` is 8.05; allowed: 8.1 to 60",
         ),
         (
             "diameter_mm = 8.0",
             "shape = \"cone\"\nlength_mm = 8.0\ntip_diameter_mm = 2.0\ndiameter_mm = 8.0",
-            "`burr.length_mm` is 8, allowed is 8.4 to 60",
+            "`burr.length_mm` is 8; allowed: 8.4 to 60",
         ),
         (
             "diameter_mm = 8.0",
             "shape = \"cone\"\nlength_mm = 12.0\ntip_diameter_mm = 8.0\ndiameter_mm = 8.0",
-            "`burr.tip_diameter_mm` is 8, allowed is 0.1 to 7.95",
+            "`burr.tip_diameter_mm` is 8; allowed: 0.1 to 7.95",
         ),
         (
             "diameter_mm = 8.0",
             "shape = \"bit\"\nlength_mm = 5.0\ntip_diameter_mm = 2.0\npoint_deg = 90.0\ndiameter_mm = 8.0",
-            "`burr.length_mm` is 5, allowed is 9.34",
+            "`burr.length_mm` is 5; allowed: 9.34",
         ),
         (
             "diameter_mm = 8.0",
             "shape = \"cylinder\"\nlength_mm = 50.0\nscallop_mm = 0.01\ndiameter_mm = 8.0",
-            "`burr.scallop_mm` is 0.01: that takes 76 balls, allowed are 16",
+            "`burr.scallop_mm` is 0.01, which takes 76 balls; allowed: 16",
         ),
         (
             "diameter_mm = 8.0\noffset_mm = 4.0",
             "shape = \"cylinder\"\nlength_mm = 13.0\ndiameter_mm = 8.0\noffset_mm = 5.0",
-            "`burr.offset_mm` is 5, allowed is 6 to 500: the cutter would lie inside the tube",
+            "`burr.offset_mm` is 5; allowed: 6 to 500, so that the cutter lies outside the tube",
         ),
         (
             "[burr]",
             "[outer_tube]\nend_mm = 40\nouter_diameter_mm = 7\ninner_diameter_mm = 6\ntravel_mm = 9\n[burr]",
-            "`tendon` stands beside `outer_tube`; expected one of the two",
+            "`tendon` and `outer_tube` are mutually exclusive",
         ),
         (
             "[burr]",
             "[outer_tube]\nend_mm = 35\nouter_diameter_mm = 7\ninner_diameter_mm = 6\ntravel_mm = 9\n[burr]",
-            "`outer_tube.end_mm` is 35, allowed is 36 to 52",
+            "`outer_tube.end_mm` is 35; allowed: 36 to 52",
         ),
         (
             "[burr]",
             "[outer_tube]\nend_mm = 40\nouter_diameter_mm = 6\ninner_diameter_mm = 6\ntravel_mm = 9\n[burr]",
-            "`outer_tube.outer_diameter_mm` is 6, allowed is 6.02 to 30",
+            "`outer_tube.outer_diameter_mm` is 6; allowed: 6.02 to 30",
         ),
         (
             "[burr]",
-            "[outer_tube]\nend_mm = 40\nouter_diameter_mm = 7\ninner_diameter_mm = 5.9\ntravel_mm = 9\n[burr]",
-            "`outer_tube.inner_diameter_mm` is 5.9, allowed is 6 to 6.98",
+            "[outer_tube]\nend_mm = 40\nouter_diameter_mm = 7\ninner_diameter_mm = 5.9\ntravel_mm = \
+             9\n[burr]",
+            "`outer_tube.inner_diameter_mm` is 5.9; allowed: 6 to 6.98",
         ),
         (
             "[burr]",
-            "[outer_tube]\nend_mm = 40\nouter_diameter_mm = 7\ninner_diameter_mm = 6\ntravel_mm = 900\n[burr]",
-            "`outer_tube.travel_mm` is 900, allowed is 0.1 to 500",
+            "[outer_tube]\nend_mm = 40\nouter_diameter_mm = 7\ninner_diameter_mm = 6\ntravel_mm = \
+             900\n[burr]",
+            "`outer_tube.travel_mm` is 900; allowed: 0.1 to 500",
         ),
         ("[burr]", "[ball]", "line 6: `ball`: unknown field `ball`"),
         ("name = \"drill\"", "name = \"a b\"", "`name` is \"a b\"; expected 1 to 64 letters"),
@@ -234,7 +235,7 @@ fn a_tool_that_cannot_stand_is_refused_with_file_key_value_and_range() {
         ),
     ] {
         assert!(TOOL.contains(from), "{from}");
-        // Of the last flexures, where a key stands several times.
+        // For keys that occur several times, the last flexures.
         let changed = match from.starts_with("pitch_mm") || from.starts_with("count") {
             true => TOOL.replace(from, to),
             false => TOOL.replacen(from, to, 1),
@@ -247,7 +248,7 @@ fn a_tool_that_cannot_stand_is_refused_with_file_key_value_and_range() {
         if refused.contains("line ") {
             continue;
         }
-        // The same in the scene itself.
+        // The same inside the scene itself.
         let tool: toml::Value = toml::from_str(&changed).unwrap();
         let mut inline: toml::Table =
             toml::from_str(&SCENE.replace("file = \"tools/drill.toml\"", "")).unwrap();
@@ -262,11 +263,11 @@ fn a_tool_that_cannot_stand_is_refused_with_file_key_value_and_range() {
 #[test]
 fn what_a_scene_says_beside_a_tool_file_must_go_with_it() {
     for (more, said) in [
-        ("notch_width_mm = 0.7\n", "a.toml: `manipulator.notch_width_mm` is of the standard tool"),
-        ("[[tendon]]\ntoward_mm = 2.0\n", "a.toml: `tendon` is of the standard tool"),
+        ("notch_width_mm = 0.7\n", "a.toml: `manipulator.notch_width_mm` applies only to the standard tool"),
+        ("[[tendon]]\ntoward_mm = 2.0\n", "a.toml: `tendon` applies only to the standard tool"),
         (
             "[manipulator.tool]\nname = \"b\"\n",
-            "a.toml: `manipulator.file` stands beside `manipulator.tool`; expected one of the two",
+            "a.toml: `manipulator.file` and `manipulator.tool` are mutually exclusive; set only one",
         ),
     ] {
         let refused = scene(&format!("{SCENE}{more}"), TOOL).unwrap_err().to_string();
@@ -278,21 +279,22 @@ fn what_a_scene_says_beside_a_tool_file_must_go_with_it() {
     );
     let refused = scene(&format!("{SCENE}burr_diameter_mm = 7.0\n"), &cylinder).unwrap_err().to_string();
     assert!(
-        refused.contains("a.toml: `manipulator.burr_diameter_mm` is of a ball; the tool has another cutter"),
+        refused.contains("a.toml: `manipulator.burr_diameter_mm` applies only to a ball burr"),
         "{refused}"
     );
     let refused = scene(&SCENE.replace("\"tools/drill.toml\"", "7"), TOOL).unwrap_err().to_string();
-    assert!(refused.contains("`manipulator.file` is 7, expected a path as text"), "{refused}");
+    assert!(refused.contains("`manipulator.file` is 7, expected a path as a string"), "{refused}");
     let unreadable = |_: &Path| Err(std::io::Error::other("no such file"));
     let refused = Scene::parse_with(SCENE, Path::new("/scenes/a.toml"), &unreadable).unwrap_err().to_string();
     assert_eq!(
         refused,
-        "/scenes/a.toml: `manipulator.file` names /scenes/tools/drill.toml, which cannot be read (no such file)"
+        "/scenes/a.toml: `manipulator.file` names /scenes/tools/drill.toml, which cannot be read (no such \
+         file)"
     );
     assert!(Scene::parse(SCENE, Path::new("a.toml")).is_err(), "a log names no file");
 }
 
-/// A model that does not hold for a tool is refused by its name.
+/// A model that is invalid for a tool is refused by name.
 #[test]
 fn a_rung_whose_assumptions_a_tool_breaks_is_refused() {
     let arc = format!("{SCENE}model = \"constant_curvature\"\n");
@@ -301,7 +303,7 @@ fn a_rung_whose_assumptions_a_tool_breaks_is_refused() {
     let refused = scene(&arc, &half).unwrap_err().to_string();
     assert!(
         refused.contains(
-            "`manipulator.model` is constant_curvature, which is one arc; tendon 1 of `drill` bends only part"
+            "`manipulator.model` is constant_curvature, a single arc; tendon 1 of `drill` bends only part"
         ),
         "{refused}"
     );
@@ -314,35 +316,39 @@ fn a_rung_whose_assumptions_a_tool_breaks_is_refused() {
     let wound = TOOL.replace("toward_mm = 2.5", "toward_mm = 2.5\ntwist_deg_per_mm = 3.0");
     for model in ["planar", "constant_curvature"] {
         let refused = scene(&format!("{SCENE}model = \"{model}\"\n"), &wound).unwrap_err().to_string();
-        let said = "`manipulator.tool.tendon.twist_deg_per_mm` bends out of the plane; expected `manipulator.model` to be spatial or full";
+        let said = "`manipulator.tool.tendon.twist_deg_per_mm` bends the tool out of the plane; set \
+                    `manipulator.model` to spatial or full";
         assert!(refused.contains(said), "{refused}");
     }
     assert!(scene(&format!("{SCENE}model = \"spatial\"\n"), &wound).is_ok());
     let across = TOOL.replace("toward_mm = 2.5", "toward_mm = 2.5\nacross_mm = 1.0");
     for flat in ["", "model = \"planar\"\n", "model = \"constant_curvature\"\n"] {
         let refused = scene(&format!("{SCENE}{flat}"), &across).unwrap_err().to_string();
-        assert!(refused.contains("`manipulator.tool.tendon.across_mm` bends out of the plane"), "{refused}");
+        assert!(
+            refused.contains("`manipulator.tool.tendon.across_mm` bends the tool out of the plane"),
+            "{refused}"
+        );
     }
     assert!(scene(&format!("{SCENE}model = \"spatial\"\n"), &across).is_ok());
 }
 
-/// Smooth moments do not jump where a tendon ends; the number of modes is of that model alone.
+/// Smooth moments cannot jump where a tendon ends; `modes` applies only to the modal model.
 #[test]
 fn moment_modes_are_refused_where_a_tool_bends_in_parts() {
     let modal = format!("{SCENE}model = \"modal\"\nmodes = 4\n");
     assert_eq!(scene(&modal, TOOL).unwrap().manipulator.modes, Some(4));
     let half = TOOL.replace("toward_mm = 2.5", "toward_mm = 2.5\nto_flexure = 3");
     let refused = scene(&modal, &half).unwrap_err().to_string();
-    let said =
-        "`manipulator.model` is modal, whose bending moments are smooth; tendon 1 of `drill` bends only part";
+    let said = "`manipulator.model` is modal, which needs smooth bending moments; tendon 1 of `drill` bends \
+                only part";
     assert!(refused.contains(said), "{refused}");
     let refused = scene(&format!("{SCENE}modes = 4\n"), TOOL).unwrap_err().to_string();
-    assert!(refused.contains("`manipulator.modes` is of the model modal"), "{refused}");
+    assert!(refused.contains("`manipulator.modes` applies only to the modal model"), "{refused}");
     let refused = scene(&modal.replace("modes = 4", "modes = 9"), TOOL).unwrap_err().to_string();
-    assert!(refused.contains("`manipulator.modes` is 9, allowed is 2 to 8"), "{refused}");
+    assert!(refused.contains("`manipulator.modes` is 9; allowed: 2 to 8"), "{refused}");
     let across = TOOL.replace("toward_mm = 2.5", "toward_mm = 2.5\nacross_mm = 1.0");
     let refused = scene(&modal, &across).unwrap_err().to_string();
-    assert!(refused.contains("bends out of the plane"), "{refused}");
+    assert!(refused.contains("bends the tool out of the plane"), "{refused}");
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! Scenes whose arm stands in a URDF file.
+//! Tests of scenes whose arm comes from a URDF file.
 #![allow(clippy::unwrap_used, reason = "a test fails by it")]
 
 use std::path::Path;
@@ -18,7 +18,7 @@ urdf = \"arms/six.urdf\"
 initial_joints_deg = [0.0, 10.0, 20.0, 30.0, 40.0, 50.0]
 ";
 
-/// Six joints that turn, a flange, and a finger beside it that the arm is not made of.
+/// Six revolute joints, a flange, and a gripper finger beside it that is not part of the arm.
 fn six() -> String {
     let links = (0..=6).map(|i| format!("<link name=\"l{i}\"/>")).collect::<String>();
     let joints = (1..=6).map(|i| {
@@ -30,8 +30,10 @@ fn six() -> String {
         )
     });
     format!(
-        "<?xml version=\"1.0\"?><!-- by hand --><robot name=\"six\">{links}<link name=\"flange\"/><link name=\"finger\"/>{}\
-         <joint name=\"mount\" type=\"fixed\"><parent link=\"l6\"/><child link=\"flange\"/><origin xyz=\"0.01 0.02 0.03\"/></joint>\
+        "<?xml version=\"1.0\"?><!-- by hand --><robot name=\"six\">{links}<link name=\"flange\"/><link \
+         name=\"finger\"/>{}\
+         <joint name=\"mount\" type=\"fixed\"><parent link=\"l6\"/><child link=\"flange\"/><origin \
+         xyz=\"0.01 0.02 0.03\"/></joint>\
          <joint name=\"grip\" type=\"prismatic\"><parent link=\"flange\"/><child link=\"finger\"/></joint>\
          <transmission><joint name=\"j1\"/></transmission></robot>",
         joints.collect::<String>()
@@ -63,7 +65,7 @@ fn an_arm_follows_from_its_file_and_the_scene_names_none() {
     assert!((joints[1].roll_pitch_yaw_deg[2] - 90.0).abs() < 1e-12);
     assert!((joints[1].lower_deg.unwrap() - (-1.5_f64).to_degrees()).abs() < 1e-12);
     assert_eq!((joints[6].position_mm, joints[6].axis), ([10.0, 20.0, 30.0], None));
-    // As in a log: the text of the scene itself, read without any file.
+    // As in a log: the text of the scene itself, without any file.
     let text = toml::to_string(&scene).unwrap();
     assert_eq!(Scene::parse(&text, Path::new("/elsewhere/a.toml")).unwrap().arm, scene.arm);
 }
@@ -77,7 +79,7 @@ fn a_range_that_ends_just_beyond_a_turn_is_taken() {
     assert!(joints[0].upper_deg.unwrap() > 360.0);
     let error =
         parse(&format!("{TIP}upper_joints_deg = [400.0, 1.0, 1.0, 1.0, 1.0, 1.0]\n"), &wide).unwrap_err();
-    assert!(error.to_string().contains("400, allowed is -360 to 360"), "{error}");
+    assert!(error.to_string().contains("400; allowed: -360 to 360"), "{error}");
 }
 
 #[test]
@@ -99,9 +101,9 @@ fn what_cannot_stand_is_refused_with_file_joint_value_and_what_was_expected() {
     let file = |from: &str, to: &str| six().replacen(from, to, 1);
     let arm = ["arm.urdf", "/scenes/arms/six.urdf"];
     let of_file = |urdf: String, words: &[&str]| said(TIP, &urdf, &[&arm, words].concat());
-    of_file("<robot".to_owned(), &["is no XML"]);
-    of_file("<!DOCTYPE a [<!ENTITY b \"c\">]><robot/>".to_owned(), &["is no XML"]);
-    of_file("<scene/>".to_owned(), &["its root is `scene`", "`robot`"]);
+    of_file("<robot".to_owned(), &["is not valid XML"]);
+    of_file("<!DOCTYPE a [<!ENTITY b \"c\">]><robot/>".to_owned(), &["is not valid XML"]);
+    of_file("<scene/>".to_owned(), &["its root element is `scene`", "`robot`"]);
     of_file(file("<limit lower=\"-1.5\"", "<limit"), &["`j1`", "has no `limit lower`"]);
     of_file(file(" velocity=\"3.0\"", ""), &["`j1`", "has no `limit velocity`"]);
     of_file(file("upper=\"2.5\"", "upper=\"NaN\""), &["`j1`", "`limit upper` = NaN", "12.56"]);
@@ -113,17 +115,17 @@ fn what_cannot_stand_is_refused_with_file_joint_value_and_what_was_expected() {
     of_file(file("velocity=\"3.0\"", "velocity=\"0\""), &["`limit velocity` = 0", "0.001"]);
     of_file(file("xyz=\"0 0 0.1\"", "xyz=\"0 0 inf\""), &["`j1`", "`origin xyz` = inf", "-10 to 10"]);
     of_file(file("xyz=\"0 0 0.1\"", "xyz=\"0 0\""), &["`origin xyz` = \"0 0\"", "three numbers"]);
-    of_file(file("<axis", "<mimic joint=\"j2\"/><axis"), &["`j1` copies another (`mimic`)"]);
-    of_file(
-        file("revolute", "prismatic"),
-        &["`j1` is of the type `prismatic`", "revolute, continuous or fixed"],
-    );
+    of_file(file("<axis", "<mimic joint=\"j2\"/><axis"), &["`j1` mimics another joint (`mimic`)"]);
+    of_file(file("revolute", "prismatic"), &["`j1` is of type `prismatic`", "revolute, continuous or fixed"]);
     of_file(file("<parent link=\"l0\"/>", "<parent link=\"l9\"/>"), &["`j1`", "parent link `l9`"]);
     of_file(file("<child link=\"l1\"/>", ""), &["`j1` has no child link"]);
-    of_file(file("<child link=\"finger\"/>", "<child link=\"l3\"/>"), &["link `l3` hangs on", "no loops"]);
+    of_file(
+        file("<child link=\"finger\"/>", "<child link=\"l3\"/>"),
+        &["link `l3` is the child of both", "no loops"],
+    );
     of_file(
         file("<link name=\"finger\"/>", "<link name=\"finger\"/><link name=\"l3\"/>"),
-        &["link `l3` stands twice"],
+        &["duplicate link `l3`"],
     );
     let closed = six()
         .replace("<child link=\"finger\"/>", "<child link=\"l0\"/>")
@@ -136,9 +138,9 @@ fn what_cannot_stand_is_refused_with_file_joint_value_and_what_was_expected() {
         &file("<link name=\"finger\"/>", "<link name=\"finger\"/><link name=\"hand\"/>"),
         &["arm.base_link", "hand"],
     );
-    said("tip_link = \"l5\"\n", &six(), &["arm.joint", "5 joints that turn, expected 6"]);
+    said("tip_link = \"l5\"\n", &six(), &["arm.joint", "5 revolute joints, expected 6"]);
     said(TIP, &file("xyz=\"0 1 1\"", "xyz=\"0 0 0\""), &["arm.joint.axis", "`j1`"]);
-    said("tip_link = \"flange\"\nmodel = \"ur5\"\n", &six(), &["arm.model", "one of them"]);
+    said("tip_link = \"flange\"\nmodel = \"ur5\"\n", &six(), &["arm.model", "mutually exclusive"]);
     let wide = "lower_joints_deg = [-900.0, 0.0, 0.0, 0.0, 0.0, 0.0]\n";
     said(&format!("{TIP}{wide}"), &six(), &["arm.lower_joints_deg", "-900"]);
 }

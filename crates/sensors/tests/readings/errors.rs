@@ -4,16 +4,17 @@
 
 use crate::common::{deviation, first, mean, read, scene};
 
-/// Allan deviation at `m` samples, non-overlapping (Allan 1966, "Statistics of atomic frequency standards", Proc. IEEE 54): the root of
-/// half the mean square of differences of successive means.
+/// Allan deviation at `m` samples, non-overlapping (Allan 1966, "Statistics of atomic frequency standards",
+/// Proc. IEEE 54): the root of half the mean square of differences of successive means.
 fn allan(x: &[f64], m: usize) -> f64 {
     let means: Vec<f64> = x.chunks_exact(m).map(mean).collect();
     let squares = means.windows(2).map(|pair| (pair[1] - pair[0]).powi(2));
     (squares.sum::<f64>() / (2 * (means.len() - 1)) as f64).sqrt()
 }
 
-/// Four standard errors of an Allan deviation of n means, as a share of it: the variance of the Allan variance of white noise is
-/// about 3/n (Lesage and Audoin 1973, IEEE Trans. Instrum. Meas. 22), and half of that share for its root.
+/// Four standard errors of an Allan deviation of n means, as a fraction of it. The relative variance of the
+/// Allan variance of white noise is about 3/n (Lesage and Audoin 1973, IEEE Trans. Instrum. Meas. 22); its
+/// square root, the deviation, has half the relative error.
 fn allowed(x: &[f64], m: usize) -> f64 {
     let n = (x.len() / m) as f64;
     4.0 * 0.5 * (3.0 / n).sqrt()
@@ -26,19 +27,20 @@ fn white_noise_has_the_level_asked_for_and_an_allan_deviation_of_slope_minus_a_h
     assert!((mean(&x) - 3.0).abs() < 4.0 * 0.05 / (x.len() as f64).sqrt());
     for m in [1, 4, 16, 64, 256, 1024] {
         let (found, law) = (allan(&x, m), 0.05 / (m as f64).sqrt());
-        assert!((found / law - 1.0).abs() < allowed(&x, m), "m = {m}: {found} against {law}");
+        assert!((found / law - 1.0).abs() < allowed(&x, m), "m = {m}: {found}, expected {law}");
     }
 }
 
-/// Deviations of white noise and of a random walk that gains the variance K² per second: σ²(τ) = K² τ / 3 for the walk (IEEE Std 952, annex C).
+/// Deviations of white noise and of a random walk that gains the variance K² per second: σ²(τ) = K² τ / 3 for
+/// the walk (IEEE Std 952, annex C).
 #[test]
 fn drift_is_a_random_walk_of_the_level_asked_for() {
     let keys = "rate_hz = 1000.0\nforce_torque = { noise_n = 0.0, noise_nm = 0.0, drift_n = 0.3 }";
     let x = first(&read(&scene(keys), 1 << 17, |_| 0.0));
     for m in [16, 64, 256, 1024] {
         let (found, law) = (allan(&x, m), 0.3 * (m as f64 * 1e-3 / 3.0).sqrt());
-        // Differences of a walk's means are correlated with the next ones: twice the errors of white noise.
-        assert!((found / law - 1.0).abs() < 2.0 * allowed(&x, m), "m = {m}: {found} against {law}");
+        // Successive differences of a walk's means are correlated: twice the errors of white noise.
+        assert!((found / law - 1.0).abs() < 2.0 * allowed(&x, m), "m = {m}: {found}, expected {law}");
     }
     let ends: Vec<f64> = (0..400)
         .map(|seed| {
@@ -55,7 +57,7 @@ fn drift_is_a_random_walk_of_the_level_asked_for() {
     let law = 0.3 * 10.1_f64.sqrt();
     assert!(
         (deviation(&ends) / law - 1.0).abs() < 4.0 / 800.0_f64.sqrt(),
-        "{} against {law}",
+        "{}, expected {law}",
         deviation(&ends)
     );
 }
@@ -94,7 +96,7 @@ fn readings_without_noise_are_exact_and_a_resolution_rounds_them() {
     let ramp = |tick: u64| 1e-4 * tick as f64;
     let exact = read(&scene("rate_hz = 1000.0\nload_cell = { noise_n = 0.0 }"), 1000, ramp);
     assert!(exact.iter().all(|reading| reading.value[0] == ramp(reading.sample_tick)));
-    // A step that no number of steps reaches a force with: the readings were infinite, and called valid.
+    // Regression: with a step too fine for `f64`, the readings were infinite but marked valid.
     let endless =
         read(&scene("rate_hz = 1000.0\nload_cell = { noise_n = 0.0, resolution_n = 1e-310 }"), 1000, ramp);
     assert!(endless.iter().all(|reading| (reading.value[0] - ramp(reading.sample_tick)).abs() < 1e-12));
@@ -107,7 +109,8 @@ fn readings_without_noise_are_exact_and_a_resolution_rounds_them() {
             .all(|reading| (reading.value[0] / 0.01 - (reading.value[0] / 0.01).round()).abs() < 1e-9)
     );
     assert!(errors.iter().all(|error| error.abs() <= 0.005 + 1e-12));
-    // The error of a ramp is even over a step: its deviation is step / √12. The ramp visits 100 places of a step, which is 5e-5 less.
+    // The error of a ramp is uniform over a step: its deviation is step / √12. The ramp samples 100 positions
+    // of a step, which gives 5e-5 less.
     assert!((deviation(&errors) / (0.01 / 12.0_f64.sqrt()) - 1.0).abs() < 1e-3, "{}", deviation(&errors));
 }
 
@@ -124,7 +127,8 @@ fn the_share_asked_for_drops_out_and_says_so() {
     }
 }
 
-/// |H| of y += a (x − y): a / |1 − (1 − a) e^(−iω)|, with a = 1 − e^(−2π f dt). Near the corner this is the analogue filter's 1/√2.
+/// |H| of y += a (x − y): a / |1 − (1 − a) e^(−iω)|, with a = 1 − e^(−2π f dt). Near the corner this is the
+/// analogue filter's 1/√2.
 #[test]
 fn the_low_pass_has_the_gain_of_a_first_order_filter() {
     let keys = "rate_hz = 1000.0\nforce_torque = { noise_n = 0.0, noise_nm = 0.0, low_pass_hz = 20.0 }";
@@ -140,7 +144,7 @@ fn the_low_pass_has_the_gain_of_a_first_order_filter() {
         let gain = sum(f64::sin).hypot(sum(f64::cos));
         let (re, im) = (1.0 - (1.0 - a) * omega.cos(), (1.0 - a) * omega.sin());
         let law = a / re.hypot(im);
-        // 2000 ticks hold whole periods of each.
-        assert!((gain / law - 1.0).abs() < 1e-6, "{hz} Hz: {gain} against {law}");
+        // 2000 ticks hold whole periods of each frequency.
+        assert!((gain / law - 1.0).abs() < 1e-6, "{hz} Hz: {gain}, expected {law}");
     }
 }

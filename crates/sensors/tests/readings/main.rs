@@ -1,4 +1,4 @@
-//! Readings of every kind of sensor, in one program: it is linked once, and its tests share both cores.
+//! Readings of every kind of sensor, in one program: it is linked once, and its tests run on all cores.
 
 mod common;
 mod errors;

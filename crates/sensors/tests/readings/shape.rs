@@ -19,7 +19,7 @@ fn pose(isometry: &Isometry3<f64>) -> Pose {
 
 const PITCH_M: f64 = 1.3e-3;
 
-/// A tool of 27 flexures behind a shaft of 20 mm, whose flexure i turns by `turn_rad(i)` toward +x and +y.
+/// A tool of 27 flexures behind a shaft of 20 mm, whose flexure i bends by `turn_rad(i)` toward +x and +y.
 fn tool(turn_rad: impl Fn(usize) -> [f64; 2]) -> State {
     let mut state = State { joint_count: 27, ..state(0, 0.0) };
     let mut here = Isometry3::from_parts(
@@ -47,7 +47,7 @@ fn nodes(state: &State, nodes: u32) -> Vec<f64> {
     sensors.readings()[0].values().to_vec()
 }
 
-/// Even bending by 90° over 27 flexures: every node reads angle / length, in the direction of the bend.
+/// Uniform bending by 90° over 27 flexures: every node reads angle / length, in the direction of the bend.
 #[test]
 fn the_nodes_of_an_even_bend_read_its_curvature() {
     let angle = std::f64::consts::FRAC_PI_2 / 27.0;
@@ -65,7 +65,7 @@ fn the_nodes_of_an_even_bend_read_its_curvature() {
     );
 }
 
-/// Without gaps between the gauges, the nodes' curvatures times their stretches add up to the bend.
+/// Without gaps between the gauges, the nodes' curvatures times their section lengths add up to the bend.
 #[test]
 fn the_nodes_add_up_to_the_bend() {
     let turns = |i: usize| [0.02 + 0.002 * i as f64, 0.0];
@@ -79,10 +79,10 @@ fn the_nodes_add_up_to_the_bend() {
     sensors.see(&state);
     let sum: f64 = sensors.readings()[0].values().iter().step_by(2).map(|k| k * 27.0 * PITCH_M / 9.0).sum();
     let bend: f64 = (0..27).map(|i| turns(i)[0]).sum();
-    assert!((sum - bend).abs() < 1e-12, "{sum} against {bend}");
+    assert!((sum - bend).abs() < 1e-12, "{sum}, expected {bend}");
 }
 
-/// The end of a circular arc: (1 − cos θ) / κ to the side and sin θ / κ ahead, whatever the number of nodes.
+/// The end of a circular arc: (1 − cos θ) / κ to the side and sin θ / κ ahead, for any number of nodes.
 #[test]
 fn the_shape_of_even_curvatures_is_a_circle() {
     let fibre = Fibre { start_m: 20e-3, length_m: 35e-3, tip_m: 4e-3 };
@@ -97,15 +97,16 @@ fn the_shape_of_even_curvatures_is_a_circle() {
         };
         let want = [side + 4e-3 * angle.sin(), 0.0, 20e-3 + ahead + 4e-3 * angle.cos()];
         for (found, want) in burr.position_m.iter().zip(want) {
-            assert!((found - want).abs() < 1e-14, "{:?} against {want:?}", burr.position_m);
+            assert!((found - want).abs() < 1e-14, "{:?}, expected {want:?}", burr.position_m);
         }
     }
     assert_eq!(node_places(2).collect::<Vec<_>>(), [0.25, 0.75]);
 }
 
-/// A controller's state from three nodes without noise. A chain of 27 hinges is an arc to a few micrometres. Three nodes do not see the
-/// curvature beyond the first and the last of them: where it rises by half from base to tip, that costs 0.19 mm, as much as the paper's
-/// whole error of shape with this number of nodes, 0.22 mm (Ma et al. 2023, arXiv 2303.03613); sixteen nodes leave a fifth of it.
+/// A controller's state from three noise-free nodes. A chain of 27 hinges is an arc to within a few
+/// micrometres. Three nodes do not see the curvature beyond the first and the last node: where it rises by
+/// half from base to tip, that costs 0.19 mm, as much as the paper's entire shape error with this number of
+/// nodes, 0.22 mm (Ma et al. 2023, arXiv 2303.03613). Sixteen nodes reduce it to a fifth.
 #[test]
 fn nodes_find_the_tip_of_a_chain() {
     for (turns, rise, nodes, allowed_m) in [
@@ -142,7 +143,7 @@ fn noise_of_a_tracker_has_the_level_asked_for_in_position_and_angle() {
     for axis in 0..3 {
         let x: Vec<f64> = all.iter().map(|reading| reading.value[axis]).collect();
         assert!((common::deviation(&x) / 0.3e-3 - 1.0).abs() < 4.0 / 80_000.0_f64.sqrt());
-        // Half the angle is the quaternion's component, to the third order.
+        // The quaternion's component is half the angle, to third order.
         let angle: Vec<f64> = all.iter().map(|reading| 2.0 * reading.value[3 + axis]).collect();
         assert!((common::deviation(&angle) / 0.2_f64.to_radians() - 1.0).abs() < 4.0 / 80_000.0_f64.sqrt());
     }
@@ -157,7 +158,7 @@ fn an_optical_tracker_sees_its_marker_only_from_the_side_it_faces() {
         );
         common::read(&scene(&keys), 1, |_| 0.0)[0].is_valid()
     };
-    // The marker faces -z; the camera stands 45° from there.
+    // The marker faces -z; the camera is at 45° from that direction.
     assert!(sees("[1000.0, 0.0, -1000.0]", 46.0));
     assert!(!sees("[1000.0, 0.0, -1000.0]", 44.0));
     assert!(!sees("[0.0, 0.0, 1000.0]", 90.0));

@@ -1,4 +1,4 @@
-//! Rate, delay, jitter, and what waits on the way.
+//! Rate, delay, jitter, and pending readings.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "tests fail")]
 
@@ -10,12 +10,12 @@ use scene::{Scene, SceneError};
 use sensors::{SensorArray, SensorArrayState};
 use std::path::Path;
 
-/// A signal without correlation in time.
+/// A signal uncorrelated in time.
 fn signal(tick: u64) -> f64 {
     counter_random::Key::of(99).normal(tick)
 }
 
-/// Lag at which what a reader holds correlates best with the signal.
+/// Lag at which the reader's latest value correlates best with the signal.
 fn best_lag(readings: &[SensorReading], ticks: u64) -> u64 {
     let at = |tick: u64| {
         readings.iter().take_while(|reading| reading.tick <= tick).last().map_or(0.0, |r| r.value[0])
@@ -71,11 +71,12 @@ fn a_delay_longer_than_the_run_delivers_nothing() {
     assert!(read(&scene(keys), 10_000, |_| 1.0).is_empty());
 }
 
-/// What is underway, the drift and the filter belong to the state.
+/// Pending readings, drift and filter belong to the state.
 #[test]
 fn a_restored_array_goes_on_as_the_original_does() {
     let scene = scene(
-        "rate_hz = 100.0\ndelay_ms = 25.0\njitter_ms = 9.0\ndropout = 0.2\nforce_torque = { drift_n = 0.1, low_pass_hz = 30.0 }\n\
+        "rate_hz = 100.0\ndelay_ms = 25.0\njitter_ms = 9.0\ndropout = 0.2\n\
+         force_torque = { drift_n = 0.1, low_pass_hz = 30.0 }\n\
          [[sensor]]\nname = \"b\"\nrate_hz = 1000.0\ndelay_ms = 3.0\nload_cell = { bias_n = 0.1 }",
     );
     let (mut original, mut copy) = (SensorArray::new(&scene), SensorArray::new(&scene));
@@ -85,7 +86,7 @@ fn a_restored_array_goes_on_as_the_original_does() {
     let saved = original.state();
     assert!(copy.fits(&saved));
     copy.restore(&saved);
-    assert_eq!(copy.readings(), original.readings(), "those of the tick itself");
+    assert_eq!(copy.readings(), original.readings(), "readings of the same tick");
     for tick in 738..2000 {
         original.see(&state(tick, signal(tick)));
         copy.see(&state(tick, signal(tick)));
@@ -119,7 +120,8 @@ fn a_reset_leaves_nothing_underway_and_numbers_go_on() {
 
 fn refused(keys: &str) -> String {
     let text = format!(
-        "name = \"t\"\n[run]\nmode = \"lockstep\"\nduration_s = 1.0\n[tool]\nburr_start_mm = [0.0, 0.0, 0.0]\ndirection = [0.0, 0.0, 1.0]\n\
+        "name = \"t\"\n[run]\nmode = \"lockstep\"\nduration_s = 1.0\n[tool]\n\
+         burr_start_mm = [0.0, 0.0, 0.0]\ndirection = [0.0, 0.0, 1.0]\n\
          bend_toward = [1.0, 0.0, 0.0]\n{keys}\n"
     );
     let error: SceneError = Scene::parse(&text, Path::new("t.toml")).unwrap_err();
@@ -137,19 +139,29 @@ fn a_sensor_that_cannot_be_is_refused_with_key_value_and_range() {
         (sensor("rate_hz = 10.0"), ["sensor `s`", "exactly one", "fbg"]),
         (sensor("rate_hz = 10.0\nencoders = {}\nload_cell = {}"), ["sensor `s`", "exactly one", "fbg"]),
         (sensor("rate_hz = 10.0\nfbg = { nodes = 17 }"), ["nodes", "17", "16"]),
-        (sensor("rate_hz = 10.0\ntracker = { marker_faces = [0.0, 0.0, 0.0] }"), ["marker_faces", "is 0", "allowed"]),
-        (sensor("rate_hz = 1.0\nencoders = {}").repeat(2), ["sensor.name", "`s`", "twice"]),
+        (
+            sensor("rate_hz = 10.0\ntracker = { marker_faces = [0.0, 0.0, 0.0] }"),
+            ["marker_faces", "is 0", "allowed"],
+        ),
+        (sensor("rate_hz = 1.0\nencoders = {}").repeat(2), ["sensor.name", "`s`", "duplicate"]),
         (sensor("rate_hz = 1.0\nencoders = {}\n").repeat(9), ["sensor", "9", "8"]),
         (
-            "[[controller]]\nname = \"c\"\ndrives = [\"tendon\"]\nsensors = [\"x\"]\nhold = { tension_n = 1.0 }".to_owned(),
-            ["controller.sensors", "`x`", "no `[[sensor]]`"],
+            "[[controller]]\nname = \"c\"\ndrives = [\"tendon\"]\nsensors = [\"x\"]\n\
+             hold = { tension_n = 1.0 }"
+                .to_owned(),
+            ["controller.sensors", "`x`", "not a `[[sensor]]`"],
         ),
         (
-            "[[controller]]\nname = \"c\"\ndrives = [\"tendon\"]\nsensors = [\"x\"]\nexternal = true".to_owned(),
+            "[[controller]]\nname = \"c\"\ndrives = [\"tendon\"]\nsensors = [\"x\"]\nexternal = true"
+                .to_owned(),
             ["controller.sensors", "built-in", "every sensor"],
         ),
     ] {
-        let keys = keys.replacen("[[sensor]]\nname = \"s\"\nrate_hz = 1.0\nencoders = {}[[", "[[sensor]]\nname = \"s\"\nrate_hz = 1.0\nencoders = {}\n[[", 1);
+        let keys = keys.replacen(
+            "[[sensor]]\nname = \"s\"\nrate_hz = 1.0\nencoders = {}[[",
+            "[[sensor]]\nname = \"s\"\nrate_hz = 1.0\nencoders = {}\n[[",
+            1,
+        );
         let error = refused(&keys);
         assert!(words.iter().all(|word| error.contains(word)), "{keys}\n{error}");
     }

@@ -1,17 +1,20 @@
-//! Elastic joints: a spring and a damper between each gearbox and its link. Optional, for scenes that depend on arm compliance.
+//! Elastic joints: a spring and a damper between each gearbox and its link. Optional, for scenes that depend
+//! on arm compliance.
 //!
-//! For arms of six joints whose links' masses are known. The links obey `M(q) (v̇ + q̈) + D v + K d = Jᵀ w`, with joint deflection d and
-//! its rate v, commanded acceleration q̈, the tool's wrench w on its base, and the mass matrix M of the arm's links. One step is linearly
-//! implicit Euler, as in the manipulator: `(M + A + h D + h² K) Δv = h (Jᵀ w - K (d + h v) - D v - M q̈)`, `d += h (v + Δv)`. At rest `d =
-//! K⁻¹ Jᵀ w`; to first order the tool's base has then moved by `J K⁻¹ Jᵀ w`.
+//! It needs a six-joint arm with known link masses. The links obey `M(q) (v̇ + q̈) + D v + K d = Jᵀ w`,
+//! with joint deflection d and its rate v, commanded acceleration q̈, the tool's wrench w on the tool base,
+//! and the mass matrix M of the arm's links. One step is linearly implicit Euler, as in the manipulator:
+//! `(M + A + h D + h² K) Δv = h (Jᵀ w - K (d + h v) - D v - M q̈)`, `d += h (v + Δv)`. At rest `d = K⁻¹ Jᵀ
+//! w`; to first order, the tool base is then displaced by `J K⁻¹ Jᵀ w`.
 //!
-//! The manipulator's implicit solve takes the base motion as given and returns w in the same tick; the links see w one tick later. The
-//! added mass `A = h² Jᵀ Z J` keeps that exchange stable: a force that lags a displacement by one tick with stiffness Z is stable in this
-//! scheme if the mass is at least h² Z / 4. Z is the stiffest response possible from the tool: its mount (stiffness and damping) and a
-//! contact, at its base and at its tip. A vanishes with h² and does not affect statics.
+//! The manipulator's implicit solve takes the base motion as given and returns w in the same tick; the links
+//! see w one tick later. The added mass `A = h² Jᵀ Z J` keeps that exchange stable: a force that lags a
+//! displacement by one tick with stiffness Z is stable in this scheme if the mass is at least h² Z / 4. Z is
+//! the stiffest possible response of the tool: its mount (stiffness and damping) and a contact, at its base
+//! and at its tip. A vanishes with h² and does not affect statics.
 //!
-//! Neglected: gravity on the links (the commanded angles are those of the loaded arm), and velocity products, about 1e-4 of the
-//! acceleration terms at drilling speeds.
+//! Neglected: gravity on the links (the commanded angles are those of the loaded arm), and velocity products,
+//! about 1e-4 of the acceleration terms at drilling speeds.
 
 use super::geometry::ArmGeometry;
 use super::kinematics::{Jacobian, Joints, LinkFrames, UR_JOINTS, stack};
@@ -20,7 +23,7 @@ use super::{Arm, ArmError};
 use nalgebra::{Isometry3, Matrix6, Vector3, Vector6};
 use serde::{Deserialize, Serialize};
 
-/// Springs and dampers of the joints.
+/// Springs and dampers of the joints, and the tool they carry.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ComplianceParameters {
     /// The arm's links.
@@ -29,7 +32,7 @@ pub struct ComplianceParameters {
     pub stiffness_nm_per_rad: [f64; UR_JOINTS],
     /// Damping of each joint, N m s/rad.
     pub damping_nms_per_rad: [f64; UR_JOINTS],
-    /// Upper bound of the tool's stiffness toward its base: its mount and a contact, N/m.
+    /// Upper bound of the tool's stiffness at its base (mount and contact), N/m.
     pub tool_stiffness_n_per_m: f64,
     /// Damping of the tool's mount, N s/m.
     pub tool_damping_n_s_per_m: f64,
@@ -37,12 +40,12 @@ pub struct ComplianceParameters {
     pub tool_length_m: f64,
 }
 
-/// Deflection of the joints and its rate.
+/// Joint deflections and their rates.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct ComplianceState {
     /// Deflection, positive in the direction of the joint angle, rad.
     pub deflection_rad: Joints,
-    /// Its rate, rad/s.
+    /// Deflection rate, rad/s.
     pub rate_rad_s: Joints,
 }
 
@@ -51,7 +54,7 @@ pub struct ComplianceState {
 pub struct DeflectedBase {
     /// Pose of the tool's base.
     pub t_world_tool: Isometry3<f64>,
-    /// Velocity of its origin, m/s.
+    /// Velocity of the origin, m/s.
     pub linear_velocity_m_s: Vector3<f64>,
     /// Angular velocity, rad/s.
     pub angular_velocity_rad_s: Vector3<f64>,
@@ -65,7 +68,7 @@ pub struct Compliance {
 }
 
 impl Compliance {
-    /// Undeflected joints at rest.
+    /// Creates the undeflected joints at rest.
     ///
     /// # Errors
     /// A stiffness is not positive, or a damping or tool parameter is negative.
@@ -85,18 +88,18 @@ impl Compliance {
         Ok(Self { parameters, state: ComplianceState::default() })
     }
 
-    /// Deflection and rate.
+    /// Returns the deflections and rates.
     pub fn state(&self) -> &ComplianceState {
         &self.state
     }
 
-    /// Continues from a state.
+    /// Restores a state.
     pub fn restore(&mut self, state: &ComplianceState) {
         self.state = *state;
     }
 
-    /// Advances by one tick of the arm, after [`Arm::step`], under the tool's force (N) and torque (N m) on its base, about the base
-    /// origin, patient axes.
+    /// Advances by one tick of the arm, after [`Arm::step`], under the tool's force (N) and torque (N m) on
+    /// its base, about the base origin, patient axes.
     ///
     /// # Errors
     /// The mass matrix cannot be factored because the state is not finite.
@@ -129,7 +132,7 @@ impl Compliance {
         Ok(self.base(arm))
     }
 
-    /// Motion of the tool's base, including the current deflection.
+    /// Returns the motion of the tool's base, including the current deflection.
     pub fn base(&self, arm: &Arm) -> DeflectedBase {
         let frames = self.frames(arm);
         let base = &arm.parameters().t_world_arm_base;
@@ -142,7 +145,7 @@ impl Compliance {
         }
     }
 
-    /// Link angles: commanded angles plus deflection.
+    /// Returns the link angles: commanded angles plus deflection.
     fn joints(&self, arm: &Arm) -> Joints {
         std::array::from_fn(|i| arm.state().q_rad[i] + self.state.deflection_rad[i])
     }
@@ -151,7 +154,7 @@ impl Compliance {
         arm.parameters().geometry.frames(&self.joints(arm))
     }
 
-    /// h² Jᵀ Z J, for the tool's stiffest response at its base and at its tip.
+    /// Returns the added mass h² Jᵀ Z J for the tool's stiffest response at its base and at its tip.
     fn added_mass(&self, frames: &LinkFrames, jacobian: &Matrix6<f64>, h: f64) -> Matrix6<f64> {
         let p = &self.parameters;
         let mass_kg = h * h * p.tool_stiffness_n_per_m + h * p.tool_damping_n_s_per_m;
@@ -162,7 +165,7 @@ impl Compliance {
     }
 }
 
-/// The six joints of an arm whose links' masses are known.
+/// Returns the first six joints as a vector.
 fn six(joints: &Joints) -> Vector6<f64> {
     Vector6::from_column_slice(&joints[..UR_JOINTS])
 }
@@ -171,7 +174,7 @@ fn of_six(jacobian: &Jacobian) -> Matrix6<f64> {
     jacobian.fixed_columns::<UR_JOINTS>(0).into_owned()
 }
 
-/// Mass matrix of an arm's links, kg m²: the sum of `m Jvᵀ Jv + Jωᵀ I Jω`. Excludes the tool.
+/// Returns the mass matrix of an arm's links, kg m²: the sum of `m Jvᵀ Jv + Jωᵀ I Jω`. Excludes the tool.
 pub fn mass_matrix(geometry: &ArmGeometry, links: &[Link; UR_JOINTS], q_rad: &Joints) -> Matrix6<f64> {
     let frames = geometry.with_tool(None).frames(q_rad);
     let mut mass = Matrix6::zeros();

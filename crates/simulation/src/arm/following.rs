@@ -1,4 +1,4 @@
-//! One tick of the motion in progress: in joint space or along a path.
+//! Advances the motion in progress by one tick, in joint space or along a path.
 
 use super::motion::{JointMotion, Motion, NextPath, PathMotion};
 use super::path::{JointsOnPath, Path, PathFollower};
@@ -7,7 +7,7 @@ use nalgebra::SVector;
 
 use super::{Arm, ArmCommand, ArmError, ArmMode, AxisLimits, AxisState, Goal, LinkFrames, Segment};
 
-/// The arm abandons a path if a joint would exceed its velocity limit by this factor.
+/// Factor over its velocity limit at which a joint makes the arm abandon a path.
 const PATH_FAULT_FACTOR: f64 = 1.5;
 
 impl Arm {
@@ -91,7 +91,8 @@ impl Arm {
         }
     }
 
-    /// The joints at the path parameter. An error if one of them would jump or exceed 1.5 times its velocity limit.
+    /// Returns the joints at the path parameter. Fails if one of them would jump or exceed 1.5 times its
+    /// velocity limit.
     fn next_on_path(&self, path: &Path, parameter: &AxisState<1>) -> Result<JointsOnPath, ArmError> {
         let [fraction] = parameter.position;
         let on_path = self
@@ -110,7 +111,7 @@ impl Arm {
         Ok(on_path)
     }
 
-    /// At rest: starts the pending path, or stays at rest.
+    /// Starts the pending path from rest, or stays at rest.
     pub(super) fn begin(&mut self, next: Option<NextPath>) {
         self.motion = Motion::Rest;
         if let Some(next) = next {
@@ -125,8 +126,9 @@ impl Arm {
         self.state.done = matches!(self.motion, Motion::Rest);
     }
 
-    /// Abandons a motion that cannot continue: stops the joints and puts the reason into the state. The stop starts from velocities and
-    /// accelerations clamped to their limits, which they may far exceed near a singularity.
+    /// Abandons a motion that cannot continue: stops the joints and stores the reason in the state. The stop
+    /// starts from velocities and accelerations clamped to their limits, which they may far exceed near a
+    /// singularity.
     pub(super) fn give_up(&mut self, reason: ArmError) {
         self.state.fault = Some(reason);
         self.insertion = None;
@@ -153,7 +155,7 @@ impl Arm {
         }
     }
 
-    /// Writes joints and tool base into the state.
+    /// Writes the joints and the tool base to the state.
     pub(super) fn publish(&mut self, frames: &LinkFrames, joints: &AxisState<MAX_ARM_JOINTS>) {
         let base = &self.parameters.t_world_arm_base;
         let geometry = &self.parameters.geometry;

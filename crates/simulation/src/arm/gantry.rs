@@ -1,10 +1,11 @@
-//! A gantry: three linear axes, as of a test bench or a milling machine. It does not turn the tool.
+//! A gantry: three linear axes, as on a test bench or a milling machine. It never rotates the tool.
 
 use super::inverse::{KinematicsError, check_pose};
 use super::kinematics::{Joints, LinkFrames};
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 
-/// How far a goal may be turned against the tool: what clients lose by rounding an orientation to four single-precision numbers.
+/// Tolerance for a goal's rotation relative to the tool, which covers the rounding of an orientation to four
+/// single-precision numbers by clients.
 const TURN_TOLERANCE_RAD: f64 = 1e-6;
 
 /// Three linear axes along x, y and z of the arm's base; the flange has the base's orientation.
@@ -15,7 +16,8 @@ pub struct GantryGeometry {
 }
 
 impl GantryGeometry {
-    /// The base, and the tool's base where the axes are: `place` holds their places in m, then zeros.
+    /// Returns the frames of the base and of the tool base; `place` holds the axis positions in m, then
+    /// zeros.
     pub(super) fn frames(&self, place: &Joints) -> LinkFrames {
         let mut frames = LinkFrames::standing(0);
         frames.attach(self.t_flange_tool.as_ref());
@@ -23,7 +25,7 @@ impl GantryGeometry {
         frames
     }
 
-    /// The goal with exactly the tool's orientation, from which rounding may have turned it.
+    /// Returns the goal with exactly the tool's orientation, which removes rounding.
     pub(super) fn unturned(
         &self,
         mut t_base_tool: Isometry3<f64>,
@@ -42,10 +44,11 @@ impl GantryGeometry {
         }
     }
 
-    /// Places of the axes, m, that put the tool's base at `t_base_tool`, then zeros.
+    /// Returns the axis positions, m, that put the tool base at `t_base_tool`, then zeros.
     ///
     /// # Errors
-    /// The pose is invalid, turned against the tool by more than 1e-6 rad, or beyond the travel of an axis.
+    /// The pose is invalid, rotated relative to the tool by more than 1e-6 rad, or beyond the travel of an
+    /// axis.
     pub fn inverse(
         &self,
         t_base_tool: &Isometry3<f64>,

@@ -1,4 +1,4 @@
-//! Kinematics of the arms that a scene can have, behind one type.
+//! Kinematics of all arms that a scene can have, as one type.
 
 use super::gantry::GantryGeometry;
 use super::inverse::KinematicsError;
@@ -7,16 +7,16 @@ use super::serial::{Redundancy, SerialGeometry};
 use nalgebra::{Isometry3, Vector6};
 
 /// The kinematics of an arm.
-#[allow(clippy::large_enum_variant, reason = "a simulation has one, and a tick allocates nothing for it")]
+#[allow(clippy::large_enum_variant, reason = "one per simulation, and a tick allocates nothing for it")]
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum ArmGeometry {
-    /// An arm of Universal Robots, with a closed inverse.
+    /// A Universal Robots arm, with a closed-form inverse.
     Ur(UrGeometry),
-    /// Another arm of six or seven turning joints, with a numeric inverse.
+    /// Any other arm of six or seven revolute joints, with a numeric inverse.
     Serial(SerialGeometry),
-    /// Three linear axes. They stand in the first three [`Joints`], in metres; the others are 0.
+    /// Three linear axes: the first three entries of [`Joints`], in metres; the others are 0.
     Gantry(GantryGeometry),
-    /// No arm: the flange is the base, whatever the joint angles.
+    /// No arm: the flange is the base, regardless of the joint angles.
     Fixed {
         /// T_flange_tool; `None` means identity.
         t_flange_tool: Option<Isometry3<f64>>,
@@ -30,12 +30,12 @@ impl From<UrGeometry> for ArmGeometry {
 }
 
 impl ArmGeometry {
-    /// Whether there is an arm that moves the tool.
+    /// Returns whether there is an arm that moves the tool.
     pub fn moves(&self) -> bool {
         !matches!(self, ArmGeometry::Fixed { .. })
     }
 
-    /// Number of joints that turn, which commands and states name by angles.
+    /// Returns the number of revolute joints, which commands and states report as angles.
     pub fn joints(&self) -> usize {
         match self {
             ArmGeometry::Ur(_) => UR_JOINTS,
@@ -44,13 +44,13 @@ impl ArmGeometry {
         }
     }
 
-    /// Whether the arm has joints that turn.
+    /// Returns whether the arm has revolute joints.
     pub fn turns(&self) -> bool {
         self.joints() > 0
     }
 
-    /// The joint, from 0, that keeps its angle while the tool's base moves on a path: the redundant one of seven. Of another arm the entry
-    /// behind its joints.
+    /// Returns the joint, from 0, that keeps its angle while the tool's base moves on a path: the redundant
+    /// one of seven. For other arms, the entry after the last joint.
     pub(super) fn held_joint(&self) -> usize {
         match self {
             ArmGeometry::Serial(serial) => serial.held_joint(),
@@ -58,7 +58,7 @@ impl ArmGeometry {
         }
     }
 
-    /// T_flange_tool: pose of the tool's base on the flange; `None` means identity.
+    /// Returns T_flange_tool: pose of the tool's base on the flange; `None` means identity.
     pub fn t_flange_tool(&self) -> Option<&Isometry3<f64>> {
         match self {
             ArmGeometry::Ur(ur) => ur.t_flange_tool.as_ref(),
@@ -68,7 +68,7 @@ impl ArmGeometry {
         }
     }
 
-    /// The same arm with its tool's base there on the flange.
+    /// Returns the same arm with the tool base at this pose on the flange.
     #[must_use]
     pub fn with_tool(mut self, t_flange_tool: Option<Isometry3<f64>>) -> Self {
         match &mut self {
@@ -80,7 +80,7 @@ impl ArmGeometry {
         self
     }
 
-    /// All link frames at joint angles `q_rad`; the last one is the tool's base.
+    /// Returns all link frames at joint angles `q_rad`; the last one is the tool's base.
     pub fn frames(&self, q_rad: &Joints) -> LinkFrames {
         match self {
             ArmGeometry::Ur(ur) => ur.frames(q_rad),
@@ -94,8 +94,9 @@ impl ArmGeometry {
         }
     }
 
-    /// Geometric Jacobian of the tool's base at these frames, base axes: [`LinkFrames::jacobian`]. A gantry's is the identity: its
-    /// coordinates are the place itself, and three more, which never change, would turn the tool about the base's axes.
+    /// Returns the geometric Jacobian of the tool's base at these frames, base axes:
+    /// [`LinkFrames::jacobian`]. For a gantry it is the identity: the coordinates are the position itself,
+    /// plus three unused ones that would turn the tool about the base axes.
     pub(super) fn jacobian(&self, frames: &LinkFrames) -> Jacobian {
         match self {
             ArmGeometry::Gantry(_) => Jacobian::identity(),
@@ -103,14 +104,15 @@ impl ArmGeometry {
         }
     }
 
-    /// `J̇ q̇` at these frames: [`LinkFrames::bias_acceleration`]. 0 where nothing turns.
+    /// Returns `J̇ q̇` at these frames: [`LinkFrames::bias_acceleration`]. Zero without revolute joints.
     pub(super) fn bias_acceleration(&self, frames: &LinkFrames, qd_rad_s: &Joints) -> Vector6<f64> {
         if self.turns() { frames.bias_acceleration(qd_rad_s) } else { Vector6::zeros() }
     }
 
-    /// The parts of the chain that do not turn, one more than joints: frame i is frame i - 1 turned about its z by joint i, then moved by
-    /// part i; part 0 places frame 0 in the arm's base, and the last part ends at the tool's base. For an arm of Universal Robots the
-    /// identity, then `Tz(d_i) Tx(a_i) Rx(alpha_i)`.
+    /// Returns the constant parts of the chain, one more than there are joints: frame i is frame i - 1 turned
+    /// about its z by joint i, then moved by part i; part 0 places frame 0 in the arm's base, and the last
+    /// part ends at the tool's base. For a Universal Robots arm: the identity, then `Tz(d_i) Tx(a_i)
+    /// Rx(alpha_i)`.
     pub fn fixed_parts(&self) -> Vec<Isometry3<f64>> {
         let (straight, joints) = (self.frames(&Joints::default()), self.joints());
         let frame =
@@ -120,12 +122,14 @@ impl ArmGeometry {
         core::iter::once(first).chain(between).collect()
     }
 
-    /// `T_base_tool`: pose of the tool's base in the arm's base frame; without a tool transform, of the flange.
+    /// Returns `T_base_tool`: pose of the tool's base in the arm's base frame; without a tool transform, the
+    /// pose of the flange.
     pub fn forward(&self, q_rad: &Joints) -> Isometry3<f64> {
         self.frames(q_rad).t_base_tool()
     }
 
-    /// Yoshikawa's manipulability in m³: `|det J|` of six joints, the root of `det(J Jᵀ)` of seven; 0 without joints that turn.
+    /// Returns Yoshikawa's manipulability in m³: `|det J|` for six joints, the root of `det(J Jᵀ)` for seven;
+    /// 0 without revolute joints.
     pub fn manipulability_m3(&self, q_rad: &Joints) -> f64 {
         match self {
             ArmGeometry::Ur(ur) => ur.manipulability_m3(q_rad),
@@ -140,7 +144,8 @@ impl ArmGeometry {
         }
     }
 
-    /// Manipulability in m³ of the joints that move on a path: `|det J|` of all but the one that is held.
+    /// Returns the manipulability in m³ of the joints that move on a path: `|det J|` of all except the held
+    /// one.
     pub(crate) fn manipulability_on_path_m3(&self, q_rad: &Joints) -> f64 {
         match self {
             ArmGeometry::Serial(serial) => self.determinant_m3(&serial.frames(q_rad).jacobian()).abs(),
@@ -148,14 +153,15 @@ impl ArmGeometry {
         }
     }
 
-    /// Determinant of the Jacobian without the joint that is held on a path.
+    /// Returns the determinant of the Jacobian without the joint that is held on a path.
     fn determinant_m3(&self, jacobian: &Jacobian) -> f64 {
         without(jacobian, self.held_joint()).determinant()
     }
 
-    /// Joint angles within the limits that put the tool's base at `t_base_tool`, as near to `q_reference_rad` as the arm's inverse finds
-    /// them: [`UrGeometry::inverse_nearest`], [`SerialGeometry::inverse_nearest`], [`GantryGeometry::inverse`]. Of seven joints the
-    /// redundant one keeps the reference's angle, unless that leads nowhere and `redundancy` lets it move.
+    /// Returns the joint angles within the limits that put the tool's base at `t_base_tool`, as close to
+    /// `q_reference_rad` as the arm's inverse finds them: [`UrGeometry::inverse_nearest`],
+    /// [`SerialGeometry::inverse_nearest`], [`GantryGeometry::inverse`]. With seven joints, the redundant one
+    /// keeps the reference angle, unless that finds no solution and `redundancy` lets it move.
     ///
     /// # Errors
     /// The pose is invalid, out of reach or singular, or no solution lies within the limits.
@@ -177,7 +183,8 @@ impl ArmGeometry {
         }
     }
 
-    /// Signs that differ between two configurations of the arm which only a singularity joins.
+    /// Returns signs that identify the arm's configuration: two configurations with different signs are
+    /// connected only through a singularity.
     pub(super) fn branch(&self, q_rad: &Joints) -> [bool; 3] {
         match self {
             ArmGeometry::Ur(ur) => {
@@ -191,7 +198,7 @@ impl ArmGeometry {
         }
     }
 
-    /// The error where the Jacobian at `q_rad` has no inverse.
+    /// Returns the error for a `q_rad` at which the Jacobian has no inverse.
     pub(super) fn singular(&self, q_rad: &Joints) -> KinematicsError {
         match self {
             ArmGeometry::Ur(_) => {

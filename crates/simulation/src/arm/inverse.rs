@@ -1,31 +1,30 @@
 //! Analytic inverse kinematics of the Universal Robots arms: up to eight branches.
 //!
-//! The derivation follows Hawkins, "Analytic Inverse Kinematics for the Universal Robots UR-5/UR-10 Arms" (2013): shoulder left or right,
-//! wrist up or down, elbow up or down.
+//! The derivation follows Hawkins, "Analytic Inverse Kinematics for the Universal Robots UR-5/UR-10 Arms"
+//! (2013): shoulder left or right, wrist up or down, elbow up or down.
 
 use super::kinematics::{Joints, UrGeometry};
 use nalgebra::{Isometry3, Vector3};
 use std::f64::consts::{FRAC_PI_2, TAU};
 use thiserror::Error;
 
-/// Below this `|sin q5|` wrist 3 is undefined: rounding would decide its angle.
+/// `|sin q5|` below which wrist 3 is undefined: rounding would decide its angle.
 const WRIST_SINGULAR_SIN: f64 = 1e-7;
 
-/// Rounding may push a cosine this far past 1 before a pose counts as out of reach (2e-10 rad² of joint angle).
+/// Amount by which rounding may push a cosine past 1 before a pose counts as out of reach (2e-10 rad² of
+/// joint angle).
 const COSINE_SLACK: f64 = 1e-10;
 
 /// Why a pose of the tool's base has no inverse kinematics solution.
 #[derive(Clone, Copy, Debug, Error, PartialEq)]
 pub enum KinematicsError {
-    /// The pose has a NaN or infinite number, or its quaternion is not of unit length.
-    #[error(
-        "the pose has a number that is not finite or a quaternion that is not of length 1; send a valid pose"
-    )]
+    /// The pose has a NaN or infinite component, or its quaternion is not of unit length.
+    #[error("invalid pose: a number is not finite, or the quaternion is not of length 1")]
     InvalidPose,
     /// The wrist would be inside the unreachable cylinder around the base axis.
     #[error(
-        "the wrist would be {distance_m} m from the base's axis, the arm needs at least {minimum_m} m; \
-         move the goal away from the base's axis or place the base elsewhere"
+        "too close to the base axis: the wrist would be {distance_m} m from it; allowed: at least \
+         {minimum_m} m; move the goal or the arm base"
     )]
     TooCloseToBase {
         /// Distance of wrist 2 from the base axis.
@@ -35,20 +34,20 @@ pub enum KinematicsError {
     },
     /// The wrist would be too far from the shoulder, or too close to it.
     #[error(
-        "the wrist would be {distance_m} m from the shoulder, the arm reaches {minimum_m} m to {maximum_m} m; \
-         move the goal or place the base elsewhere"
+        "out of reach: the wrist would be {distance_m} m from the shoulder; allowed: {minimum_m} to \
+         {maximum_m} m; move the goal or the arm base"
     )]
     OutOfReach {
-        /// Distance of wrist 1 from the shoulder in the arm's plane, for the branch that misses by least.
+        /// Distance of wrist 1 from the shoulder in the arm's plane, for the branch with the smallest miss.
         distance_m: f64,
-        /// Folded arm, `||a2| - |a3||`.
+        /// Distance with the arm folded, `||a2| - |a3||`.
         minimum_m: f64,
-        /// Stretched arm, `|a2| + |a3|`.
+        /// Distance with the arm stretched, `|a2| + |a3|`.
         maximum_m: f64,
     },
     /// Wrists 1 and 3 turn about the same line: there are infinitely many solutions.
     #[error(
-        "wrist singularity: |sin q5| = {sin_q5}, at least {minimum} is needed to tell wrist 1 from wrist 3; \
+        "wrist singularity: |sin q5| = {sin_q5}; allowed: at least {minimum}; \
          tilt the goal or use a joint command"
     )]
     WristSingular {
@@ -57,53 +56,51 @@ pub enum KinematicsError {
         /// The smallest accepted value.
         minimum: f64,
     },
-    /// The joints' axes are dependent: no joint rates move the tool's base as the path wants.
-    #[error("the arm is singular there: its joints cannot move the tool in every direction; move the goal")]
+    /// The joint axes are dependent: no joint rates move the tool base along the path.
+    #[error("singularity: the joints cannot move the tool in every direction there; move the goal")]
     Singular,
     /// The numeric inverse found no joint angles within the limits.
     #[error(
-        "no joint angles within the limits were found for the pose: the nearest miss it by {missed_m} m and {missed_rad} rad; \
-         move the goal or place the base elsewhere"
+        "no solution within the joint limits: the closest misses the pose by {missed_m} m and {missed_rad} \
+         rad; move the goal or the arm base"
     )]
     NotReached {
-        /// Distance of the tool's base from the goal.
+        /// Distance of the tool base from the goal.
         missed_m: f64,
-        /// About the angle between them.
+        /// Approximate angle between the two orientations.
         missed_rad: f64,
     },
-    /// A gantry does not turn the tool.
+    /// The goal rotates the tool, which a gantry cannot.
     #[error(
-        "the pose is turned by {turned_rad} rad, a gantry keeps the tool's orientation (within {allowed_rad} rad); \
-         send the orientation of `State.t_world_base`, or choose another `arm.model`"
+        "the pose is rotated by {turned_rad} rad, but a gantry keeps the tool's orientation (within \
+         {allowed_rad} rad); send the orientation of `State.t_world_base`, or choose another `arm.model`"
     )]
     Turned {
         /// Angle between the goal and the tool.
         turned_rad: f64,
-        /// The greatest accepted angle.
+        /// The largest accepted angle.
         allowed_rad: f64,
     },
-    /// An axis of a gantry does not go so far.
+    /// The goal is beyond the travel of a gantry axis.
     #[error(
-        "the gantry's axis {axis} would be at {given_m} m, its travel is {lower_m} to {upper_m} m from the start; \
-         move the goal, or raise `arm.travel_mm`"
+        "gantry axis {axis} out of range: {given_m} m, its travel is {lower_m} to {upper_m} m from the \
+         start; move the goal, or increase `arm.travel_mm`"
     )]
     BeyondTravel {
         /// The axis.
         axis: char,
-        /// Where it would be.
+        /// Its required position.
         given_m: f64,
-        /// Least place.
+        /// Lower end of its travel.
         lower_m: f64,
-        /// Greatest place.
+        /// Upper end of its travel.
         upper_m: f64,
     },
-    /// There is no arm.
-    #[error("there is no arm to move the tool (`arm.model` is \"fixed\"); choose another `arm.model`")]
+    /// The scene has no arm.
+    #[error("no arm to move the tool (`arm.model` is \"fixed\"); choose another `arm.model`")]
     NoJoints,
     /// Every branch violates a joint limit.
-    #[error(
-        "all {branches} solutions of the pose lie outside the joint limits; move the goal or place the base elsewhere"
-    )]
+    #[error("all {branches} solutions for the pose violate the joint limits; move the goal or the arm base")]
     OutsideJointLimits {
         /// Number of solutions tried.
         branches: usize,
@@ -115,19 +112,20 @@ pub enum KinematicsError {
 pub struct InverseSolutions {
     q_rad: [Joints; 8],
     count: usize,
-    /// Shoulder angle and |sin q5| of a shoulder branch without solution because of its singular wrist.
+    /// Shoulder angle and |sin q5| of a shoulder branch that has no solution because its wrist is singular.
     wrist_singular: Option<(f64, f64)>,
 }
 
 impl InverseSolutions {
-    /// The solutions in fixed branch order (shoulder, wrist, elbow).
+    /// Returns the solutions in fixed branch order (shoulder, wrist, elbow).
     pub fn as_slice(&self) -> &[Joints] {
         &self.q_rad[..self.count]
     }
 }
 
 impl UrGeometry {
-    /// All analytic solutions (2 to 8) for the tool's base at `t_base_tool`. Omits a shoulder branch whose wrist is singular.
+    /// Returns all analytic solutions (2 to 8) for the tool's base at `t_base_tool`. Omits a shoulder branch
+    /// whose wrist is singular.
     pub fn inverse(&self, t_base_tool: &Isometry3<f64>) -> Result<InverseSolutions, KinematicsError> {
         check_pose(t_base_tool)?;
         let t_base_flange = match &self.t_flange_tool {
@@ -139,7 +137,7 @@ impl UrGeometry {
         if radius_m < self.d4_m {
             return Err(KinematicsError::TooCloseToBase { distance_m: radius_m, minimum_m: self.d4_m });
         }
-        // The wrist's offset d4 along the shoulder's axis (sin q1, -cos q1, 0) fixes q1.
+        // The wrist offset d4 along the shoulder axis (sin q1, -cos q1, 0) determines q1.
         let direction = libm::atan2(flange.wrist_m.y, flange.wrist_m.x) + FRAC_PI_2;
         let half_angle = libm::acos(self.d4_m / radius_m);
         let mut found = InverseSolutions { q_rad: [Joints::default(); 8], count: 0, wrist_singular: None };
@@ -156,9 +154,10 @@ impl UrGeometry {
         }
     }
 
-    /// The solution within the limits that is nearest to `q_reference_rad` (least sum of squared joint differences, in radians). Unwraps
-    /// every joint by whole turns toward the reference. Refuses the pose as singular if the wrist is singular in the shoulder branch
-    /// nearer to the reference, because the other shoulder's solutions would flip the arm.
+    /// Returns the solution within the limits that is closest to `q_reference_rad` (least sum of squared
+    /// joint differences, in radians). Unwraps every joint by whole turns toward the reference. Rejects the
+    /// pose as singular if the wrist is singular in the shoulder branch closer to the reference, because the
+    /// other shoulder's solutions would flip the arm.
     pub fn inverse_nearest(
         &self,
         t_base_tool: &Isometry3<f64>,
@@ -186,7 +185,7 @@ impl UrGeometry {
         }
     }
 
-    /// The two wrist branches of one shoulder branch.
+    /// Solves the two wrist branches of one shoulder branch.
     fn solve_wrist(
         &self,
         flange: &FlangeAxes,
@@ -208,7 +207,7 @@ impl UrGeometry {
             let q5 = libm::atan2(sign * sin5, along_z);
             let q6 = libm::atan2(-sign * along_y, sign * along_x);
             let (sin6, cos6) = libm::sincos(q6);
-            // Axis of wrist 2: it lies in the arm's plane.
+            // Axis of wrist 2, which lies in the arm's plane.
             let wrist2_axis = -(flange.x * sin6 + flange.y * cos6);
             let elbow_target = flange.wrist_m - wrist2_axis * self.d5_m;
             let plane_x = Vector3::new(cos1, sin1, 0.0);
@@ -218,7 +217,8 @@ impl UrGeometry {
         }
     }
 
-    /// The two elbow branches of one wrist branch: planar two-link inverse kinematics for `plane` (m, shoulder at the origin).
+    /// Solves the two elbow branches of one wrist branch: planar two-link inverse kinematics for `plane` (m,
+    /// shoulder at the origin).
     fn solve_elbow(
         &self,
         plane: [f64; 2],
@@ -262,7 +262,7 @@ impl FlangeAxes {
     }
 }
 
-/// |cos q3| and distance (m) of the branch that misses the goal by least.
+/// |cos q3| and distance (m) of the branch with the smallest miss.
 #[derive(Default)]
 struct ClosestMiss(Option<(f64, f64)>);
 
@@ -283,7 +283,7 @@ impl ClosestMiss {
     }
 }
 
-/// Refuses a pose with a non-finite number or a quaternion whose length is off by more than 1e-6.
+/// Rejects a pose with a non-finite component or a quaternion whose length is off by more than 1e-6.
 pub(super) fn check_pose(pose: &Isometry3<f64>) -> Result<(), KinematicsError> {
     let finite = pose.translation.vector.iter().chain(pose.rotation.coords.iter()).all(|x| x.is_finite());
     if finite && (pose.rotation.coords.norm() - 1.0).abs() < 1e-6 {
@@ -293,7 +293,8 @@ pub(super) fn check_pose(pose: &Isometry3<f64>) -> Result<(), KinematicsError> {
     }
 }
 
-/// `q` plus whole turns, each joint as close to the reference as its limits allow; `None` if a joint has no such angle.
+/// Returns `q` plus whole turns, each joint as close to the reference as its limits allow; `None` if a joint
+/// has no such angle.
 fn unwrap_towards(q: &Joints, reference: &Joints, lower: &Joints, upper: &Joints) -> Option<Joints> {
     let mut unwrapped = *q;
     for i in 0..q.len() {

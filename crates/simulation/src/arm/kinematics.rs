@@ -1,33 +1,35 @@
-//! The frames of an arm and its Jacobian, and the forward kinematics of the Universal Robots six-joint arms (UR3 to UR20: one geometry).
+//! Link frames and Jacobian of an arm, and the forward kinematics of the six-joint Universal Robots arms (UR3
+//! to UR20, which share one geometry).
 //!
-//! Universal Robots: standard Denavit-Hartenberg convention: `T_{i-1,i} = Rz(q_i) Tz(d_i) Tx(a_i) Rx(alpha_i)`; frame 0 is the arm's base, frame 6 the
-//! flange. The twists alpha are 90, 0, 0, 90, -90, 0 degrees. Their sines and cosines are exact 0 and ±1 in the code, so no rounding of
-//! pi/2 enters a pose.
+//! The Universal Robots arms use the standard Denavit-Hartenberg convention: `T_{i-1,i} = Rz(q_i) Tz(d_i)
+//! Tx(a_i) Rx(alpha_i)`; frame 0 is the arm's base, frame 6 the flange. The twists alpha are 90, 0, 0, 90,
+//! -90, 0 degrees. Their sines and cosines are exact 0 and ±1 in the code, so no rounding of pi/2 enters a
+//! pose.
 
 use messages::MAX_ARM_JOINTS;
 use nalgebra::{
     Isometry3, Matrix3, Matrix6, Rotation3, SMatrix, Translation3, UnitQuaternion, Vector3, Vector6,
 };
 
-/// A value per joint, from base to wrist; entries behind the arm's last joint are 0. Of a gantry the first three belong to its linear
-/// axes, in m where an angle would be in rad.
+/// One value per joint, from base to wrist; entries after the arm's last joint are 0. The first three entries
+/// of a gantry are its linear axes, in m instead of rad.
 pub type Joints = [f64; MAX_ARM_JOINTS];
 
-/// The values of an arm of six joints.
+/// Returns the values for a six-joint arm.
 pub const fn six_joints(values: [f64; UR_JOINTS]) -> Joints {
     with_seventh(values, 0.0)
 }
 
-/// Values of six joints, and that of a seventh.
+/// Returns the values of six joints and a seventh.
 pub(super) const fn with_seventh([a, b, c, d, e, f]: [f64; UR_JOINTS], seventh: f64) -> Joints {
     [a, b, c, d, e, f, seventh]
 }
 
-/// Geometric Jacobian of the tool's base: rows 0..3 linear velocity of its origin (m/rad), rows 3..6 angular velocity (rad/rad); a column
-/// per joint, 0 behind the arm's last one.
+/// Geometric Jacobian of the tool's base: rows 0..3 linear velocity of its origin (m/rad), rows 3..6 angular
+/// velocity (rad/rad); one column per joint, 0 after the arm's last one.
 pub type Jacobian = SMatrix<f64, 6, MAX_ARM_JOINTS>;
 
-/// Joints of the arms of Universal Robots.
+/// Number of joints of a Universal Robots arm.
 pub(super) const UR_JOINTS: usize = 6;
 
 /// Cosine and sine of the link twists alpha_1..alpha_6 (90, 0, 0, 90, -90, 0 degrees).
@@ -45,16 +47,16 @@ pub struct UrGeometry {
     pub a3_m: f64,
     /// Offset of the wrist out of the arm's plane (d4).
     pub d4_m: f64,
-    /// Wrist 1 to wrist 2 (d5).
+    /// Distance from wrist 1 to wrist 2 (d5).
     pub d5_m: f64,
-    /// Wrist 2 to the flange (d6).
+    /// Distance from wrist 2 to the flange (d6).
     pub d6_m: f64,
     /// T_flange_tool: pose of the tool's base on the flange; `None` means identity.
     pub t_flange_tool: Option<Isometry3<f64>>,
 }
 
 impl UrGeometry {
-    /// All link frames at joint angles `q_rad`; the last one is the tool's base.
+    /// Returns all link frames at joint angles `q_rad`; the last one is the tool's base.
     pub fn frames(&self, q_rad: &Joints) -> LinkFrames {
         let d = [self.d1_m, 0.0, 0.0, self.d4_m, self.d5_m, self.d6_m];
         let a = [0.0, self.a2_m, self.a3_m, 0.0, 0.0, 0.0];
@@ -76,15 +78,16 @@ impl UrGeometry {
         frames
     }
 
-    /// `T_base_tool`: pose of the tool's base in the arm's base frame; without a tool transform, of the flange.
+    /// Returns `T_base_tool`: pose of the tool's base in the arm's base frame; without a tool transform, the
+    /// pose of the flange.
     pub fn forward(&self, q_rad: &Joints) -> Isometry3<f64> {
         self.frames(q_rad).t_base_tool()
     }
 
-    /// The three factors of the Jacobian determinant, `det J = a2 a3 · elbow · wrist · shoulder` up to sign: `sin q3`, `sin q5` and
-    /// `a2 cos q2 + a3 cos q23 + d5 sin q234` (m). The arm is singular where a factor is zero, and the sign of each factor is constant
-    /// within each of the eight inverse branches. (Derived from the Denavit-Hartenberg chain; the tests compare it with the numeric
-    /// determinant.)
+    /// Returns the three factors of the Jacobian determinant, `det J = a2 a3 · elbow · wrist · shoulder` up
+    /// to sign: `sin q3`, `sin q5` and `a2 cos q2 + a3 cos q23 + d5 sin q234` (m). The arm is singular where
+    /// a factor is zero, and the sign of each factor is constant within each of the eight inverse branches.
+    /// (Derived from the Denavit-Hartenberg chain; the tests compare it with the numeric determinant.)
     pub fn singularity_factors(&self, q_rad: &Joints) -> SingularityFactors {
         let q23 = q_rad[1] + q_rad[2];
         let shoulder_m = self.a2_m * libm::cos(q_rad[1])
@@ -93,7 +96,7 @@ impl UrGeometry {
         SingularityFactors { elbow: libm::sin(q_rad[2]), wrist: libm::sin(q_rad[4]), shoulder_m }
     }
 
-    /// `|det J|` in m³, Yoshikawa's manipulability of a six-joint arm.
+    /// Returns `|det J|` in m³, Yoshikawa's manipulability of a six-joint arm.
     pub fn manipulability_m3(&self, q_rad: &Joints) -> f64 {
         let f = self.singularity_factors(q_rad);
         (self.a2_m * self.a3_m * f.elbow * f.wrist * f.shoulder_m).abs()
@@ -111,29 +114,31 @@ pub struct SingularityFactors {
     pub shoulder_m: f64,
 }
 
-/// The frames of the base, the links and the tool's base, in the arm's base frame. Frame i is that of link i, and joint i + 1 turns about
-/// its z; in an arm that is not of Universal Robots, frame 0 is that of the first joint. The flange is the last link.
+/// Frames of the base, the links and the tool base, in the arm's base frame. Frame i belongs to link i, and
+/// joint i + 1 turns about its z axis; in arms other than Universal Robots', frame 0 is that of the first
+/// joint. The flange is the last link.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LinkFrames {
     /// Rotation of each frame; [`LinkFrames::TOOL`] is that of the tool's base.
     pub rotation: [Matrix3<f64>; MAX_ARM_JOINTS + 1],
     /// Origin of each frame.
     pub origin_m: [Vector3<f64>; MAX_ARM_JOINTS + 1],
-    /// Number of joints that turn.
+    /// Number of revolute joints.
     joints: usize,
 }
 
 impl LinkFrames {
-    /// Index of the tool's base. An arm of seven joints has no other frame for its flange: without a tool this one is the flange.
+    /// Index of the tool base. A seven-joint arm has no other frame for its flange: without a tool, this is
+    /// the flange.
     pub const TOOL: usize = MAX_ARM_JOINTS;
 
-    /// All frames in the base's.
+    /// Returns frames that all coincide with the base.
     pub(super) fn standing(joints: usize) -> Self {
         let (rotation, origin_m) = ([Matrix3::identity(); _], [Vector3::zeros(); _]);
         Self { rotation, origin_m, joints }
     }
 
-    /// `T_base_link` of frame `index`; any index beyond [`LinkFrames::TOOL`] returns the tool's base.
+    /// Returns `T_base_link` of frame `index`; an index beyond [`LinkFrames::TOOL`] yields the tool base.
     pub fn t_base_link(&self, index: usize) -> Isometry3<f64> {
         let i = index.min(Self::TOOL);
         let rotation =
@@ -141,7 +146,7 @@ impl LinkFrames {
         Isometry3::from_parts(Translation3::from(self.origin_m[i]), rotation)
     }
 
-    /// `T_base_tool`: pose of the tool's base.
+    /// Returns `T_base_tool`: pose of the tool's base.
     pub fn t_base_tool(&self) -> Isometry3<f64> {
         self.t_base_link(Self::TOOL)
     }
@@ -157,12 +162,12 @@ impl LinkFrames {
         }
     }
 
-    /// Axis of joint `i`, from 0, in the base frame.
+    /// Returns the axis of joint `i`, from 0, in the base frame.
     fn axis(&self, i: usize) -> Vector3<f64> {
         self.rotation[i].column(2).into_owned()
     }
 
-    /// Geometric Jacobian of the tool's base, in base axes.
+    /// Returns the geometric Jacobian of the tool's base, in base axes.
     pub fn jacobian(&self) -> Jacobian {
         let mut jacobian = Jacobian::zeros();
         for i in 0..self.joints {
@@ -175,8 +180,8 @@ impl LinkFrames {
         jacobian
     }
 
-    /// `J̇ q̇`: the tool base's acceleration at joint velocities `qd_rad_s` and zero joint acceleration (linear m/s², angular rad/s²,
-    /// base axes), propagated link by link.
+    /// Returns `J̇ q̇`: the tool base's acceleration at joint velocities `qd_rad_s` and zero joint
+    /// acceleration (linear m/s², angular rad/s², base axes), propagated link by link.
     pub fn bias_acceleration(&self, qd_rad_s: &Joints) -> Vector6<f64> {
         let mut angular = Vector3::zeros();
         let mut angular_acceleration = Vector3::zeros();
@@ -198,13 +203,13 @@ pub(super) fn stack(linear: &Vector3<f64>, angular: &Vector3<f64>) -> Vector6<f6
     Vector6::new(linear.x, linear.y, linear.z, angular.x, angular.y, angular.z)
 }
 
-/// The Jacobian of the joints that move while joint `held`, from 0, keeps its angle.
+/// Returns the Jacobian of the joints that move while joint `held`, from 0, keeps its angle.
 pub(super) fn without(jacobian: &Jacobian, held: usize) -> Matrix6<f64> {
     jacobian.remove_column(held)
 }
 
-/// Joint rates that give the tool's base the velocity `twist` (linear first, base axes) while joint `held` keeps its angle; `None` if
-/// the Jacobian of the others is singular.
+/// Returns the joint rates that give the tool's base the velocity `twist` (linear first, base axes) while
+/// joint `held` keeps its angle; `None` if the Jacobian of the other joints is singular.
 pub(super) fn solve_rates(jacobian: &Jacobian, held: usize, twist: &Vector6<f64>) -> Option<Joints> {
     let rates = without(jacobian, held).lu().solve(twist)?;
     let all = rates.insert_row(held, 0.0);

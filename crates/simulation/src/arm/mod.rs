@@ -1,13 +1,14 @@
-//! The arm that carries the tool: kinematics and jerk-limited motion, one tick at a time.
+//! The robot arm that carries the tool: kinematics and jerk-limited motion, one tick at a time.
 //!
-//! An [`Arm`] takes [`ArmCommand`]s and steps. After each tick its [`ArmState`] holds the joints and the tool base's pose, velocity and
-//! acceleration in the patient frame; the velocity is the exact derivative of the pose (J q̇). The tool's base is the flange frame times
-//! [`ArmGeometry::t_flange_tool`]; every commanded pose refers to it. The arm follows its trajectory exactly: there are no drive dynamics.
-//! [`Compliance`] adds joint deflection.
+//! An [`Arm`] takes [`ArmCommand`]s and steps. After each tick its [`ArmState`] holds the joints and the tool
+//! base's pose, velocity and acceleration in the patient frame; the velocity is the exact derivative of the
+//! pose (J q̇). The tool's base is the flange frame times [`ArmGeometry::t_flange_tool`]; every commanded
+//! pose refers to it. The arm follows its trajectory exactly; drive dynamics are not modelled. [`Compliance`]
+//! adds joint deflection.
 //!
-//! The numeric core is pure: the state after n ticks is a function of the parameters and of the commands with their ticks. A motion is
-//! stored as its start, goal and age, never as an accumulated state, so errors do not grow over time and a snapshot continues bit for
-//! bit.
+//! The numeric core is pure: the state after n ticks is a function of the parameters and of the commands with
+//! their ticks. A motion is stored as its start, goal and age, never as an accumulated state, so errors do
+//! not grow over time and a restored snapshot continues bit for bit.
 
 mod compliance;
 mod following;
@@ -69,7 +70,7 @@ pub struct Arm {
 }
 
 impl Arm {
-    /// An arm at rest at `initial_q_rad`.
+    /// Creates an arm at rest at `initial_q_rad`.
     pub fn new(parameters: ArmParameters, initial_q_rad: &Joints) -> Result<Self, ArmError> {
         parameters.check()?;
         parameters.check_joints(initial_q_rad)?;
@@ -99,17 +100,17 @@ impl Arm {
         Ok(arm)
     }
 
-    /// The parameters that the arm was built from.
+    /// Returns the arm's parameters.
     pub fn parameters(&self) -> &ArmParameters {
         &self.parameters
     }
 
-    /// The state after the last tick.
+    /// Returns the state after the last tick.
     pub fn state(&self) -> &ArmState {
         &self.state
     }
 
-    /// Pose of the flange in the patient frame.
+    /// Returns the pose of the flange in the patient frame.
     pub fn t_world_flange(&self) -> Isometry3<f64> {
         match self.parameters.geometry.t_flange_tool() {
             Some(tool) => self.state.t_world_tool * tool.inverse(),
@@ -117,7 +118,8 @@ impl Arm {
         }
     }
 
-    /// Geometric Jacobian at the current joint angles, world axes: rows linear velocity of the tool base's origin, then angular velocity.
+    /// Returns the geometric Jacobian at the current joint angles, world axes: first the rows of the tool
+    /// base origin's linear velocity, then those of the angular velocity.
     pub fn jacobian(&self) -> Jacobian {
         let geometry = &self.parameters.geometry;
         let mut jacobian = geometry.jacobian(&geometry.frames(&self.state.q_rad));
@@ -131,7 +133,8 @@ impl Arm {
         jacobian
     }
 
-    /// Commands the arm, effective from the next tick. During a protective stop only `Hold` is accepted, and ends it. A refused command leaves the motion unchanged; a repeat of the last accepted
+    /// Commands the arm, effective from the next tick. During a protective stop, only `Hold` is accepted,
+    /// which releases it. A rejected command leaves the motion unchanged; a repeat of the last accepted
     /// command has no effect.
     pub fn command(&mut self, command: ArmCommand) -> Result<(), ArmError> {
         if command != ArmCommand::Hold && !self.parameters.geometry.moves() {
@@ -168,7 +171,8 @@ impl Arm {
                 ArmMode::ServoJv
             }
             ArmCommand::MoveJp { q_rad, speed_fraction } => {
-                // Synchronise the joints only from rest: a synchronised profile from motion could overshoot a joint's range.
+                // Synchronise the joints only from rest: a synchronised profile from motion could overshoot a
+                // joint's range.
                 let from_rest = matches!(self.motion, Motion::Rest);
                 let goal = if from_rest { Goal::StraightLine(q_rad) } else { Goal::Independent(q_rad) };
                 self.go_to_joints(goal, &q_rad, speed_fraction)?;
@@ -222,8 +226,9 @@ impl Arm {
         Ok(())
     }
 
-    /// Stops the arm if the tool pushes on its flange with `force_n`, more than `limit_n`: it brakes within its limits and then takes no
-    /// command but [`ArmCommand::Hold`], which releases it. See [`ProtectiveStop`].
+    /// Triggers a protective stop if the tool's force on the flange, `force_n`, exceeds `limit_n`: the arm
+    /// brakes within its limits and then accepts only [`ArmCommand::Hold`], which releases it. See
+    /// [`ProtectiveStop`].
     pub fn watch_force(&mut self, force_n: f64, limit_n: f64) {
         let most_n = match self.state.protective_stop {
             ProtectiveStop::Armed => limit_n,
@@ -253,7 +258,7 @@ impl Arm {
         &self.state
     }
 
-    /// The complete state, including the motion in progress.
+    /// Returns the complete state, including the motion in progress.
     pub fn snapshot(&self) -> ArmSnapshot {
         ArmSnapshot {
             motion: self.motion,
@@ -289,7 +294,7 @@ mod tests {
     use super::path::Path;
     use super::*;
 
-    /// A line that bypasses the check that would refuse it.
+    /// Returns an arm on a line that bypasses the check that would reject it.
     fn on_its_way(q_rad: &Joints, goal: impl Fn(&ArmState) -> Isometry3<f64>) -> Arm {
         let mut arm = Arm::new(ArmParameters::ur5(1e-3), q_rad).unwrap();
         let path = Path::straight(&arm.state.t_world_tool, &goal(&arm.state));
@@ -301,7 +306,7 @@ mod tests {
         arm
     }
 
-    /// A wrist that goes over to its other side on the way would turn by radians in a tick: the arm stops before.
+    /// A wrist that flips on the way would turn by radians in one tick: the arm stops before that.
     #[test]
     fn a_line_on_which_the_joints_jump_ends_in_that_fault() {
         let posture = |wrist_rad| [0.0, -1.2, 1.8, -2.2, wrist_rad, 0.0, 0.0];
@@ -317,8 +322,8 @@ mod tests {
         assert!(arm.state.done && arm.state.q_rad[4] > 0.0 && arm.state.mode == ArmMode::Hold);
     }
 
-    /// A line that leaves the workspace and bypasses the check that would refuse it: the arm brakes within its acceleration limit, stops,
-    /// and reports why.
+    /// A line that leaves the workspace and bypasses the check that would reject it: the arm brakes within
+    /// its acceleration limit, stops, and reports why.
     #[test]
     fn a_line_that_breaks_on_the_way_ends_in_a_stop_and_a_fault() {
         let parameters = ArmParameters::ur5(1e-3);

@@ -1,8 +1,9 @@
-//! The arms that a scene can name, and the one place where a scene's `[arm]` becomes parameters.
+//! The named arm models, and the conversion of a scene's `[arm]` to parameters.
 //!
-//! Lengths, masses and centres of mass: Universal Robots, "DH Parameters for calculations of kinematics and dynamics" (support article;
-//! UR20 by its own sheet). Inertias and joint limits: Universal_Robots_ROS2_Description, `config/<arm>/physical_parameters.yaml` and
-//! `joint_limits.yaml`; those of UR3 and UR5 are that file's cylinder approximations. Its link frames are turned into
+//! Lengths, masses and centres of mass: Universal Robots, "DH Parameters for calculations of kinematics and
+//! dynamics" (support article; UR20 from its data sheet). Inertias and joint limits:
+//! Universal_Robots_ROS2_Description, `config/<arm>/physical_parameters.yaml` and `joint_limits.yaml`; those
+//! of the UR3 and UR5 are cylinder approximations from that file. Its link frames are converted to
 //! Denavit-Hartenberg frames here. Payloads: Universal Robots, technical specifications.
 
 use super::gantry::GantryGeometry;
@@ -17,33 +18,35 @@ use std::f64::consts::{PI, TAU};
 
 const RAD_PER_DEG: f64 = PI / 180.0;
 
-/// Acceleration and jerk limits are not published; with these a joint reaches full acceleration in 0.1 s.
+/// Assumed acceleration and jerk limits, since none are published; with these, a joint reaches full
+/// acceleration in 0.1 s.
 const ACCELERATION_RAD_S2: f64 = 5.0;
 const JERK_RAD_S3: f64 = 50.0;
 
-/// Travel of a gantry's axes to either side of the start, where a scene says none: enough for a femur of half a metre.
+/// Default travel of a gantry's axes to either side of the start: enough for a femur of half a metre.
 const GANTRY_TRAVEL_MM: [f64; 3] = [250.0; 3];
-/// Range of the joints that an arm does not have and that stay 0, rad or m.
+/// Range of unused joints, which stay at 0, rad or m.
 const NO_TRAVEL: f64 = 1e-9;
 
-/// Speed of the joints that an arm does not have, which a planner of motions wants above 0.
+/// Speed of unused joints; the motion planner needs a value above 0.
 const NO_SPEED_DEG_S: f64 = 1.0;
-/// The joint whose angle KUKA (E1) and Franka (elbow) take for the redundancy of seven joints, from 0.
+/// Joint whose angle KUKA (E1) and Franka (elbow) use as the redundancy parameter of seven joints, from 0.
 const THIRD: usize = 2;
 
-/// A link: mass, centre of mass in its Denavit-Hartenberg frame, and inertia about that frame's axes through the centre of mass.
+/// Inertial data of a link: mass, centre of mass in its Denavit-Hartenberg frame, and inertia about that
+/// frame's axes through the centre of mass.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Link {
     /// Mass.
     pub mass_kg: f64,
     /// Centre of mass in the link's frame.
     pub centre_m: [f64; 3],
-    /// xx, yy, zz, xy, xz, yz.
+    /// Inertia components xx, yy, zz, xy, xz, yz.
     pub inertia_kg_m2: [f64; 6],
 }
 
 impl Link {
-    /// The tensor, kg m².
+    /// Returns the inertia tensor, kg m².
     pub(super) fn inertia(&self) -> Matrix3<f64> {
         let [xx, yy, zz, xy, xz, yz] = self.inertia_kg_m2;
         Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz)
@@ -54,12 +57,12 @@ const fn link(mass_kg: f64, centre_m: [f64; 3], inertia_kg_m2: [f64; 6]) -> Link
     Link { mass_kg, centre_m, inertia_kg_m2 }
 }
 
-/// A link with principal axes along its frame.
+/// Returns a link with principal axes along its frame.
 const fn plain(mass_kg: f64, centre_m: [f64; 3], [xx, yy, zz]: [f64; 3]) -> Link {
     link(mass_kg, centre_m, [xx, yy, zz, 0.0, 0.0, 0.0])
 }
 
-/// What is published of an arm of Universal Robots.
+/// Published data of a Universal Robots arm.
 struct Published {
     geometry: UrGeometry,
     velocity_deg_s: [f64; UR_JOINTS],
@@ -194,13 +197,14 @@ const UR20: Published = Published {
 };
 
 impl UrGeometry {
-    /// The UR5, from Universal Robots' published "DH Parameters for calculations of kinematics and dynamics".
+    /// Returns the UR5, from Universal Robots' published "DH Parameters for calculations of kinematics and
+    /// dynamics".
     pub const fn ur5() -> Self {
         lengths([0.089159, -0.425, -0.39225, 0.10915, 0.09465, 0.0823])
     }
 }
 
-/// What is published of a named arm; `None`: a bench.
+/// Returns the published data of a named arm; `None` for a bench.
 fn published(model: ArmModel) -> Option<&'static Published> {
     match model {
         ArmModel::Ur3 => Some(&UR3),
@@ -215,7 +219,7 @@ fn published(model: ArmModel) -> Option<&'static Published> {
 }
 
 impl ArmParameters {
-    /// The arm that a scene describes, its base at the world's origin.
+    /// Returns the arm that a scene describes, its base at the world's origin.
     pub fn of(arm: &scene::Arm, dt_s: f64) -> Self {
         let mut parameters = match &arm.joint {
             Some(joints) => Self::serial(joints, arm.redundant_joint.as_deref(), dt_s),
@@ -231,9 +235,10 @@ impl ArmParameters {
         parameters
     }
 
-    /// A named arm at the world's origin. Position limits of the arms of Universal Robots: ±360°, elbow ±180° (the description's, which
-    /// halves the elbow's, because links meet beyond it); wrist 3 of UR3 and UR3e turns without end and has ±360° here. The path limits
-    /// suit a careful insertion.
+    /// Returns a named arm at the world's origin. Position limits of Universal Robots arms: ±360°, elbow
+    /// ±180° (as in the description, which halves the elbow's range because the links would collide beyond
+    /// it); wrist 3 of the UR3 and UR3e turns endlessly and is limited to ±360° here. The path limits suit a
+    /// careful insertion.
     pub fn named(model: ArmModel, dt_s: f64) -> Self {
         let range_rad = with_seventh([TAU, TAU, PI, TAU, TAU, TAU], NO_TRAVEL);
         let found = published(model);
@@ -255,12 +260,12 @@ impl ArmParameters {
         }
     }
 
-    /// A UR5 at the world origin.
+    /// Returns a UR5 at the world origin.
     pub fn ur5(dt_s: f64) -> Self {
         Self::named(ArmModel::Ur5, dt_s)
     }
 
-    /// An arm that a scene describes joint by joint.
+    /// Returns an arm that a scene describes joint by joint.
     fn serial(joints: &[ArmJoint], redundant: Option<&str>, dt_s: f64) -> Self {
         let of = |joint: &ArmJoint| SerialJoint {
             position_m: Vector3::from(joint.position_mm) * 1e-3,
@@ -268,7 +273,7 @@ impl ArmParameters {
             axis: joint.axis.map(Vector3::from),
         };
         let turning: Vec<&ArmJoint> = joints.iter().filter(|joint| joint.axis.is_some()).collect();
-        // Each joint that turns has all three in a checked scene.
+        // In a checked scene, each revolute joint has all three.
         let figures = |of: fn(&ArmJoint) -> Option<f64>, absent: f64| -> Joints {
             std::array::from_fn(|i| turning.get(i).and_then(|joint| of(joint)).unwrap_or(absent))
         };
@@ -316,7 +321,7 @@ impl ArmParameters {
         }
     }
 
-    /// Takes over the limits that a scene gives.
+    /// Applies the limits from a scene.
     fn limit(&mut self, arm: &scene::Arm) {
         let path = &mut self.cartesian_limits;
         path.speed_m_s = arm.max_speed_mm_per_s * 1e-3;
@@ -344,12 +349,12 @@ impl ArmParameters {
     }
 }
 
-/// A value that a scene gives for a joint.
+/// Returns the scene's value for a joint, if any.
 fn given(values: &Option<Vec<f64>>, joint: usize) -> Option<f64> {
     values.as_ref()?.get(joint).copied()
 }
 
-/// The limits of a gantry's axes: each has those of the tool's base on a path.
+/// Returns the limits of a gantry's axes, each equal to those of the tool base on a path.
 fn gantry_limits(path: &CartesianLimits, travel_m: [f64; 3]) -> JointLimits {
     let upper_m = std::array::from_fn(|i| travel_m.get(i).copied().unwrap_or(NO_TRAVEL));
     JointLimits {
@@ -361,7 +366,7 @@ fn gantry_limits(path: &CartesianLimits, travel_m: [f64; 3]) -> JointLimits {
     }
 }
 
-/// Joint angles at the start of a scene.
+/// Returns the initial joint angles of a scene.
 pub fn initial_q_rad(arm: &scene::Arm) -> Joints {
     match (&arm.initial_joints_deg, arm.model) {
         (Some(deg), _) => std::array::from_fn(|i| deg.get(i).map_or(0.0, |angle| angle * RAD_PER_DEG)),

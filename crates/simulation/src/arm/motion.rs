@@ -1,4 +1,5 @@
-//! The motion in progress as plain data. Together with the tick count, a snapshot needs nothing else to continue bit for bit.
+//! The motion in progress as plain data. Together with the tick count, a snapshot needs nothing else to
+//! continue bit for bit.
 
 use messages::MAX_ARM_JOINTS;
 use serde::{Deserialize, Serialize};
@@ -6,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::path::Path;
 use super::trajectory::{AxisLimits, Segment};
 
-/// What the arm is doing.
+/// The motion in progress.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) enum Motion {
     /// At rest.
@@ -17,7 +18,7 @@ pub(super) enum Motion {
     Path(PathMotion),
 }
 
-/// A joint-space segment.
+/// Motion along a joint-space segment.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct JointMotion {
     pub(super) segment: Segment<MAX_ARM_JOINTS>,
@@ -28,7 +29,7 @@ pub(super) struct JointMotion {
     pub(super) next: Option<NextPath>,
 }
 
-/// A segment of the path parameter.
+/// Motion along a path.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct PathMotion {
     pub(super) path: Path,

@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 use std::f64::consts::{FRAC_PI_2, TAU};
 use thiserror::Error;
 
-/// Joint limits: position, velocity, acceleration and jerk.
+/// Limits of the joints: position, velocity, acceleration and jerk.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct JointLimits {
     /// Minimum joint angle.
@@ -30,11 +30,11 @@ pub struct JointLimits {
 /// Limits of the tool's base on a path (`move_cp`, `insert`, `rcm`).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CartesianLimits {
-    /// Maximum speed of its origin.
+    /// Maximum speed of the origin.
     pub speed_m_s: f64,
-    /// Maximum acceleration of its origin.
+    /// Maximum acceleration of the origin.
     pub acceleration_m_s2: f64,
-    /// Maximum jerk of its origin.
+    /// Maximum jerk of the origin.
     pub jerk_m_s3: f64,
     /// Maximum angular speed.
     pub angular_speed_rad_s: f64,
@@ -49,9 +49,9 @@ pub struct CartesianLimits {
 pub struct ArmParameters {
     /// Kinematics.
     pub geometry: ArmGeometry,
-    /// The links' masses, for elastic joints; `None`: not known.
+    /// Link inertias, for elastic joints; `None` if unknown.
     pub links: Option<[Link; UR_JOINTS]>,
-    /// What the arm may carry, by its maker's figure; `None`: not known.
+    /// Rated payload; `None` if unknown.
     pub payload_kg: Option<f64>,
     /// T_world_arm_base: pose of the arm's base (Denavit-Hartenberg frame 0) in the patient frame.
     pub t_world_arm_base: Isometry3<f64>,
@@ -59,7 +59,7 @@ pub struct ArmParameters {
     pub joint_limits: JointLimits,
     /// Limits of the tool's base on paths.
     pub cartesian_limits: CartesianLimits,
-    /// Length of a tick.
+    /// Duration of a tick.
     pub dt_s: f64,
 }
 
@@ -94,10 +94,10 @@ impl ArmParameters {
         Ok(())
     }
 
-    /// Refuses a value for a joint that the arm does not have.
+    /// Rejects values for joints that the arm does not have.
     pub(super) fn check_absent(&self, values: &Joints) -> Result<(), ArmError> {
         let joints = self.geometry.joints();
-        // A gantry's axes stand where an arm has joints.
+        // A gantry's axes take the places of an arm's joints.
         let absent = if joints > 0 { &values[joints..] } else { &[] };
         match absent.iter().position(|value| *value != 0.0) {
             Some(at) => Err(ArmError::NoSuchJoint { joint: joints + at + 1, joints, given: absent[at] }),
@@ -118,14 +118,14 @@ impl ArmParameters {
     }
 }
 
-/// A comfortable configuration of the arms of Universal Robots: far from every singularity and limit (manipulability 0.093 m³ for the
-/// UR5, 0.018 m³ for the UR3).
+/// A configuration of Universal Robots arms far from every singularity and limit (manipulability 0.093 m³ for
+/// the UR5, 0.018 m³ for the UR3).
 pub const COMFORTABLE_Q_RAD: Joints = [0.0, -1.2, 1.8, -2.2, -FRAC_PI_2, 0.0, 0.0];
 
-/// `T_world_arm_base` that puts the tool's base at `t_world_tool` with the joint angles `q_rad`.
+/// Returns `T_world_arm_base` that puts the tool's base at `t_world_tool` with the joint angles `q_rad`.
 ///
-/// The arm's base takes whatever orientation that needs, as on a cart, a wall or a ceiling. In the comfortable configuration the tool can
-/// then move at least 100 mm in every direction (tested).
+/// The arm's base takes whatever orientation this requires, as on a cart, wall or ceiling. In the comfortable
+/// configuration, the tool can then move at least 100 mm in every direction (tested).
 pub fn place_base_for(
     geometry: &ArmGeometry,
     t_world_tool: &Isometry3<f64>,
@@ -139,7 +139,7 @@ pub fn place_base_for(
 /// A command equal to the last accepted one changes nothing, so a latched command may be repeated every tick.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub enum ArmCommand {
-    /// Stop as fast as the jerk limits allow (along the path, if on one) and stay.
+    /// Stop as fast as the jerk limits allow (along the path, if on one) and stay there.
     Hold,
     /// Follow a joint target that may change every tick; each joint moves in minimum time within its limits.
     ServoJp {
@@ -148,12 +148,13 @@ pub enum ArmCommand {
         /// Fraction of the joint velocity limits.
         speed_fraction: f64,
     },
-    /// Move the joints at these rates until the next command. A joint that reaches the end of its range stops there; the others continue.
+    /// Move the joints at these rates until the next command. A joint that reaches the end of its range stops
+    /// there; the others continue.
     ServoJv {
         /// Target rates.
         qd_rad_s: Joints,
     },
-    /// Move to a joint goal and stay; from rest, with all joints synchronised.
+    /// Move to a joint goal and stay there; from rest, with all joints synchronised.
     MoveJp {
         /// Goal angles.
         q_rad: Joints,
@@ -167,29 +168,29 @@ pub enum ArmCommand {
         /// Fraction of the joint velocity limits.
         speed_fraction: f64,
     },
-    /// Move the tool's base along a straight line while turning about a fixed axis. An arm in motion stops first, unless the goal is on
-    /// the line it is already following: then goal and speed change smoothly.
+    /// Move the tool's base along a straight line while turning about a fixed axis. An arm in motion stops
+    /// first, unless the goal is on the line it is already following: then goal and speed change smoothly.
     MoveCp {
         /// Goal pose of the tool's base in the patient frame.
         t_world_tool: Isometry3<f64>,
-        /// Speed of its origin, at most the arm's limit; `None` for the limit.
+        /// Speed of the origin, at most the arm's limit; `None` for the limit.
         max_speed_m_s: Option<f64>,
         /// Angular speed, at most the arm's limit; `None` for the limit.
         max_angular_speed_rad_s: Option<f64>,
     },
-    /// Insert: move the tool's base along an axis without rotation. Depth is measured from the tool's position when the insertion along
-    /// this axis began. A later `Insert` along the same axis changes depth and feed on the same line, and a `Hold` in between does not
-    /// end the insertion. An arm in any other motion stops first.
+    /// Move the tool base along an axis without rotation. Depth is measured from the tool's position when the
+    /// insertion along this axis began. A later `Insert` along the same axis changes depth and feed on the
+    /// same line, and a `Hold` in between does not end the insertion. An arm in any other motion stops first.
     Insert {
-        /// Unit vector in the patient frame.
+        /// Axis, a unit vector in the patient frame.
         axis_world: Vector3<f64>,
         /// Goal depth, ±0.5 m.
         depth_m: f64,
         /// Speed, greater than 0, at most the arm's limit.
         feed_m_s: f64,
     },
-    /// Move to a pose about a remote centre of motion: the tool axis (its +z) passes through the pivot throughout. At start and goal it
-    /// must do so within 1 µm. An arm in motion stops first.
+    /// Move to a pose about a remote centre of motion: the tool axis (its +z) passes through the pivot
+    /// throughout. At start and goal it must do so within 1 µm. An arm in motion stops first.
     Rcm {
         /// Goal pose of the tool's base in the patient frame.
         t_world_tool: Isometry3<f64>,
@@ -200,14 +201,14 @@ pub enum ArmCommand {
     },
 }
 
-/// Why an arm cannot be built or refused a command. A refused command leaves the motion unchanged.
+/// Error of building an arm or of a command. A rejected command leaves the motion unchanged.
 #[derive(Clone, Copy, Debug, Error, PartialEq)]
 pub enum ArmError {
     /// The base pose is invalid.
     #[error("t_world_arm_base: {0}")]
     BasePose(KinematicsError),
-    /// A limit, a length or the tick is not a positive finite number.
-    #[error("arm parameter {name} is {given}, a positive finite number is needed")]
+    /// A limit, length or tick duration is not a positive finite number.
+    #[error("arm parameter {name} is {given}, expected a positive finite number")]
     InvalidParameter {
         /// Name of the parameter (its linear or angular part).
         name: &'static str,
@@ -216,7 +217,7 @@ pub enum ArmError {
     },
     /// A joint's range is empty or wider than four turns.
     #[error(
-        "joint {joint} has the range {lower_rad} to {upper_rad} rad; lower < upper within ±4 pi is needed"
+        "joint {joint} has the range {lower_rad} to {upper_rad} rad, expected lower < upper within ±4 pi"
     )]
     InvalidRange {
         /// Joint, from 1.
@@ -227,9 +228,7 @@ pub enum ArmError {
         upper_rad: f64,
     },
     /// A joint angle is NaN or outside its limits.
-    #[error(
-        "joint {joint} was given {given_rad} rad, its range is {lower_rad} to {upper_rad} rad; send an angle in it"
-    )]
+    #[error("joint {joint} out of range: {given_rad} rad; allowed: {lower_rad} to {upper_rad} rad")]
     JointOutsideLimits {
         /// Joint, from 1.
         joint: usize,
@@ -240,18 +239,18 @@ pub enum ArmError {
         /// Upper limit.
         upper_rad: f64,
     },
-    /// A joint was given an angle or a rate that the arm does not have.
-    #[error("joint {joint} was given {given}, the arm has {joints} joints; send 0 for the others")]
+    /// An angle or rate was given for a joint that the arm does not have.
+    #[error("joint {joint} is {given}, but the arm has {joints} joints; send 0 for the unused ones")]
     NoSuchJoint {
         /// Joint, from 1.
         joint: usize,
-        /// Joints that the arm has.
+        /// Number of joints of the arm.
         joints: usize,
         /// Given angle or rate.
         given: f64,
     },
     /// A speed or speed fraction is NaN, not positive or above the arm's.
-    #[error("{name} is {given}; a number above 0 and up to {maximum} is needed")]
+    #[error("{name} is {given}, expected above 0 and at most {maximum}")]
     SpeedOutOfRange {
         /// Name of the field.
         name: &'static str,
@@ -261,9 +260,7 @@ pub enum ArmError {
         maximum: f64,
     },
     /// A joint rate is NaN or above its limit.
-    #[error(
-        "joint {joint} was given {given_rad_s} rad/s, allowed is ±{maximum_rad_s}; send a rate within that"
-    )]
+    #[error("joint {joint} too fast: {given_rad_s} rad/s; allowed: ±{maximum_rad_s}")]
     JointRateOutsideLimits {
         /// Joint, from 1.
         joint: usize,
@@ -274,7 +271,8 @@ pub enum ArmError {
     },
     /// A joint would leave its range before it can stop.
     #[error(
-        "joint {joint} reaches the end of its range {lower_rad} to {upper_rad} rad; send a rate that leads back, or another goal"
+        "joint {joint} reaches its limit ({lower_rad} to {upper_rad} rad); send a rate away from it, or \
+         another goal"
     )]
     JointRangeEnds {
         /// Joint, from 1.
@@ -286,7 +284,7 @@ pub enum ArmError {
     },
     /// The axis is not a unit vector or the depth is out of range.
     #[error(
-        "insertion: the axis has length {axis_length}, expected 1; the depth is {depth_m} m, allowed is ±{maximum_m} m"
+        "insertion: axis length is {axis_length}, expected 1; depth is {depth_m} m; allowed: ±{maximum_m} m"
     )]
     InvalidInsertion {
         /// Length of the axis.
@@ -298,8 +296,8 @@ pub enum ArmError {
     },
     /// The tool axis misses the pivot.
     #[error(
-        "at the {end} the tool's axis misses the pivot by {missed_m} m, allowed is {allowed_m} m; \
-         align the tool with move_cp first, and send a goal whose +z axis goes through the pivot"
+        "at the {end}, the tool axis misses the pivot by {missed_m} m; allowed: {allowed_m} m; \
+         align the tool with move_cp first, and send a goal whose +z axis passes through the pivot"
     )]
     PivotMissed {
         /// Start or goal.
@@ -310,20 +308,20 @@ pub enum ArmError {
         allowed_m: f64,
     },
     /// The goal pose has no inverse kinematics solution.
-    #[error("goal of the tool's base: {0}")]
+    #[error("tool base goal: {0}")]
     Goal(KinematicsError),
     /// A pose on the path has no inverse kinematics solution.
     #[error("at {fraction} of the path: {reason}")]
     PathUnreachable {
         /// Fraction of the path, 0 to 1.
         fraction: f64,
-        /// Why.
+        /// The cause.
         reason: KinematicsError,
     },
     /// The path passes through a singularity.
     #[error(
-        "at {fraction:.4} of the path the arm is at a singularity: manipulability {manipulability_m3:.1e} m³, allowed is at least \
-         {LEAST_MANIPULABILITY_M3:e} m³; choose another path, go there by joints, or place the base elsewhere"
+        "singularity at {fraction:.4} of the path: manipulability {manipulability_m3:.1e} m³; allowed: at \
+         least {LEAST_MANIPULABILITY_M3:e} m³; choose another path, use joint commands, or move the arm base"
     )]
     PathSingular {
         /// Fraction of the path, 0 to 1.
@@ -331,18 +329,20 @@ pub enum ArmError {
         /// |det J| there.
         manipulability_m3: f64,
     },
-    /// Beside a singularity: the joints would jump, turn too fast, or go over into another configuration of the arm.
+    /// Near a singularity, the joints would jump, turn too fast, or flip to another configuration of the arm.
     #[error(
-        "at {fraction:.4} of the path the joints would have to jump, as beside a singularity: they turn too fast, or elbow, wrist or \
-         shoulder goes over to its other side; choose another path, go there by joints, or place the base elsewhere"
+        "joint jump at {fraction:.4} of the path, as near a singularity: the joints would turn too fast, or \
+         the elbow, wrist or shoulder would flip; choose another path, use joint commands, or move the arm \
+         base"
     )]
     PathJumps {
         /// Fraction of the path, 0 to 1.
         fraction: f64,
     },
-    /// The tool pushed on the flange with more than the arm's limit.
+    /// The tool's force on the flange exceeded the arm's limit.
     #[error(
-        "protective stop: the tool pushed on the flange with {force_n:.1} N, `arm.max_force_n` is {limit_n:.1} N; send `hold`, then another goal"
+        "protective stop: the tool pushed the flange with {force_n:.1} N, `arm.max_force_n` is {limit_n:.1} \
+         N; send `hold`, then another goal"
     )]
     ProtectiveStop {
         /// Force of the tool on the flange.
@@ -350,36 +350,38 @@ pub enum ArmError {
         /// The limit.
         limit_n: f64,
     },
-    /// There is no arm to move.
+    /// The scene has no arm to move.
     #[error(
-        "the scene has no arm (`arm.model` is \"fixed\"): the tool's base is held; command no motion, or choose another `arm.model`"
+        "the scene has no arm (`arm.model` is \"fixed\"); remove the arm command, or choose another \
+         `arm.model`"
     )]
     NoArm,
-    /// A gantry was given joint angles.
-    #[error(
-        "a gantry has no joints that turn; command its motion by poses or an axis (servo_cp, move_cp, insert, hold)"
-    )]
+    /// Joint angles were commanded to a gantry.
+    #[error("a gantry has no revolute joints; use servo_cp, move_cp, insert or hold")]
     NoTurningJoints,
     /// An axis of a gantry would leave its travel before it can stop.
     #[error(
-        "the gantry's axis {axis} reaches the end of its travel, {lower_m} to {upper_m} m from the start; send another goal"
+        "gantry axis {axis} reaches the end of its travel ({lower_m} to {upper_m} m from the start); send \
+         another goal"
     )]
     TravelEnds {
         /// The axis.
         axis: char,
-        /// Least place.
+        /// Lower end of its travel.
         lower_m: f64,
-        /// Greatest place.
+        /// Upper end of its travel.
         upper_m: f64,
     },
     /// A motion was commanded during a protective stop.
     #[error(
-        "the arm is in a protective stop, since the tool pushed too hard on its flange; send `hold` to release it, then a goal"
+        "the arm is in a protective stop: the tool pushed the flange too hard; send `hold` to release it, \
+         then a goal"
     )]
     InProtectiveStop,
     /// The elastic joints' operator is not positive definite because the state is not finite.
     #[error(
-        "the elastic joints cannot be stepped: their state is not finite; make joints or tool softer, or dt shorter"
+        "the state of the elastic joints is not finite; use softer joints, a softer tool or a shorter time \
+         step"
     )]
     ComplianceFailed,
     /// Ruckig found no jerk-limited trajectory.

@@ -1,5 +1,5 @@
-//! Cartesian paths of the tool's base (a straight line, a rotation about a pivot), and limits on the path parameter that keep the tool
-//! and the joints within their own limits.
+//! Cartesian paths of the tool base (a straight line or a rotation about a pivot), and limits on the path
+//! parameter that keep the tool and the joints within their own limits.
 
 use super::geometry::ArmGeometry;
 use super::inverse::KinematicsError;
@@ -13,13 +13,14 @@ use serde::{Deserialize, Serialize};
 
 /// Number of intervals at which a path is checked before it is accepted.
 const PATH_INTERVALS: usize = 32;
-/// A path on which |det J| falls below this is refused as singular (UR5: typically 0.05 to 0.1 m³).
+/// |det J| below which a path is rejected as singular (UR5: typically 0.05 to 0.1 m³).
 pub(crate) const LEAST_MANIPULABILITY_M3: f64 = 1e-4;
-/// The path counts as singular if the joint angles at the next sample differ by more than this from their trapezoidal prediction.
+/// Difference of the joint angles at the next sample from their trapezoidal prediction above which a path
+/// counts as singular.
 const PREDICTION_TOLERANCE_RAD: f64 = 0.05;
-/// Tolerance for a goal to be on the extended line: 1e-9 m and 1e-9 rad, a thousandth of the promised micrometre.
+/// Tolerance for a goal on the extended line: 1e-9 m and 1e-9 rad, a thousandth of the specified micrometre.
 const SAME_LINE_TOLERANCE: f64 = 1e-9;
-/// Upper limits of the path parameter's rates (1/s, 1/s², 1/s³), which keep very short paths well-scaled.
+/// Upper limits of the path parameter's rates (1/s, 1/s², 1/s³), which keep very short paths well scaled.
 const PARAMETER_CEILING: [f64; 3] = [1e4, 1e6, 1e8];
 
 /// Shape of a path.
@@ -27,11 +28,13 @@ const PARAMETER_CEILING: [f64; 3] = [1e4, 1e6, 1e8];
 enum Course {
     /// The origin moves along a straight line.
     Straight { translation_m: Vector3<f64> },
-    /// A point of the tool stays at `pivot_m`. In the tool's frame, this point starts at `in_tool_m` and moves by `shift_m`.
+    /// A point of the tool axis stays at `pivot_m`. In the tool frame, it starts at `in_tool_m` and moves by
+    /// `shift_m`.
     Pivot { pivot_m: Vector3<f64>, in_tool_m: Vector3<f64>, shift_m: Vector3<f64> },
 }
 
-/// A translation and a rotation about a fixed axis, both proportional to one parameter: 0 at the start, 1 at the goal. Base frame.
+/// A translation and a rotation about a fixed axis, both proportional to one parameter: 0 at the start, 1 at
+/// the goal. Base frame.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Path {
     start: Isometry3<f64>,
@@ -42,13 +45,13 @@ pub(super) struct Path {
 /// Maximum speed of the tool's base on a path.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct PathSpeed {
-    /// Of the origin, m/s.
+    /// Speed of the origin, m/s.
     pub(super) linear_m_s: f64,
-    /// Of the rotation, rad/s.
+    /// Speed of rotation, rad/s.
     pub(super) angular_rad_s: f64,
 }
 
-/// A stretch of a path between two values of its parameter.
+/// Section of a path between two values of its parameter.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Stretch {
     pub(super) from: f64,
@@ -61,15 +64,15 @@ impl Stretch {
 }
 
 impl Path {
-    /// Straight from `start` to `goal`, with the shorter rotation.
+    /// Creates a straight path from `start` to `goal` with the shorter rotation.
     pub(super) fn straight(start: &Isometry3<f64>, goal: &Isometry3<f64>) -> Self {
         let turn = goal.rotation * start.rotation.inverse();
         let translation_m = goal.translation.vector - start.translation.vector;
         Self { start: *start, rotation_rad: turn.scaled_axis(), course: Course::Straight { translation_m } }
     }
 
-    /// From `start` to `goal` about a pivot through which the tool slides. The pivot's position in the tool frame is interpolated
-    /// linearly between start and goal.
+    /// Creates a path from `start` to `goal` about a pivot through which the tool slides. The pivot's
+    /// position in the tool frame is interpolated linearly between start and goal.
     pub(super) fn about(start: &Isometry3<f64>, goal: &Isometry3<f64>, pivot_m: &Vector3<f64>) -> Self {
         let pivot = Point3::from(*pivot_m);
         let in_tool_m = start.inverse_transform_point(&pivot).coords;
@@ -79,7 +82,7 @@ impl Path {
         Self { start: *start, rotation_rad: turn.scaled_axis(), course }
     }
 
-    /// The tool base's pose at `parameter`, which may lie outside [0, 1].
+    /// Returns the tool base's pose at `parameter`, which may lie outside [0, 1].
     pub(super) fn pose(&self, parameter: f64) -> Isometry3<f64> {
         let turn = UnitQuaternion::from_scaled_axis(self.rotation_rad * parameter);
         let rotation = turn * self.start.rotation;
@@ -92,7 +95,8 @@ impl Path {
         Isometry3::from_parts(Translation3::from(position), rotation)
     }
 
-    /// First and second derivative of the pose with respect to the parameter (linear m, angular rad; base axes).
+    /// Returns the first and second derivative of the pose with respect to the parameter (linear m, angular
+    /// rad; base axes).
     fn derivatives(&self, parameter: f64, pose: &Isometry3<f64>) -> (Vector6<f64>, Vector6<f64>) {
         let w = &self.rotation_rad;
         match &self.course {
@@ -107,7 +111,8 @@ impl Path {
         }
     }
 
-    /// The parameter at which this line, extended, reaches `goal`; `None` if it misses the goal or the path is not straight.
+    /// Returns the parameter at which this line, extended, reaches `goal`; `None` if it misses the goal or
+    /// the path is not straight.
     pub(super) fn parameter_of(&self, goal: &Isometry3<f64>, now: f64) -> Option<f64> {
         let Course::Straight { translation_m } = &self.course else { return None };
         let here = self.pose(now);
@@ -133,7 +138,7 @@ pub(super) struct JointsOnPath {
     origin_m: [Vector3<f64>; 2],
 }
 
-/// The arm's properties that path following needs.
+/// The properties of the arm that path following needs.
 #[derive(Clone, Copy)]
 pub(super) struct PathFollower<'a> {
     pub(super) geometry: &'a ArmGeometry,
@@ -142,8 +147,8 @@ pub(super) struct PathFollower<'a> {
 }
 
 impl PathFollower<'_> {
-    /// Joint angles that put the tool's base exactly on the path, in the branch nearest to `q_near_rad`. The redundant one of seven joints
-    /// keeps its angle of there.
+    /// Returns the joint angles that put the tool's base exactly on the path, in the branch nearest to
+    /// `q_near_rad`. With seven joints, the redundant one keeps its angle from `q_near_rad`.
     pub(super) fn joints_at(
         &self,
         path: &Path,
@@ -167,12 +172,12 @@ impl PathFollower<'_> {
         Ok(JointsOnPath { q_rad, first, second, frames, origin_m })
     }
 
-    /// Checks a stretch of the path, refuses it if the arm cannot follow it, and returns limits on the path
-    /// parameter that keep the tool's base within its limits and `speed`, and the joints within theirs.
+    /// Checks a section of the path, rejects it if the arm cannot follow it, and returns limits on the path
+    /// parameter that keep the tool base within its limits and `speed`, and the joints within theirs.
     ///
-    /// With q(s(t)): q̇ = q' ṡ, q̈ = q' s̈ + q'' ṡ², q⃛ = q' s⃛ + 3 q'' ṡ s̈ + q''' ṡ³. Each joint's acceleration limit is split evenly
-    /// between its two terms, its jerk limit among its three; the same goes for the tool base's origin on a curved path. q''' is a finite
-    /// difference of q''.
+    /// With q(s(t)): q̇ = q' ṡ, q̈ = q' s̈ + q'' ṡ², q⃛ = q' s⃛ + 3 q'' ṡ s̈ + q''' ṡ³. Each joint's
+    /// acceleration limit is split evenly between its two terms, its jerk limit among its three; the same
+    /// goes for the tool base's origin on a curved path. q''' is a finite difference of q''.
     pub(super) fn limits_along(
         &self,
         path: &Path,
@@ -193,7 +198,7 @@ impl PathFollower<'_> {
             cap(PARAMETER_CEILING[1], half * c.acceleration_m_s2, c.angular_acceleration_rad_s2);
         let mut jerk = cap(PARAMETER_CEILING[2], third * c.jerk_m_s3, c.angular_jerk_rad_s3);
         let j = self.joint_limits;
-        // The axes of a gantry have the limits of the tool's base, which it has by now.
+        // A gantry's axes have the limits of the tool base, which are already satisfied.
         let joints = self.geometry.joints();
         for i in 0..joints {
             velocity = velocity
@@ -210,7 +215,7 @@ impl PathFollower<'_> {
         Ok(AxisLimits { velocity: [velocity], acceleration: [acceleration], jerk: [jerk] })
     }
 
-    /// Maximum derivatives of the joint angles and of the tool base's origin along the path.
+    /// Returns the maximum derivatives of the joint angles and of the tool base's origin along the path.
     fn bend_along(&self, path: &Path, stretch: Stretch, q_start_rad: &Joints) -> Result<Bend, ArmError> {
         let Stretch { from, to } = stretch;
         let step = (to - from) / PATH_INTERVALS as f64;
@@ -240,7 +245,7 @@ impl PathFollower<'_> {
 }
 
 impl JointsOnPath {
-    /// True if the mean of both slopes over `step` predicts `next`.
+    /// Returns true if the mean of both slopes over `step` predicts `next`.
     fn predicts(&self, next: &Self, step: f64) -> bool {
         (0..MAX_ARM_JOINTS).all(|i| {
             let predicted = self.q_rad[i] + 0.5 * step * (self.first[i] + next.first[i]);

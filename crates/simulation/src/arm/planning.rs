@@ -1,4 +1,5 @@
-//! From a command to a motion: checks, inverse kinematics, stops before lines. Changes nothing until the whole plan is known to work.
+//! Plans a motion for a command: checks, inverse kinematics, and stops before lines. Nothing changes until
+//! the whole plan is known to work.
 
 use super::inverse;
 use super::kinematics::Joints;
@@ -13,20 +14,20 @@ use serde::{Deserialize, Serialize};
 
 /// Maximum insertion depth in either direction.
 const MAX_DEPTH_M: f64 = 0.5;
-/// Number of samples at which a changed goal on the same line is checked for reversal.
+/// Number of samples for detecting reversal after a goal change on the same line.
 const RETARGET_SAMPLES: usize = 64;
 
 /// Maximum distance of the pivot from the tool axis at start and goal of an RCM motion.
 const PIVOT_TOLERANCE_M: f64 = 1e-6;
 
-/// Goal and speed of a path. Base frame.
+/// Goal and speed of a path, in the base frame.
 #[derive(Clone, Copy)]
 pub(super) struct PathGoal {
     pub(super) aim: Aim,
     pub(super) speed: PathSpeed,
 }
 
-/// Ways to specify a goal.
+/// The goal of a path.
 #[derive(Clone, Copy)]
 pub(super) enum Aim {
     /// Straight to a pose.
@@ -37,8 +38,8 @@ pub(super) enum Aim {
     Along { axis: Unit<Vector3<f64>>, depth_m: f64 },
 }
 
-/// Axes whose coordinates differ by less than this are the same axis: a client that recomputes an axis every tick gets new rounding
-/// errors.
+/// Coordinate difference below which two axes are the same: a client that recomputes an axis every tick gets
+/// different rounding errors.
 const SAME_AXIS: f64 = 1e-6;
 
 /// The line of an insertion, kept through successive insertions along the same axis.
@@ -78,9 +79,9 @@ impl Arm {
         let base = &self.parameters.t_world_arm_base;
         let same = |insertion: &Insertion| (insertion.axis_world - axis_world).amax() <= SAME_AXIS;
         let standing = self.insertion.filter(same);
-        // Use the axis that the insertion started with: the depth along any other axis would be on another line.
+        // Use the axis that the insertion started with: depth along any other axis would be on another line.
         let along = standing.map_or(*axis_world, |insertion| insertion.axis_world);
-        // The norm division makes this a unit vector.
+        // Dividing by the norm makes this a unit vector.
         let axis = Unit::new_unchecked(base.rotation.inverse_transform_vector(&along) / along.norm());
         match standing {
             Some(insertion) => {
@@ -125,7 +126,8 @@ impl Arm {
         Ok(())
     }
 
-    /// Stops along the path if on one, otherwise in joint space. Returns the joints at rest, where the next motion starts.
+    /// Stops along the path if on one, otherwise in joint space. Returns the joints at rest, where the next
+    /// motion starts.
     pub(super) fn stop_then(
         &mut self,
         goal_after: Option<PathGoal>,
@@ -167,7 +169,7 @@ impl Arm {
         Ok(next.map(|next| next.path.pose(0.0)))
     }
 
-    /// A path from the tool base's pose at `q_rad`, checked to be feasible.
+    /// Returns a path from the tool base's pose at `q_rad`, checked to be feasible.
     fn path_from(&self, q_rad: &Joints, goal: &PathGoal) -> Result<NextPath, ArmError> {
         let start = self.parameters.geometry.forward(q_rad);
         let path = match &goal.aim {
@@ -176,7 +178,7 @@ impl Arm {
                 for (end, pose) in [("start", &start), ("goal", t_base_tool)] {
                     let in_tool = pose.inverse_transform_point(&Point3::from(*pivot_m));
                     let missed_m = libm::hypot(in_tool.x, in_tool.y);
-                    // A NaN is in no range, so this refuses it too.
+                    // NaN is in no range, so this rejects it too.
                     if !(0.0..=PIVOT_TOLERANCE_M).contains(&missed_m) {
                         return Err(ArmError::PivotMissed { end, missed_m, allowed_m: PIVOT_TOLERANCE_M });
                     }
@@ -193,7 +195,7 @@ impl Arm {
         Ok(NextPath { path, limits })
     }
 
-    /// Straight to `t_base_tool`, without a stop if the goal is ahead on the line that the tool is following.
+    /// Moves straight to `t_base_tool`, without a stop if the goal is ahead on the current line.
     pub(super) fn go_straight(
         &mut self,
         t_base_tool: &Isometry3<f64>,
@@ -210,8 +212,9 @@ impl Arm {
         self.stop_then(Some(PathGoal { aim: Aim::Pose(*t_base_tool), speed })).map(drop)
     }
 
-    /// The motion to a goal farther along the current line. `None` if the goal is elsewhere, or if the tool would reverse on the way
-    /// (goal nearer than the stopping distance, or a speed reduced so sharply that Ruckig's braking undershoots through zero).
+    /// Returns the motion to a goal farther along the current line. `None` if the goal is elsewhere, or if
+    /// the tool would reverse on the way (goal nearer than the stopping distance, or a speed reduced so
+    /// sharply that Ruckig's braking undershoots through zero).
     fn extend_path(
         &mut self,
         old: &PathMotion,
@@ -225,7 +228,8 @@ impl Arm {
         let limits =
             self.follower().limits_along(&old.path, Stretch { from, to }, &self.state.q_rad, speed)?;
         let motion = self.plan_path(old.path, start, to, limits)?;
-        // All braking, and so any reversal, ends within this time; a sample every few milliseconds detects it.
+        // All braking, and so any reversal, ends within this time; a sample every few milliseconds detects
+        // it.
         let (a, j) = (limits.acceleration[0], limits.jerk[0]);
         let brake_s = start.velocity[0].abs() / a + start.acceleration[0].abs() / j + 3.0 * a / j;
         let goes_on = (0..=RETARGET_SAMPLES).all(|i| {

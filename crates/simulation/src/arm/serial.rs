@@ -1,25 +1,29 @@
-//! Any serial arm of six or seven turning joints: kinematics from the joints' places and axes, and a numeric inverse.
+//! Serial arms of six or seven revolute joints: kinematics from joint positions and axes, and a numeric
+//! inverse.
 //!
-//! The joints are those of URDF: joint i stands at `T_i` in the frame of the joint before it and turns about a unit vector of its own
-//! frame. Written with frames whose z is the axis, the pose is `G_0 Rz(q_1) G_1 .. Rz(q_n) G_n`, with constant `G`.
+//! The joints follow URDF: joint i is at `T_i` in the frame of the previous joint and turns about a unit
+//! vector of its own frame. In frames whose z is the axis, the pose is `G_0 Rz(q_1) G_1 .. Rz(q_n) G_n`, with
+//! constant `G`.
 //!
-//! Of seven joints one is redundant. As KUKA's E1 and Franka's elbow do, its angle says which of the many solutions is meant; both makers
-//! take the third joint. On a path it keeps its angle, so the joints are a function of the place on the path alone.
+//! With seven joints, one is redundant. As with KUKA's E1 and Franka's elbow, its angle selects one of the
+//! infinitely many solutions; both vendors use the third joint. On a path it keeps its angle, so the joints
+//! depend only on the position along the path.
 
 use super::inverse::{KinematicsError, check_pose};
 use super::kinematics::{Jacobian, Joints, LinkFrames};
 use messages::MAX_ARM_JOINTS;
 use nalgebra::{Isometry3, Matrix3, Matrix6, Rotation3, UnitQuaternion, Vector3, Vector6};
 
-/// Iterations from one start; Newton's method needs some five near a solution.
+/// Maximum iterations from one start; near a solution, Newton's method needs about five.
 const ITERATIONS: usize = 60;
-/// Starts besides the reference, where that leads nowhere.
+/// Additional starts if the reference finds no solution.
 const OTHER_STARTS: usize = 12;
-/// A pose is reached to this (m and rad together); rounding leaves some 1e-15.
+/// Convergence tolerance (m and rad combined); rounding leaves about 1e-15.
 const REACHED: f64 = 1e-12;
-/// Least damping, m² or rad²: it keeps the equations solvable at a singularity and is far below any square of a regular arm's Jacobian.
+/// Minimum damping, m² or rad²: it keeps the equations solvable at a singularity, and is far below the
+/// squared Jacobian entries of a regular arm.
 const LEAST_DAMPING: f64 = 1e-16;
-/// Largest change of a joint in an iteration.
+/// Largest change of a joint per iteration.
 const LARGEST_STEP_RAD: f64 = 0.5;
 
 /// A constant part of the chain.
@@ -46,29 +50,29 @@ impl Part {
 /// A joint as URDF describes it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SerialJoint {
-    /// Place of the joint's frame in the frame of the joint before it, or in the arm's base, m.
+    /// Position of the joint's frame in the frame of the previous joint, or in the arm's base, m.
     pub position_m: Vector3<f64>,
-    /// Turns about the fixed axes x, y and z, in this order, rad.
+    /// Rotations about the fixed axes x, y and z, in this order, rad.
     pub roll_pitch_yaw_rad: Vector3<f64>,
-    /// Axis in the joint's frame, of any length but 0; `None`: it does not turn.
+    /// Axis in the joint's frame, of any nonzero length; `None` for a fixed joint.
     pub axis: Option<Vector3<f64>>,
 }
 
-/// Whether the redundant one of seven joints may leave the reference's angle.
+/// Whether the redundant one of seven joints may leave the reference angle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Redundancy {
-    /// It may not: on a path.
+    /// It keeps its angle, as on a path.
     Held,
-    /// It may, where no angles of the others within their limits reach the goal.
+    /// It may move if the other joints cannot reach the goal within their limits.
     Free,
 }
 
-/// The kinematics of a serial arm of six or seven turning joints.
+/// Kinematics of a serial arm of six or seven revolute joints.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SerialGeometry {
     /// `G_0` .. `G_n`.
     parts: [Part; MAX_ARM_JOINTS + 1],
-    /// Number of joints that turn.
+    /// Number of revolute joints.
     joints: usize,
     /// The redundant one of seven joints, from 0.
     redundant: usize,
@@ -77,8 +81,9 @@ pub struct SerialGeometry {
 }
 
 impl SerialGeometry {
-    /// The chain of `joints` from base to flange, of which six or seven turn; the joint `redundant` of seven, from 0, keeps its angle on a
-    /// path. Joints that turn beyond the seventh stand still; a checked scene has none.
+    /// Creates the chain of `joints` from base to flange, of which six or seven are revolute; with seven, the
+    /// joint `redundant` (from 0) keeps its angle on a path. Revolute joints beyond the seventh stay fixed; a
+    /// checked scene has none.
     pub fn new(joints: impl IntoIterator<Item = SerialJoint>, redundant: usize) -> Self {
         let mut parts = [Part::IDENTITY; MAX_ARM_JOINTS + 1];
         let mut turning = 0;
@@ -96,22 +101,23 @@ impl SerialGeometry {
         Self { parts, joints: turning, redundant: redundant.min(MAX_ARM_JOINTS - 1), t_flange_tool: None }
     }
 
-    /// Number of joints that turn.
+    /// Returns the number of revolute joints.
     pub fn joints(&self) -> usize {
         self.joints
     }
 
-    /// Whether there is a joint more than a pose needs.
+    /// Returns whether the arm has one joint more than a pose needs.
     pub fn is_redundant(&self) -> bool {
         self.joints == MAX_ARM_JOINTS
     }
 
-    /// The joint, from 0, that keeps its angle on a path; of six joints the entry behind them.
+    /// Returns the joint, from 0, that keeps its angle on a path; with six joints, the entry after them.
     pub(super) fn held_joint(&self) -> usize {
         if self.is_redundant() { self.redundant } else { MAX_ARM_JOINTS - 1 }
     }
 
-    /// All link frames at joint angles `q_rad`: index i has the axis of joint i + 1 as its z, the last one is the tool's base.
+    /// Returns all link frames at joint angles `q_rad`: frame i has the axis of joint i + 1 as its z, and the
+    /// last one is the tool base.
     pub fn frames(&self, q_rad: &Joints) -> LinkFrames {
         let mut frames = LinkFrames::standing(self.joints);
         let LinkFrames { rotation, origin_m, .. } = &mut frames;
@@ -126,14 +132,16 @@ impl SerialGeometry {
         frames
     }
 
-    /// Joint angles within the limits that put the tool's base at `t_base_tool`, to 1e-12 m and rad.
+    /// Returns the joint angles within the limits that put the tool's base at `t_base_tool`, to 1e-12 m and
+    /// rad.
     ///
-    /// Levenberg and Marquardt's method, damped by the squared error (Sugihara, "Solvability-Unconcerned Inverse Kinematics by the
-    /// Levenberg-Marquardt Method", IEEE Trans. Robotics 27 (2011), eq. 22), with joints at the end of their range held there. It starts
-    /// at the reference, and ends near it where the goal is near; of seven joints the redundant one is held there first. If that leads
-    /// nowhere, it may move by `redundancy`: then the method's damped least squares move all seven as little as the goal needs. If that
-    /// leads nowhere either, it starts at twelve other fixed places within half a turn of the reference, and the solution nearest to the
-    /// reference counts.
+    /// The Levenberg-Marquardt method, damped by the squared error (Sugihara, "Solvability-Unconcerned
+    /// Inverse Kinematics by the Levenberg-Marquardt Method", IEEE Trans. Robotics 27 (2011), eq. 22), with
+    /// joints at the end of their range held there. It starts at the reference, and ends near it if the goal
+    /// is near; with seven joints, the redundant one is held there first. If that finds no solution and
+    /// `redundancy` allows it, that joint may move: the damped least squares then move all seven as little as
+    /// the goal needs. If that fails too, the method starts from twelve other fixed points within half a turn
+    /// of the reference, and the solution closest to the reference is used.
     ///
     /// # Errors
     /// The pose is invalid, or no start leads to it.
@@ -186,7 +194,7 @@ impl SerialGeometry {
         })
     }
 
-    /// Downhill from `start` until the goal is reached or the error falls no more.
+    /// Descends from `start` until the goal is reached or the error no longer decreases.
     fn descend(&self, goal: &Goal, start: &Joints) -> Descent {
         let mut q_rad = goal.within(start);
         let mut frames = self.frames(&q_rad);
@@ -194,7 +202,7 @@ impl SerialGeometry {
         let mut caution = 1.0;
         for _ in 0..ITERATIONS {
             let squared = missed.norm_squared();
-            // A tenth of what counts as reached, so that the last iterations reach rounding.
+            // A tenth of the convergence tolerance, so that the last iterations reach rounding.
             if squared <= 0.01 * REACHED * REACHED {
                 break;
             }
@@ -215,21 +223,21 @@ impl SerialGeometry {
     }
 }
 
-/// Where a descent ended.
+/// Result of a descent.
 #[derive(Clone, Copy)]
 struct Descent {
     q_rad: Joints,
-    /// From there to the goal: m, then rad.
+    /// Remaining error to the goal: m, then rad.
     missed: Vector6<f64>,
 }
 
-/// A goal of the tool's base, and the joints' ranges.
+/// Goal of the tool base, and the joint ranges.
 struct Goal<'a> {
     rotation: Matrix3<f64>,
     origin_m: Vector3<f64>,
     lower_rad: &'a Joints,
     upper_rad: &'a Joints,
-    /// The joint that keeps its angle.
+    /// The joint that keeps its angle, if any.
     held: Option<usize>,
 }
 
@@ -238,7 +246,8 @@ impl Goal<'_> {
         std::array::from_fn(|i| q_rad[i].max(self.lower_rad[i]).min(self.upper_rad[i]))
     }
 
-    /// The way from the tool's base to the goal: linear m, then angular: the axis times twice the sine of half of the angle, rad.
+    /// Returns the error from the tool base to the goal: linear in m, then angular as the axis times twice
+    /// the sine of half the angle, rad.
     fn missed(&self, frames: &LinkFrames) -> Vector6<f64> {
         let turn =
             Rotation3::from_matrix_unchecked(self.rotation * frames.rotation[LinkFrames::TOOL].transpose());
@@ -247,8 +256,8 @@ impl Goal<'_> {
         super::kinematics::stack(&(self.origin_m - frames.origin_m[LinkFrames::TOOL]), &(turn.imag() * sign))
     }
 
-    /// The joints after one damped step. A joint that the step would push out of its range stays at its end, and the others make up for
-    /// it.
+    /// Returns the joints after one damped step. A joint that the step would push out of its range stays at
+    /// its limit, and the others compensate.
     fn step(
         &self,
         jacobian: &Jacobian,
@@ -279,9 +288,10 @@ impl Goal<'_> {
     }
 }
 
-/// The n-th of a fixed sequence of places that fills the joints' ranges evenly, within half a turn of the reference: the additive
-/// recurrence with the powers of the root of `x^7 = x + 1` (Roberts, "The unreasonable effectiveness of quasirandom sequences", 2018),
-/// which is that of six joints; the seventh power serves the seventh.
+/// Returns the n-th point of a fixed sequence that fills the joint ranges evenly, within half a turn of the
+/// reference: the additive recurrence with the powers of the root of `x^7 = x + 1` (Roberts, "The
+/// unreasonable effectiveness of quasirandom sequences", 2018), which is the one for six joints; its seventh
+/// power is used for the seventh.
 fn spread(n: usize, q_reference_rad: &Joints, lower_rad: &Joints, upper_rad: &Joints) -> Joints {
     const ROOT: f64 = 1.112_775_684_278_705_5;
     let mut share = 1.0;
@@ -294,7 +304,7 @@ fn spread(n: usize, q_reference_rad: &Joints, lower_rad: &Joints, upper_rad: &Jo
     })
 }
 
-/// Rz(yaw) Ry(pitch) Rx(roll).
+/// Returns Rz(yaw) Ry(pitch) Rx(roll).
 fn roll_pitch_yaw(angles_rad: &Vector3<f64>) -> Matrix3<f64> {
     let [(sr, cr), (sp, cp), (sy, cy)] = [angles_rad.x, angles_rad.y, angles_rad.z].map(libm::sincos);
     Matrix3::new(
@@ -310,7 +320,7 @@ fn roll_pitch_yaw(angles_rad: &Vector3<f64>) -> Matrix3<f64> {
     )
 }
 
-/// A rotation that turns z onto `axis`, a unit vector.
+/// Returns a rotation that turns z onto `axis`, a unit vector.
 fn z_onto(axis: &Vector3<f64>) -> Matrix3<f64> {
     let across = Vector3::ith(axis.iamin(), 1.0);
     let x = (across - axis * axis.dot(&across)).normalize();

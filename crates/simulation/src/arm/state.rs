@@ -49,38 +49,38 @@ pub struct ArmState {
     pub mode: ArmMode,
     /// The arm is at rest at its goal (for `Hold`: at rest).
     pub done: bool,
-    /// Why the arm abandoned an accepted motion, or why a joint of `ServoJv` stopped; cleared by the next accepted command. Not
-    /// serialised, because nothing depends on it.
+    /// Why the arm aborted an accepted motion, or why a joint of `ServoJv` stopped; cleared by the next
+    /// accepted command. Not serialised, because nothing depends on it.
     #[serde(skip)]
     pub fault: Option<ArmError>,
-    /// Whether the arm stopped because of a force.
+    /// State of the protective stop.
     pub protective_stop: ProtectiveStop,
 }
 
-/// What a force on the flange has done to the arm.
+/// State of the protective stop, which an excessive force on the flange triggers.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub enum ProtectiveStop {
-    /// Nothing: a force above the limit stops the arm.
+    /// Not triggered: a force above the limit stops the arm.
     Armed,
-    /// The arm stopped and takes no command but `Hold`, which releases it.
+    /// The arm is stopped and accepts only `Hold`, which releases it.
     Stopped {
-        /// The largest force since then, N: the tendons may pull on while the arm stands.
+        /// The largest force since then, N: the tendons can keep pulling while the arm is stopped.
         force_n: f64,
     },
-    /// The arm may move away from what it pressed on: a force above [`RELEASED_SHARE`] of the largest while it stood stops it again, until
-    /// the force has been below the limit.
+    /// The arm may move away from the obstacle: until the force has dropped below the limit, only a force
+    /// above [`RELEASED_SHARE`] times the largest during the stop stops it again.
     Released {
-        /// The largest force while it stood, N.
+        /// The largest force during the stop, N.
         force_n: f64,
     },
 }
 
 impl ProtectiveStop {
-    /// Whether the arm stands and must be released.
+    /// Returns whether the arm is stopped and must be released.
     pub fn is_stopped(&self) -> bool {
         matches!(self, ProtectiveStop::Stopped { .. })
     }
 }
 
-/// How much harder than at its stop a released arm may press.
+/// Factor by which a released arm may exceed the force of its stop.
 pub const RELEASED_SHARE: f64 = 1.1;

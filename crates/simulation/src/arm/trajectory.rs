@@ -1,17 +1,17 @@
-//! Jerk-limited point-to-point motion of N axes: a thin wrapper around the official Ruckig library that rules out waypoints.
+//! Jerk-limited point-to-point motion of N axes: a thin wrapper around the official Ruckig library that
+//! excludes waypoints.
 //!
-//! Ruckig (Berscheid and Kröger, "Jerk-limited Real-time Trajectory Generation with Arbitrary Target States", RSS 2021) is used offline:
-//! a [`Segment`] is planned once, then sampled at any time. The plan is a pure function of the segment, so a snapshot needs only the
-//! segment and a time.
+//! Ruckig (Berscheid and Kröger, "Jerk-limited Real-time Trajectory Generation with Arbitrary Target States",
+//! RSS 2021) is used offline: a [`Segment`] is planned once, then sampled at any time. The plan is a pure
+//! function of the segment, so a snapshot needs only the segment and a time.
 //!
-//! **No waypoints, ever.** The crate is compiled with a cloud client that would send intermediate positions to a remote host. This file
-//! is the only one that uses Ruckig. It creates every object without room for waypoints (Ruckig then refuses them itself) and checks
-//! before each calculation that there are none.
+//! **No waypoints, ever.** The crate is compiled with a cloud client that would send intermediate positions
+//! to a remote host. This file is the only one that uses Ruckig. It creates every object without room for
+//! waypoints (Ruckig then refuses them itself) and checks before each calculation that there are none.
 //!
-//! Ruckig allocates: about eleven small C++ vectors per plan, and three Rust and three C++ vectors per sample. Ruckig takes `cbrt`,
-//! `acos`, `atan`, `sin` and `cos` from the platform's C library: plans are bit-identical on one machine and build, and between machines
-//! only if they have the same C library.
-//! machine and build, and between machines with the same C library only.
+//! Ruckig allocates: about eleven small C++ vectors per plan, and three Rust and three C++ vectors per
+//! sample. Ruckig takes `cbrt`, `acos`, `atan`, `sin` and `cos` from the platform's C library: plans are
+//! bit-identical on one machine and build, and across machines only with the same C library.
 
 use ruckig::{ControlInterface, InputParameter, Ruckig, Synchronization, Trajectory};
 use serde::{Deserialize, Serialize};
@@ -23,16 +23,16 @@ pub struct AxisState<const N: usize> {
     /// Position, in the axis's unit.
     #[serde(with = "serde_arrays")]
     pub position: [f64; N],
-    /// First derivative by time in seconds.
+    /// First derivative with respect to time in seconds.
     #[serde(with = "serde_arrays")]
     pub velocity: [f64; N],
-    /// Second derivative.
+    /// Second derivative with respect to time.
     #[serde(with = "serde_arrays")]
     pub acceleration: [f64; N],
 }
 
 impl<const N: usize> AxisState<N> {
-    /// At rest at `position`.
+    /// Returns the state at rest at `position`.
     pub fn at_rest(position: [f64; N]) -> Self {
         Self { position, velocity: [0.0; N], acceleration: [0.0; N] }
     }
@@ -76,20 +76,21 @@ pub struct Segment<const N: usize> {
     pub limits: AxisLimits<N>,
 }
 
-/// Why a segment has no trajectory.
+/// Error of planning a segment.
 #[derive(Clone, Copy, Debug, Error, PartialEq)]
 pub enum TrajectoryError {
-    /// Ruckig refused the input or found no profile.
+    /// Ruckig rejected the input or found no profile.
     #[error("Ruckig found no trajectory (result {code}: {meaning}); change the goal or the limits")]
     NoTrajectory {
         /// Ruckig's own result code.
         code: i32,
-        /// Its meaning.
+        /// Its meaning, in words.
         meaning: &'static str,
     },
     /// The guard against Ruckig's cloud client found a waypoint.
     #[error(
-        "{count} intermediate positions were set: Ruckig would send them to a remote host; plan point to point"
+        "{count} intermediate positions were set: Ruckig would send them to a remote host; plan point to \
+         point"
     )]
     WaypointsRefused {
         /// Number of intermediate positions.
@@ -97,7 +98,8 @@ pub enum TrajectoryError {
     },
 }
 
-/// Plans and samples segments of N axes. Holds the active trajectory and a candidate, so a refused plan leaves the active one unchanged.
+/// Plans and samples segments of N axes. Holds the active trajectory and a candidate, so a refused plan
+/// leaves the active one unchanged.
 pub struct Planner<const N: usize> {
     ruckig: Ruckig,
     input: InputParameter,
@@ -106,7 +108,7 @@ pub struct Planner<const N: usize> {
 }
 
 impl<const N: usize> Planner<N> {
-    /// A planner without an active trajectory.
+    /// Creates a planner without an active trajectory.
     pub fn new() -> Self {
         Self {
             ruckig: Ruckig::new_direct_and_offline(N),
@@ -116,7 +118,8 @@ impl<const N: usize> Planner<N> {
         }
     }
 
-    /// Plans `segment` as the candidate and returns its duration in seconds. The active trajectory is unchanged.
+    /// Plans `segment` as the candidate and returns its duration in seconds. The active trajectory is
+    /// unchanged.
     pub fn plan(&mut self, segment: &Segment<N>) -> Result<f64, TrajectoryError> {
         let input = &mut self.input;
         let (here, rest) = (segment.start.position, [0.0; N]);
@@ -144,17 +147,18 @@ impl<const N: usize> Planner<N> {
         std::mem::swap(&mut self.active, &mut self.candidate);
     }
 
-    /// State of the active trajectory `time_s` after its start; the end state after its duration.
+    /// Returns the state of the active trajectory `time_s` after its start; the end state after its duration.
     pub fn sample(&self, time_s: f64) -> AxisState<N> {
         sample(&self.active, time_s)
     }
 
-    /// Like [`Self::sample`], for the candidate.
+    /// Returns the state of the candidate, like [`Self::sample`].
     pub fn sample_candidate(&self, time_s: f64) -> AxisState<N> {
         sample(&self.candidate, time_s)
     }
 
-    /// Calls Ruckig. The guard is directly before the call, so no waypoint passes, however the input was set.
+    /// Calls Ruckig. The guard is directly before the call, so no waypoint can pass, regardless of how the
+    /// input was set.
     fn calculate(&mut self) -> Result<f64, TrajectoryError> {
         let count = self.input.intermediate_positions.len();
         if count != 0 {
@@ -202,7 +206,7 @@ fn meaning(result: &ruckig::Result) -> &'static str {
 mod tests {
     use super::*;
 
-    /// A waypoint set on the input: the call is refused before Ruckig sees it.
+    /// A call with a waypoint in the input is rejected before Ruckig sees it.
     #[test]
     fn waypoints_are_refused_before_ruckig_is_called() {
         let mut planner = Planner::<1>::new();
@@ -216,7 +220,7 @@ mod tests {
         assert_eq!(planner.plan(&segment), Err(TrajectoryError::WaypointsRefused { count: 1 }));
     }
 
-    /// Rust sources of all crates.
+    /// Collects the Rust sources of all crates.
     fn sources(folder: &std::path::Path, found: &mut Vec<std::path::PathBuf>) {
         for entry in std::fs::read_dir(folder).unwrap() {
             let path = entry.unwrap().path();
@@ -229,7 +233,8 @@ mod tests {
         }
     }
 
-    /// Only this file names Ruckig, only its guard names waypoints, and no object is created with room for them.
+    /// Only this file names Ruckig, only its guard names waypoints, and no object is created with room for
+    /// them.
     #[test]
     fn no_other_file_reaches_ruckig_or_a_waypoint() {
         let mut found = Vec::new();

@@ -7,7 +7,7 @@ use super::trajectory::{AxisState, Goal, Segment};
 use super::{Arm, ArmError, ArmGeometry};
 use messages::MAX_ARM_JOINTS;
 
-/// Rounding may push a joint this far beyond its range.
+/// Amount by which rounding may push a joint beyond its range.
 const RANGE_SLACK_RAD: f64 = 1e-9;
 
 impl Arm {
@@ -15,7 +15,7 @@ impl Arm {
         self.parameters.check_absent(qd_rad_s)?;
         let limits = self.parameters.joint_limits.velocity_rad_s;
         for (i, (&given_rad_s, &maximum_rad_s)) in qd_rad_s.iter().zip(&limits).enumerate() {
-            // A NaN is in no range, so this refuses it too.
+            // NaN is in no range, so this rejects it too.
             if !(-maximum_rad_s..=maximum_rad_s).contains(&given_rad_s) {
                 return Err(ArmError::JointRateOutsideLimits { joint: i + 1, given_rad_s, maximum_rad_s });
             }
@@ -26,14 +26,15 @@ impl Arm {
         Ok(())
     }
 
-    /// Refuses to switch from a path to joint space if a joint could not stop within its range.
+    /// Rejects a switch from a path to joint space if a joint could not stop within its range.
     pub(super) fn check_stop(&self) -> Result<(), ArmError> {
         let now = self.joint_state();
         (0..MAX_ARM_JOINTS)
             .try_for_each(|i| if self.overruns(&now, i) { Err(self.range_ends(i)) } else { Ok(()) })
     }
 
-    /// One tick at rates. A joint that could no longer stop in time after this tick starts its stop now.
+    /// Advances one tick at the given rates. A joint that could no longer stop in time after this tick starts
+    /// its stop now.
     pub(super) fn step_rates(&mut self, mut motion: JointMotion, mut rates: Joints) {
         motion.tick += 1;
         let next = self.at_rates(&motion, &rates);
@@ -62,7 +63,7 @@ impl Arm {
         Ok(JointMotion { segment, duration_s, tick: 0, next: None })
     }
 
-    /// Joints at the motion's tick: on the plan until its end, then at constant rates.
+    /// Returns the joints at the motion's tick: on the plan until its end, then at constant rates.
     fn at_rates(&self, motion: &JointMotion, rates: &Joints) -> AxisState<MAX_ARM_JOINTS> {
         let time_s = self.time_s(motion.tick);
         let mut joints = self.joint_planner.sample(time_s);
@@ -76,7 +77,7 @@ impl Arm {
         joints
     }
 
-    /// True if joint `i` leaves its range even when it stops from here in minimum time.
+    /// Returns true if joint `i` leaves its range even when it stops from here in minimum time.
     fn overruns(&self, joints: &AxisState<MAX_ARM_JOINTS>, i: usize) -> bool {
         let limits = &self.parameters.joint_limits;
         let (least, most) = stop_range(
@@ -102,11 +103,12 @@ impl Arm {
     }
 }
 
-/// Minimum and maximum displacement of an axis that stops from velocity `v` and acceleration `a` in minimum time within its acceleration
-/// and jerk limits.
+/// Returns the minimum and maximum displacement of an axis that stops from velocity `v` and acceleration `a`
+/// in minimum time within its acceleration and jerk limits.
 ///
-/// The profile has jerk -j, possibly constant deceleration, then jerk +j (signs for a positive velocity). With peak deceleration p these
-/// phases reduce the velocity by (p² - a²)/2j, p T and p²/2j, which add up to v.
+/// The profile has jerk -j, possibly constant deceleration, then jerk +j (signs for a positive velocity).
+/// With peak deceleration p these phases reduce the velocity by (p² - a²)/2j, p T and p²/2j, which add up to
+/// v.
 fn stop_range(v: f64, a: f64, most_a: f64, j: f64) -> (f64, f64) {
     // The sign of the velocity that would result from just ramping the acceleration to zero.
     let sign = if v + a * a.abs() / (2.0 * j) < 0.0 { -1.0 } else { 1.0 };
@@ -135,7 +137,8 @@ mod tests {
     use super::*;
     use crate::arm::{AxisLimits, Planner};
 
-    /// Compared with Ruckig's own stop, sampled at 400 points: end within 1e-9, extremes within the sample spacing.
+    /// The stopping range agrees with Ruckig's own stop, sampled at 400 points: the end within 1e-9, the
+    /// extremes within the sample spacing.
     #[test]
     fn the_stopping_range_is_that_of_ruckig() {
         let mut planner = Planner::<1>::new();

@@ -1,24 +1,26 @@
-//! The way out for a sphere whose centre is inside bone.
+//! Finds the way out for a sphere whose centre is inside bone.
 
 use nalgebra::Vector3;
 
 use super::gather::Sphere;
 use super::voxels::Voxels;
 
-/// A smoothed normal whose cosine with the exit axis is below this is not trusted.
+/// Cosine between the smoothed normal and the exit axis below which the normal is not trusted.
 const NORMAL_AGREEMENT_COSINE: f64 = 0.3;
 
 impl Voxels {
-    /// The plane that leads out of bone: a point on it and its normal in the grid's metric frame, and the gap, which is minus the
-    /// sphere's radius minus the depth of its centre. The exit is the nearest one along the six grid directions, where the edge of the
-    /// grid counts as an exit. The normal is that of the smoothed surface there. Exact for walls along the grid.
+    /// Returns the plane that leads out of bone: a point on it and its normal in the grid's metric frame, and
+    /// the gap, which is minus the sphere's radius minus the depth of its centre. The exit is the nearest one
+    /// along the six grid directions; the edge of the grid counts as an exit. The normal is that of the
+    /// smoothed surface there, which is exact for grid-aligned walls.
     pub(super) fn way_out(&self, sphere: &Sphere) -> (Vector3<f64>, Vector3<f64>, f64) {
         let Sphere { centre, voxel: centre_voxel, radius_m, .. } = *sphere;
         let spacing = self.geometry().spacing_m;
         let thinnest = spacing.iter().fold(f64::INFINITY, |low, h| low.min(*h));
         let mut best: Option<(f64, Vector3<f64>)> = None;
         let mut step = 1;
-        // The edge of the grid is an exit, so the loop ends after at most as many steps as the smallest dimension has voxels.
+        // The edge of the grid is an exit, so the loop ends after at most as many steps as the smallest
+        // dimension has voxels.
         while best.is_none_or(|(depth, _)| (step as f64 - 1.0) * thinnest <= depth) {
             for axis in 0..3 {
                 for sign in [1i64, -1] {

@@ -1,19 +1,20 @@
-//! The burr, and how it turns force and speed into cutting energy.
+//! The burr and its cutting law: cutting energy as a function of force and speed.
 
 use nalgebra::Vector3;
 
 use super::BoneError;
 use super::yielding::Indentation;
 
-/// How a burr turns force and speed into cutting energy.
+/// Law by which a burr converts force and speed to cutting energy.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CuttingLaw {
-    /// Ratio mu_cut of cutting power to normal force times sliding speed. 0.3 is an
-    /// assumption, for an abrasive burr; torque over thrust times 2r/3 of twist drills of 2.5 mm is 2.4 and 2.5 in bovine, 2.1 to 4.0 in other
-    /// femurs (table 6 of Orelaja et al. 2020, J. Healthcare Eng. 8817422).
+    /// Ratio mu_cut of cutting power to normal force times sliding speed. The default of 0.3 is an assumption
+    /// for an abrasive burr. For comparison, torque over (thrust times 2r/3) of 2.5 mm twist drills is 2.4
+    /// and 2.5 in bovine and 2.1 to 4.0 in other femurs (table 6 of Orelaja et al. 2020, J. Healthcare Eng.
+    /// 8817422).
     pub cutting_friction: f64,
-    /// How far beyond its surface the burr cuts, in metres: contact compliance and tool run-out. The hole's radius is the burr's plus
-    /// this.
+    /// Distance beyond its surface to which the burr cuts, in metres: contact compliance and tool run-out.
+    /// The hole's radius is the burr's plus this.
     pub reach_m: f64,
     /// Maximum feed per revolution in metres: the depth of the teeth.
     pub feed_per_revolution_max_m: f64,
@@ -26,12 +27,13 @@ impl Default for CuttingLaw {
 }
 
 impl CuttingLaw {
-    /// Cutting power in W of a burr that cuts with its end: see the module.
+    /// Returns the cutting power in W of a burr that cuts with its end; see the module.
     pub fn power_w(&self, burr: &BurrState) -> f64 {
         self.cutting_friction * burr.normal_force_n * burr.speed_rad_s.abs() * burr.radius_m * (2.0 / 3.0)
     }
 
-    /// Cutting power in W of a burr with these contacts, or with its end if none is given: see the module.
+    /// Returns the cutting power in W of a burr with these contacts, or with its end if there are none; see
+    /// the module.
     pub(super) fn power_of_contacts_w(&self, burr: &BurrState, contacts: &[BurrContact]) -> f64 {
         if contacts.is_empty() {
             return self.power_w(burr);
@@ -41,12 +43,13 @@ impl CuttingLaw {
         self.cutting_friction * force_lever_n * burr.speed_rad_s.abs() * burr.radius_m
     }
 
-    /// Most that a surface recedes in m while the burr turns at this speed for a time: the teeth's feed per revolution.
+    /// Returns the maximum recession of a surface in m while the burr turns at `speed_rad_s` for `time_s`,
+    /// from the teeth's feed per revolution.
     pub fn most_recession_m(&self, speed_rad_s: f64, time_s: f64) -> f64 {
         self.feed_per_revolution_max_m * speed_rad_s.abs() * time_s / core::f64::consts::TAU
     }
 
-    /// Cutting power in W of a cutter whose contacts cut at this lever.
+    /// Returns the cutting power in W of a cutter whose contacts cut at `lever_m`.
     pub(super) fn power_at_w(&self, burr: &BurrState, lever_m: f64) -> f64 {
         self.cutting_friction * burr.normal_force_n * burr.speed_rad_s.abs() * lever_m
     }
@@ -89,7 +92,7 @@ pub struct Ball {
 }
 
 impl BurrState {
-    /// The burr as a ball.
+    /// Returns the burr as a ball.
     pub(super) fn ball(&self) -> Ball {
         Ball { centre_m: self.centre_m, radius_m: self.radius_m }
     }
@@ -101,7 +104,7 @@ impl BurrState {
             return refuse("centre_m", *value, "finite coordinates");
         }
         if !(self.radius_m > 0.0 && self.radius_m <= max_burr_radius_m) {
-            return refuse("radius_m", self.radius_m, "above 0 and not above the largest");
+            return refuse("radius_m", self.radius_m, "above 0 and at most the largest");
         }
         if !self.speed_rad_s.is_finite() {
             return refuse("speed_rad_s", self.speed_rad_s, "a finite number");
@@ -116,31 +119,32 @@ impl BurrState {
 /// A contact of the burr with bone.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BurrContact {
-    /// From the bone to the burr, world, unit length.
+    /// Contact normal, from the bone to the burr, world, unit length.
     pub normal: Vector3<f64>,
-    /// N.
+    /// Normal force, N.
     pub normal_force_n: f64,
     /// Cosine of the angle between the normal and the burr's axis; the sign does not matter.
     pub axis_cosine: f64,
-    /// From the burr's centre back to that of the ball that touches, m; 0 for a ball.
+    /// Distance from the burr centre back to the centre of the touching ball, m; 0 for a ball.
     pub behind_m: f64,
 }
 
-/// What the tool does to the bone in a tick.
+/// The tool's action on the bone in a tick.
 #[derive(Debug, Clone, Copy)]
 pub struct Work<'a> {
     /// The burr.
     pub burr: &'a BurrState,
-    /// The balls behind it, of a cutter that is longer than a ball.
+    /// The balls behind the front one, if the cutter is longer than a ball.
     pub behind: &'a [Ball],
-    /// Its contacts with bone, whose forces add up to the burr's; none for a burr that cuts with its end.
+    /// The burr's contacts with bone, whose forces add up to the burr's; empty for a burr that cuts with its
+    /// end.
     pub contacts: &'a [BurrContact],
-    /// What the tool's spheres crushed.
+    /// Indentations made by the tool's spheres.
     pub indentations: &'a [Indentation],
 }
 
 impl Work<'_> {
-    /// Radius where the cutter is widest, m.
+    /// Returns the radius where the cutter is widest, m.
     pub(super) fn widest_radius_m(&self) -> f64 {
         self.behind.iter().fold(self.burr.radius_m, |widest, ball| ball.radius_m.max(widest))
     }
@@ -151,7 +155,7 @@ impl Work<'_> {
             BurrState { centre_m: ball.centre_m, radius_m: ball.radius_m, ..*self.burr }
                 .check(max_burr_radius_m)?;
             let value = (ball.centre_m - self.burr.centre_m).norm();
-            // The chain's own arithmetic moves it by rounding.
+            // Allow for rounding in the chain's arithmetic.
             if value > cutter_span_m * (1.0 + 1e-6) {
                 let expected = "at most cutter_span_m";
                 let name = "distance from the front ball to one behind it";
@@ -162,13 +166,15 @@ impl Work<'_> {
     }
 }
 
-/// Mean distance from the axis, as a share of the radius, of a ball's half that faces a contact, weighted by its area as seen along the
-/// contact's normal: the lever at which the contact cuts. `axis_cosine` is the cosine of the angle between normal and axis.
+/// Returns the mean distance from the axis, as a fraction of the radius, over the half of a ball that faces a
+/// contact, weighted by projected area along the contact normal: the lever arm at which the contact cuts.
+/// `axis_cosine` is the cosine of the angle between normal and axis.
 ///
-/// `L = (1/pi) integral over n.u > 0 of sqrt(1 - (u.a)^2) (n.u) dS`, for unit vectors n (normal), a (axis) and u. The lever of a point,
-/// the sine of its angle from the axis, is a sum of Legendre polynomials, pi/4 (1 - 5/8 P2 - 9/64 P4 - 65/1024 P6); facing the contact
-/// multiplies each with the coefficient of a clamped cosine, 1, 1/4, -1/24 and 1/64 (Funk and Hecke's theorem; the coefficients in
-/// Ramamoorthi and Hanrahan 2001, J. Opt. Soc. Am. A 18:2448, over pi). The four terms are within 2e-4 of the integral, which is 2/3 at
+/// `L = (1/pi) integral over n.u > 0 of sqrt(1 - (u.a)^2) (n.u) dS`, for unit vectors n (normal), a (axis)
+/// and u. The lever of a point, the sine of its angle from the axis, is a sum of Legendre polynomials, pi/4
+/// (1 - 5/8 P2 - 9/64 P4 - 65/1024 P6); facing the contact multiplies each by the coefficient of a clamped
+/// cosine, 1, 1/4, -1/24 and 1/64 (Funk-Hecke theorem; coefficients from Ramamoorthi and Hanrahan 2001, J.
+/// Opt. Soc. Am. A 18:2448, divided by pi). The four terms are within 2e-4 of the integral, which is 2/3 at
 /// the end and 8/(3 pi) at the side.
 pub fn lever_share(axis_cosine: f64) -> f64 {
     let c2 = (axis_cosine * axis_cosine).min(1.0);

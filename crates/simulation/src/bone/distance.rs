@@ -1,27 +1,28 @@
-//! How far a point is from bone, or from where there is none: for checks of a scene, not for the tick. Whether it is in bone: for both.
+//! Distance of a point from bone or from open space, for checks of a scene, not for the tick; and whether a
+//! point is in bone, for both.
 
 use nalgebra::Vector3;
 
 use super::grid::floor_to_i64;
 use super::voxels::Voxels;
 
-/// What is looked for.
+/// The kind of voxel to search for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Matter {
     /// A voxel of bone.
     Bone,
-    /// A voxel without bone, or a place outside of the volume.
+    /// A voxel without bone, or a point outside the volume.
     Open,
 }
 
 impl Voxels {
-    /// Whether a world point is in a voxel of bone.
+    /// Returns whether a world point is in a voxel of bone.
     pub(crate) fn holds_bone(&self, point_world_m: &Vector3<f64>) -> bool {
         let (point, h) = (self.geometry().point_to_grid(point_world_m), self.geometry().spacing_m);
         self.is_mostly_solid([0, 1, 2].map(|a| floor_to_i64(point[a] / h[a] + 0.5)))
     }
 
-    /// Whether a ball touches the box of the volume.
+    /// Returns whether a ball touches the box of the volume.
     pub(crate) fn is_near(&self, centre_world_m: &Vector3<f64>, radius_m: f64) -> bool {
         let geometry = self.geometry();
         let centre = geometry.point_to_grid(centre_world_m);
@@ -36,7 +37,8 @@ impl Voxels {
         beyond_m2 <= radius_m * radius_m
     }
 
-    /// Distance of a world point from the nearest voxel of this matter, to its faces, m; 0 inside one. `None` if there is no such voxel.
+    /// Returns the distance of a world point from the faces of the nearest voxel of this kind, m; 0 inside
+    /// one. `None` if there is no such voxel.
     pub fn distance_m(&self, point_world_m: &Vector3<f64>, matter: Matter) -> Option<f64> {
         let geometry = self.geometry();
         let (dims, h) = (geometry.dims.map(|n| n as i64), geometry.spacing_m);
@@ -46,7 +48,7 @@ impl Voxels {
             (0..3).map(|a| beyond(a) * beyond(a)).sum()
         };
         let own = [0, 1, 2].map(|a| floor_to_i64(point[a] / h[a] + 0.5));
-        // The nearest voxel of the grid: shells about it are visited outward.
+        // Start at the nearest voxel of the grid and visit the shells around it outward.
         let centre = [0, 1, 2].map(|a| own[a].clamp(0, dims[a] - 1));
         let (outside_m2, step_m) = (beyond_m2(centre), geometry.smallest_spacing_m());
         if matter == Matter::Open && own != centre {
@@ -54,7 +56,7 @@ impl Voxels {
         }
         let mut nearest_m2 = f64::INFINITY;
         for radius in 0..=dims.into_iter().fold(0, i64::max) {
-            // Nothing in this shell or beyond it is nearer.
+            // Nothing in this shell or beyond it is closer.
             let along_m = (radius - 1).max(0) as f64 * step_m;
             if outside_m2 + along_m * along_m > nearest_m2 {
                 break;
@@ -71,7 +73,8 @@ impl Voxels {
     }
 }
 
-/// Visits the voxels whose largest distance from the centre along an axis is `radius`, in the grid and in one layer around it.
+/// Visits the voxels whose largest distance from the centre along an axis is `radius`, in the grid and in one
+/// layer around it.
 fn for_each_of_shell(centre: [i64; 3], radius: i64, dims: [i64; 3], mut visit: impl FnMut([i64; 3])) {
     let range = |a: usize| (centre[a] - radius).max(-1)..=(centre[a] + radius).min(dims[a]);
     for z in range(2) {
@@ -92,7 +95,8 @@ mod tests {
     use super::*;
     use crate::bone::{BoneField, BoneParameters, GridGeometry};
 
-    /// A ball of bone, radius 5 mm, in 0.5 mm voxels: the distances are those from its surface, to a voxel.
+    /// For a ball of bone of radius 5 mm in 0.5 mm voxels, the distances are those from its surface, to
+    /// within a voxel.
     #[test]
     fn distances_are_those_from_the_surface_of_a_ball() {
         let (n, h_m) = (40, 0.5e-3);

@@ -1,43 +1,52 @@
-//! Drilling: the burr's cutting energy goes into the voxels that it presses on, and their surfaces recede as it is spent.
+//! Drilling: the burr's cutting energy is distributed over the voxels that it presses on, and their surfaces
+//! recede as the energy is spent.
 //!
-//! **Energy.** In one tick the burr (radius r, speed omega) cuts with `E = mu_cut omega dt x sum of F r_eff` over its contacts with bone, F
-//! being a contact's normal force (Preston 1927: wear is proportional to pressure times sliding speed). The lever r_eff is the mean
-//! distance from the spin axis over the half of the ball that faces the contact, weighted by projected area: 2r/3 for the end of the
-//! burr, 8r/(3 pi) for its side ([`super::cutting::lever_share`]); the pole itself stands still and cuts nothing. Pressure wears each
-//! contact on its own, so the forces add up as numbers: a burr pinched between two walls cuts both, although their forces cancel.
+//! **Energy.** In one tick the burr (radius r, speed omega) cuts with `E = mu_cut omega dt x sum of F r_eff`
+//! over its contacts with bone, where F is a contact's normal force (Preston 1927: wear is proportional to
+//! pressure times sliding speed). The lever arm r_eff is the mean distance from the spin axis over the half
+//! of the ball that faces the contact, weighted by projected area: 2r/3 for the end of the burr, 8r/(3 pi)
+//! for its side ([`super::cutting::lever_share`]); the pole itself does not move and cuts nothing. Each
+//! contact wears by its own pressure, so the forces add up as scalars: a burr pinched between two walls cuts
+//! both, although their forces cancel.
 //!
-//! A cutter of several balls touches bone with parts of each, and which parts its contacts do not tell: a contact stands for the nearest
-//! point of a patch that reaches over several balls. The lever of a contact is therefore taken from the touched voxels, each of which
-//! belongs to the one ball that is deepest in it: the mean distance of their surfaces from the spin axis, weighted by area as seen along
-//! the contact's normal (`patch.rs`). It is the law of the ball over the patch that is there: 2R/3 for a point that bores its hole, R
-//! for a cylinder pressed sideways. No part counts twice, since no voxel and no force does.
+//! A cutter of several balls touches bone with parts of each, and its contacts do not reveal which: a contact
+//! represents the nearest point of a patch that extends over several balls. The lever arm of a contact is
+//! therefore computed from the touched voxels, each of which belongs to the one ball that is deepest in it:
+//! the mean distance of their surfaces from the spin axis, weighted by area projected along the contact
+//! normal (`patch.rs`). This is the law of the ball applied to the actual patch: 2R/3 for a point that bores
+//! its hole, R for a cylinder pressed sideways. No part counts twice, because no voxel and no force does.
 //!
-//! **Edge.** Edges that are not sharp plough before they cut: of the forces' sum F only what exceeds
-//! `F_edge = sum of p_e(HU) x area` over the touched voxels (`edge.rs`) cuts, so E is multiplied by `max(1 - F_edge / F, 0)`, and
-//! below F_edge nothing is cut at any speed. The split into ploughing and shearing is that of measured sawing forces (J. Manuf. Sci. Eng.
-//! 143:121009).
+//! **Edge.** Blunt edges plough before they cut: only the part of the total force F that exceeds `F_edge =
+//! sum of p_e(HU) x area` over the touched voxels (`edge.rs`) cuts, so E is multiplied by `max(1 - F_edge /
+//! F, 0)`, and below F_edge nothing is cut at any speed. The split into ploughing and shearing follows
+//! measured sawing forces (J. Manuf. Sci. Eng. 143:121009).
 //!
-//! **Sharing.** The voxels whose surface (as defined in [`super::query`]) lies within the burr grown by `reach_m` share the energy by
-//! pressure times area. The pressure is proportional to the depth (an elastic foundation of thickness `reach_m`), so the weight is
-//! min(depth / width, 1), because all voxels have the same volume. Soft bone therefore recedes until the hard bone beside it carries the
-//! load. All contacts share one energy: a contact's plane stands for the nearest point of its patch and jumps from one to the next, while
-//! the depth is measured all over the patch. Giving each contact's voxels the energy of its own force makes a straight feed walk 1.6 mm
-//! in voxels of 0.06 mm, where it walks 0.2 mm with one energy. The price: where a tool is pressed sideways, part of that energy cuts the
-//! bone ahead, until it has receded out of reach.
+//! **Sharing.** The voxels whose surface (as defined in [`super::query`]) lies within the burr grown by
+//! `reach_m` share the energy by pressure times area. The pressure is proportional to the depth (an elastic
+//! foundation of thickness `reach_m`), so the weight is min(depth / width, 1), because all voxels have the
+//! same volume. Soft bone therefore recedes until the hard bone beside it carries the load. All contacts
+//! share one energy: a contact's plane represents the nearest point of its patch and jumps from one point to
+//! the next, while the depth is measured over the entire patch. If each contact's voxels get the energy of
+//! its own force, a straight feed walks 1.6 mm in voxels of 0.06 mm; with one shared energy it walks 0.2 mm.
+//! The drawback: when a tool is pressed sideways, part of that energy cuts the bone ahead, until it has
+//! receded out of reach.
 //!
-//! **Within a step.** The energy is that of the forces at the end of the step, and the voxels recede by it after the step. The contacts of
-//! the burr give way within the step by as much ([`crate::contact_plane::Give`]): otherwise each step meets the bone of the one before.
+//! **Within a step.** The energy comes from the forces at the end of the step, and the voxels recede after
+//! the step. Within the step, the burr's contacts recede by the same amount ([`crate::contact_plane::Give`]);
+//! otherwise, each step would meet the bone of the previous step.
 //!
-//! **Capacity.** A voxel's total energy is `u(HU) x volume`. In one tick it loses at most the part that lies within the grown burr, and
-//! recedes by at most `feed_per_revolution_max_m` per revolution. What a voxel cannot absorb goes to the others; what no voxel can absorb
-//! is reported as unused (in reality it heats the bone).
+//! **Capacity.** A voxel's total energy is `u(HU) x volume`. In one tick it loses at most the part that lies
+//! within the grown burr, and recedes by at most `feed_per_revolution_max_m` per revolution. What a voxel
+//! cannot absorb goes to the others; what no voxel can absorb is reported as unused (in reality it heats the
+//! bone).
 //!
-//! The removed volume is therefore E / u, and the depth depends neither on voxel size nor on dt. Weights and shares do not depend on the
-//! order of the voxels; the order of summation is fixed, for bit-exact replay.
+//! The removed volume is therefore E / u, and the depth depends neither on voxel size nor on dt. Weights and
+//! shares do not depend on the order of the voxels; the order of summation is fixed, for bit-exact replay.
 //!
-//! **Partly cut voxels.** A voxel beside the path keeps what the burr did not reach, so that the wall of a hole lies where the burr cut
-//! it, wherever the voxels lie. An image knows whole voxels only: a voxel is *gone* from it, and in the list of removed voxels, as soon
-//! as less than half of it is left (`GONE`). The hole in the voxels then has the burr's size on average.
+//! **Partly cut voxels.** A voxel beside the path keeps the part that the burr did not reach, so the wall of
+//! a hole is where the burr cut it, independent of the grid. Images have only whole voxels: a voxel is *gone*
+//! from the image, and in the list of removed voxels, as soon as less than half of it is left (`GONE`). The
+//! hole in the voxels then has the burr's size on average.
 
 use nalgebra::Vector3;
 use pulp::Arch;
@@ -52,7 +61,7 @@ use super::strength::Place;
 use super::voxels::{Drilling, Voxels, check_volume};
 use super::yielding::{CrushReport, FIRST_NEAR, Near};
 
-/// Iterations of the energy sharing; what remains after them is reported as unused.
+/// Iterations of the energy sharing; the remainder is reported as unused.
 const SHARE_ROUNDS: usize = 8;
 /// Number of parallel partial sums, added in a fixed order.
 const LANES: usize = 8;
@@ -60,39 +69,41 @@ const LANES: usize = 8;
 /// Result of one tick of drilling.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct GrindReport {
-    /// Voxels of which less than half is left since this tick.
+    /// Number of voxels of which less than half is left since this tick.
     pub removed_count: usize,
-    /// Such voxels that did not fit into this tick's list and wait for the next tick.
+    /// Number of such voxels that did not fit into this tick's list and wait for the next tick.
     pub waiting_count: usize,
-    /// Voxels that absorbed energy.
+    /// Number of voxels that absorbed energy.
     pub cut_count: usize,
-    /// Voxels in reach that could not absorb energy because there is no memory for them.
+    /// Number of voxels in reach that could not absorb energy because memory ran out.
     pub refused_count: usize,
-    /// Force in N below which the burr's edges plough and do not cut; 0 while it does not press.
+    /// Force in N below which the burr's edges plough without cutting; 0 without contact force.
     pub edge_force_n: f64,
-    /// Depth by which the bone recedes at the burr's deepest place for each newton above that force, m/N; 0 while it does not press.
+    /// Recession of the bone at the burr's deepest point per newton above that force, m/N; 0 without contact
+    /// force.
     pub recession_m_per_n: f64,
-    /// Lever in m at which a cutter of several balls cuts; 0 while it does not press, and for a ball.
+    /// Lever arm in m at which a cutter of several balls cuts; 0 without contact force, and for a ball.
     pub lever_m: f64,
     /// Cutting energy of the tick in J.
     pub energy_offered_j: f64,
-    /// The part of it that bone absorbed.
+    /// Energy that the bone absorbed, J.
     pub energy_used_j: f64,
-    /// What the tool's spheres crushed.
+    /// Bone crushed by the tool's spheres.
     pub crushed: CrushReport,
 }
 
 /// Working memory of a tick, sized for the largest burr.
 #[derive(Debug, Clone)]
 pub(super) struct DrillScratch {
-    /// Weights of the voxels that the burr presses on, in order, and their capacities in this tick, J, padded with zeros to a multiple of
-    /// [`LANES`]. Other voxels are left out, so that the sums do not depend on what else is nearby.
+    /// Weights of the voxels that the burr presses on, in order, and their capacities in this tick, J, padded
+    /// with zeros to a multiple of [`LANES`]. Other voxels are omitted, so that the sums do not depend on
+    /// other nearby voxels.
     weight: Vec<f64>,
     room_j: Vec<f64>,
     count: usize,
     /// The voxels themselves, by index in the list of voxels in reach; for [`super::removal`] only.
     pub(super) kept: Vec<u32>,
-    /// What a cutter of several balls touches; for [`super::patch`] only.
+    /// The patch that a cutter of several balls touches; for [`super::patch`] only.
     pub(super) patch: Vec<Patch>,
 }
 
@@ -106,7 +117,7 @@ struct Level {
 }
 
 impl DrillScratch {
-    /// Room for `capacity` voxels, touched by one ball or several.
+    /// Creates working memory for `capacity` voxels, touched by one ball or several.
     pub fn new(capacity: usize, is_ball: bool) -> Self {
         let numbers = || vec![0.0; capacity.next_multiple_of(LANES)];
         Self {
@@ -134,14 +145,15 @@ impl DrillScratch {
         self.count = count;
     }
 
-    /// Shares the energy by weight; what exceeds a voxel's capacity goes to the others.
+    /// Distributes the energy by weight; the excess over a voxel's capacity goes to the others.
     fn share(&self, arch: Arch, energy_j: f64) -> Level {
         let padded = self.count.next_multiple_of(LANES);
         arch.dispatch(Share { energy_j, weight: &self.weight[..padded], room_j: &self.room_j[..padded] })
     }
 }
 
-/// The loops of [`DrillScratch::share`], compiled for each instruction set; the order of every sum is explicit.
+/// The loops of [`DrillScratch::share`], compiled for each instruction set; the order of every sum is
+/// explicit.
 struct Share<'a> {
     energy_j: f64,
     weight: &'a [f64],
@@ -149,7 +161,7 @@ struct Share<'a> {
 }
 
 impl Share<'_> {
-    /// Total energy absorbed at a level, and the weight of the voxels with capacity left.
+    /// Returns the total energy absorbed at a level, and the weight of the voxels with capacity left.
     #[inline(always)]
     fn taken_at(&self, level_j: f64) -> (f64, f64) {
         let (mut taken, mut open) = ([0.0; LANES], [0.0; LANES]);
@@ -168,8 +180,9 @@ impl Share<'_> {
 impl pulp::WithSimd for Share<'_> {
     type Output = Level;
 
-    /// Newton steps toward the level at which all energy is absorbed. The absorbed energy is piecewise linear in the level and bends only
-    /// where a voxel fills up, so the iteration has converged once a step leaves the same voxels unfilled.
+    /// Finds the level at which all energy is absorbed by Newton's method. The absorbed energy is piecewise
+    /// linear in the level, with kinks only where a voxel fills up, so the iteration has converged once a
+    /// step leaves the same voxels unfilled.
     #[inline(always)]
     fn with_simd<S: pulp::Simd>(self, _: S) -> Level {
         let mut level_j = 0.0;
@@ -188,10 +201,10 @@ impl pulp::WithSimd for Share<'_> {
     }
 }
 
-/// A voxel of which more than this fraction is spent is gone from images and from the list of bone.
+/// Spent fraction above which a voxel is gone from images and from the list of bone.
 pub(super) const GONE: f64 = 0.5;
 
-/// Rounding of spent + (1 - spent): a voxel within 1e-12 of its end counts as spent.
+/// Returns whether a voxel is fully spent, to within 1e-12: the rounding of spent + (1 - spent).
 pub(super) fn is_ended(spent: f64) -> bool {
     spent > 1.0 - 1e-12
 }
@@ -210,7 +223,7 @@ pub(super) struct DrillCache {
 }
 
 impl DrillCache {
-    /// An empty cache for these voxels.
+    /// Creates an empty cache for these voxels.
     pub fn new(voxels: &Voxels) -> Self {
         let reached = ReachedVoxels::new(voxels.geometry(), voxels.parameters());
         let is_ball = voxels.parameters().cutter_span_m == 0.0;
@@ -224,7 +237,7 @@ impl DrillCache {
         }
     }
 
-    /// One tick: see [`BoneField::wear`](super::BoneField::wear).
+    /// Performs one tick: see [`BoneField::wear`](super::BoneField::wear).
     pub fn wear(
         &mut self,
         voxels: &mut Voxels,
@@ -307,14 +320,15 @@ impl DrillTick<'_> {
         self.scratch.keep(&self.reached.depth, &self.reached.room_j);
     }
 
-    /// Depth by which the bone recedes at the burr's deepest place for each joule, m/J: the voxels share the energy by depth.
+    /// Returns the recession of the bone at the burr's deepest point per joule, m/J: the voxels share the
+    /// energy by depth.
     fn recession_m_per_j(&self, arch: Arch) -> f64 {
         let sum: f64 = self.scratch.weight[..self.scratch.count].iter().fold(0.0, |sum, depth| sum + depth);
         if sum > 0.0 { self.reached.most_recession_m_per_j(arch) / sum } else { 0.0 }
     }
 
-    /// Areas in m^2 of a voxel's faces toward the burr across each grid axis, 0 of one that other bone covers; `offset` runs from the voxel
-    /// to the burr.
+    /// Returns the areas in m^2 of a voxel's faces toward the burr along each grid axis, 0 for a face covered
+    /// by other bone; `offset` points from the voxel to the burr.
     pub(super) fn bare_faces_m2(&self, voxel: usize, offset: &Vector3<f64>) -> [f64; 3] {
         let [hx, hy, hz] = self.edit.geometry().spacing_m;
         let mut faces_m2 = [hy * hz, hz * hx, hx * hy];
@@ -328,7 +342,7 @@ impl DrillTick<'_> {
         faces_m2
     }
 
-    /// Sets the spent fraction of a voxel in reach that has a place.
+    /// Sets the spent fraction of a voxel in reach that has a place in the pool.
     #[inline]
     pub(super) fn set_spent(&mut self, voxel: usize, spent: f64) {
         let ReachedVoxels { index, at, place, .. } = &*self.reached;
@@ -352,7 +366,7 @@ impl DrillTick<'_> {
         }
     }
 
-    /// Lists the voxels that are gone, as many as the tick's list holds.
+    /// Lists the voxels that are gone, up to the capacity of the tick's list.
     fn finish(mut self) -> GrindReport {
         self.edit.list_queued();
         self.report.removed_count = self.edit.removed_this_tick().len();

@@ -1,15 +1,18 @@
-//! The force below which the burr's edges plough and do not cut: edge pressure times the area that the burr touches, as seen along its
-//! contacts' normals, weighted by their forces.
+//! Force below which the burr's edges plough without cutting: edge pressure times the area that the burr
+//! touches, projected along its contact normals and weighted by their forces.
 //!
-//! **Area.** A burr that fills its hole touches the hole's cross-section, whatever the voxels' size. Through a row of voxels runs one surface,
-//! and it lies where the share that is cut falls, from 1 in the open to 0 in whole bone: a voxel has the face's area times how much the share
-//! falls from the voxel before it, toward the burr, to the one behind. In a row beside the hole's rim the wall that the burr has passed keeps
-//! a part of each voxel; what the burr touches in such a row is the other part. Taking a voxel that has partly cut bone before it for covered
-//! leaves the rim out: a tenth of the cross-section in voxels of 0.25 mm and a third in voxels of 1 mm, for a burr of 6.5 mm.
+//! **Area.** A burr that fills its hole touches the hole's cross-section, regardless of voxel size. One
+//! surface runs through a row of voxels, located where the cut fraction drops from 1 in the open to 0 in
+//! whole bone: a voxel's area is the face's area times the drop of the cut fraction from the voxel in front
+//! of it, toward the burr, to the one behind. In a row at the hole's rim, the wall that the burr has passed
+//! keeps a part of each voxel, and the burr touches the other part. Treating a voxel behind partly cut bone
+//! as covered would omit the rim: for a 6.5 mm burr, a tenth of the cross-section in 0.25 mm voxels and a
+//! third in 1 mm voxels.
 //!
-//! **Seen along a normal** is the part of the patch that faces it: the voxels from which the burr's centre lies on the normal's side. Their
-//! areas add up as vectors, so that steps of the voxels' grid cancel. For a burr in its hole and a normal at an angle t to the feed this is
-//! (1 + cos t) / 2 of the cross-section, the half of a ball as seen from that side.
+//! **Projection.** A normal sees the part of the patch that faces it: the voxels from which the burr's centre
+//! is on the normal's side. Their areas add up as vectors, so the steps of the voxel grid cancel. For a burr
+//! in its hole and a normal at an angle t to the feed, this is (1 + cos t) / 2 of the cross-section, the half
+//! of a ball as seen from that side.
 
 use nalgebra::Vector3;
 
@@ -18,8 +21,8 @@ use super::drilling::DrillTick;
 use super::reach::Press;
 
 impl DrillTick<'_> {
-    /// Sum of edge pressure times area over the touched voxels, N. Without contacts the burr's own direction is unknown, and each voxel
-    /// counts with all that it turns toward the burr.
+    /// Returns the sum of edge pressure times area over the touched voxels, N. Without contacts the burr's
+    /// direction is unknown, and each voxel counts with its whole area toward the burr.
     pub(super) fn edge_force_n(&self, hu: &[i16], press: &Press, contacts: &[BurrContact]) -> f64 {
         let to_world = self.edit.geometry().direction_world_grid;
         let force_n: f64 = contacts.iter().map(|contact| contact.normal_force_n).sum();
@@ -39,12 +42,12 @@ impl DrillTick<'_> {
             let pressure_pa = self.edit.material().edge_pressure_pa(hu[self.reached.index[voxel].at()]);
             edge_n += pressure_pa * seen_m2;
         }
-        // Of a patch that turns away from its contacts nothing is seen.
+        // Nothing is visible of a patch that faces away from its contacts.
         edge_n.max(0.0)
     }
 
-    /// Area of a touched voxel's surface in m^2, as a vector in the grid's frame that points out of the bone; `to_burr` runs from the voxel
-    /// to the burr.
+    /// Returns the area of a touched voxel's surface in m^2, as a vector in the grid's frame that points out
+    /// of the bone; `to_burr` points from the voxel to the burr.
     fn facing_m2(&self, voxel: usize, to_burr: &Vector3<f64>) -> Vector3<f64> {
         let [hx, hy, hz] = self.edit.geometry().spacing_m;
         let faces_m2 = [hy * hz, hz * hx, hx * hy];
@@ -61,20 +64,20 @@ impl DrillTick<'_> {
                 // A shell of one voxel.
                 (None, None) => 0.0,
                 (_, Some(cut)) if !self.touches(beside(-step)) => cut,
-                // The row goes on, or this is its end beyond the burr's middle.
+                // The row continues, or this is its end beyond the burr's middle.
                 _ => own,
             };
             sign * faces_m2[axis] * (before.unwrap_or(1.0) - after).max(0.0)
         }))
     }
 
-    /// The share of a voxel that is cut; `None` if there is no bone.
+    /// Returns the cut fraction of a voxel; `None` if there is no bone.
     fn cut_at(&self, at: [i64; 3]) -> Option<f64> {
         let [i, j, k] = at.map(|x| x as usize);
         self.edit.occupancy().is_solid_at(at).then(|| self.edit.pool().spent(i, j, k))
     }
 
-    /// Whether the burr touches a voxel of the grid.
+    /// Returns whether the burr touches a voxel of the grid.
     fn touches(&self, at: [i64; 3]) -> bool {
         let index = self.edit.geometry().index(at.map(|x| x as usize));
         // The list is in grid order.

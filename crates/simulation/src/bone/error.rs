@@ -1,6 +1,6 @@
 //! Errors of a bone field.
 
-/// Why a bone field refused its input.
+/// Why a bone field rejected its input.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum BoneError {
     /// The grid is invalid.
@@ -26,17 +26,19 @@ pub enum BoneError {
         /// Accepted range.
         expected: &'static str,
     },
-    /// The system gives no memory for the first partly cut voxels.
+    /// Memory for the first partly cut voxels could not be allocated.
     #[error(
-        "{bytes} bytes for partly cut voxels are not to be had; free memory, raise its limit (`ulimit -v`) or take coarser voxels"
+        "out of memory: no {bytes} bytes for partly cut voxels; free memory, raise the limit (`ulimit -v`) \
+         or use coarser voxels"
     )]
     Memory {
-        /// Bytes wanted.
+        /// Bytes requested.
         bytes: usize,
     },
     /// A burr is not finite, or larger than the field was built for.
     #[error(
-        "the burr's {name} is {value}; expected {expected} (radii up to max_burr_radius_m, here {max_burr_radius_m} m)"
+        "the burr's {name} is {value}; expected {expected} (radii up to max_burr_radius_m, here \
+         {max_burr_radius_m} m)"
     )]
     Burr {
         /// Name of the quantity.
@@ -50,7 +52,8 @@ pub enum BoneError {
     },
     /// A snapshot belongs to another field.
     #[error(
-        "the snapshot does not fit this field: {reason}; restore it into a field built from the same CT and scene"
+        "the snapshot does not fit this field: {reason}; restore it into a field built from the same CT and \
+         scene"
     )]
     Snapshot {
         /// What differs.

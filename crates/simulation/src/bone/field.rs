@@ -15,8 +15,8 @@ use super::yielding::{FIRST_NEAR, FindStrengths, MOST_PLANES, Near, Pressing};
 
 /// The bone of one CT, for contact queries and drilling: the [`Voxels`] and one cache for each of the two.
 ///
-/// The caches are built from the voxels alone and check the voxels' journal before use. They affect only the speed of an answer, never
-/// the answer.
+/// The caches are built from the voxels alone and check the voxels' journal before use. They affect only the
+/// speed of a query, never its result.
 #[derive(Debug)]
 pub struct BoneField {
     voxels: Voxels,
@@ -29,8 +29,8 @@ pub struct BoneField {
 }
 
 impl BoneField {
-    /// Builds the field from `hu`, which has `geometry.voxel_count()` values, x fastest. Reserves the memory that
-    /// drilling needs at first.
+    /// Builds the field from `hu`, which has `geometry.voxel_count()` values, x fastest. Reserves the memory
+    /// that drilling initially needs.
     ///
     /// # Errors
     /// An invalid grid, a CT of the wrong size, or a parameter out of range.
@@ -41,24 +41,24 @@ impl BoneField {
         Ok(Self { voxels, contact_cache, drill_cache, near, arch: Arch::new() })
     }
 
-    /// The current bone.
+    /// Returns the current bone.
     pub fn voxels(&self) -> &Voxels {
         &self.voxels
     }
 
-    /// Drops both caches and starts with empty ones. Changes no result, which tests verify by calling it.
+    /// Replaces both caches by empty ones. Results do not change (tested).
     pub fn rebuild_caches(&mut self) {
         self.contact_cache = ContactCache::new(&self.voxels);
         self.drill_cache = DrillCache::new(&self.voxels);
     }
 
-    /// Stops using vector instructions: slower, same bits.
+    /// Disables vector instructions: slower, with the same bits.
     pub fn use_plain_instructions(&mut self) {
         self.arch = Arch::Scalar;
     }
 
-    /// The planes of [`Voxels::contact_planes`], bit for bit, but much faster for a sphere (by index) that has moved little since its
-    /// last query.
+    /// Appends the planes of [`Voxels::contact_planes`], bit for bit, but much faster for a sphere (by index)
+    /// that has moved little since its last query.
     pub fn contact_planes_tracked(
         &mut self,
         sphere_index: usize,
@@ -72,14 +72,15 @@ impl BoneField {
         }
     }
 
-    /// Strength of each of a sphere's contacts, N (see [`super::yielding`]). `hu` is the CT that the field was built from.
+    /// Returns the strength of each of a sphere's contacts, N (see [`super::yielding`]). `hu` is the CT that
+    /// the field was built from.
     pub fn strengths_n(&mut self, hu: &[i16], pressing: &Pressing) -> [f64; MOST_PLANES] {
         let Self { voxels, near, .. } = self;
         self.arch.dispatch(FindStrengths { voxels, hu, pressing, near })
     }
 
-    /// One tick of drilling with the burr's end, `dt_s` long. `hu` is the CT that the field was built from. [`Voxels::removed_this_tick`] then lists the
-    /// removed voxels.
+    /// Drills for one tick of `dt_s` with the burr's end. `hu` is the CT that the field was built from.
+    /// [`Voxels::removed_this_tick`] then lists the removed voxels.
     ///
     /// # Errors
     /// A CT of the wrong size, or a burr that is not finite or too large; nothing has changed then.
@@ -87,23 +88,26 @@ impl BoneField {
         self.wear(hu, Work { burr, behind: &[], contacts: &[], indentations: &[] }, dt_s)
     }
 
-    /// One tick of drilling and of crushing: [`Self::grind`] after the bone under each indentation has receded (see [`super::yielding`]).
+    /// Drills and crushes for one tick: [`Self::grind`] after the bone under each indentation has receded
+    /// (see [`super::yielding`]).
     ///
     /// # Errors
-    /// As [`Self::grind`].
+    /// Same as [`Self::grind`].
     pub fn wear(&mut self, hu: &[i16], work: Work, dt_s: f64) -> Result<GrindReport, BoneError> {
         self.drill_cache.wear(&mut self.voxels, self.arch, hu, work, dt_s)
     }
 
-    /// Takes memory for the partly cut voxels of the next tick; called between ticks, it leaves the tick nothing to allocate. Changes no
-    /// result. False if the system gives none: voxels that a tick finds no memory for are not cut, and its report counts them.
+    /// Reserves memory for the partly cut voxels of the next tick; when called between ticks, the tick does
+    /// not allocate. Results do not change. Returns false if memory runs out: voxels without memory are not
+    /// cut, and the tick's report counts them.
     pub fn make_room(&mut self) -> bool {
         self.voxels.make_room()
     }
 
-    /// Removes the bone whose voxel centres lie within `radius_m` of the segment `from`-`to` (world, metres) and returns the voxel
-    /// numbers in ascending order. These voxels are part of the scene: a reset does not restore them. Use before the run; allocates.
-    /// Removes nothing for non-finite values or a radius that is not positive.
+    /// Removes the bone whose voxel centres lie within `radius_m` of the segment `from`-`to` (world, metres)
+    /// and returns the voxel numbers in ascending order. These voxels are part of the scene: a reset does not
+    /// restore them. Use before the run; allocates. Removes nothing for non-finite values or a radius that is
+    /// not positive.
     pub fn predrill_capsule(
         &mut self,
         from_world_m: &Vector3<f64>,
@@ -119,7 +123,8 @@ impl BoneField {
         self.voxels.reset();
     }
 
-    /// Restores a snapshot, earlier or later, of a field with the same CT, parameters and pilot holes; continues bit for bit.
+    /// Restores a snapshot, earlier or later, of a field with the same CT, parameters and pilot holes;
+    /// continues bit for bit.
     ///
     /// # Errors
     /// The snapshot is from another field.

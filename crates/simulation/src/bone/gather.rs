@@ -1,5 +1,6 @@
-//! Finds the voxels that can be nearest to a sphere: those within reach with no whole voxel next to them on the side of the centre. A
-//! voxel that is cut in part hides nothing: the bone that is left of it may lie behind its neighbour's surface.
+//! Finds the voxels that can be nearest to a sphere: those within reach with no whole voxel next to them on
+//! the side of the centre. A partly cut voxel hides nothing, because its remaining bone may lie behind its
+//! neighbour's surface.
 
 use nalgebra::Vector3;
 
@@ -9,11 +10,11 @@ use super::voxels::Voxels;
 
 /// Voxels of a row examined at once: one window, minus one voxel at each end for the neighbours along x.
 const COLUMNS: i64 = WINDOW_VOXELS - 2;
-/// Margin on the reach when selecting rows and columns, in voxels. It far exceeds coordinate rounding, so only the caller's own distance
-/// decides which voxels count.
+/// Margin on the reach when selecting rows and columns, in voxels. It far exceeds coordinate rounding, so
+/// that only the caller's distance decides which voxels count.
 const ROUNDING_VOXELS: f64 = 1e-6;
 
-/// [`ROUNDING_VOXELS`] in metres.
+/// Returns [`ROUNDING_VOXELS`] in metres.
 pub(super) fn widening([hx, hy, hz]: [f64; 3]) -> f64 {
     ROUNDING_VOXELS * hx.max(hy).max(hz)
 }
@@ -31,13 +32,13 @@ pub(super) struct Sphere {
     pub reach: f64,
 }
 
-/// The columns of voxels in a window. Bit 0 of the window is the voxel before the first wanted one.
+/// The columns of voxels in a window. Bit 0 of the window is the voxel before the first requested one.
 struct Columns {
-    /// The wanted voxels before the centre's column; their neighbour toward the centre is the next one.
+    /// The requested voxels before the centre's column; their neighbour toward the centre is the next one.
     before: u64,
     /// The centre's own column.
     own: u64,
-    /// The wanted voxels after it.
+    /// The requested voxels after it.
     behind: u64,
 }
 
@@ -53,7 +54,7 @@ impl Columns {
         }
     }
 
-    /// The wanted voxels of bone with no whole voxel next to them on the side of the centre.
+    /// Returns the requested voxels of bone with no whole voxel next to them on the side of the centre.
     #[inline]
     fn exposed(&self, row: u64, whole: u64) -> u64 {
         row & ((self.before & !(whole >> 1)) | self.own | (self.behind & !(whole << 1)))
@@ -61,9 +62,9 @@ impl Columns {
 }
 
 impl Voxels {
-    /// Calls `visit` with every voxel whose box is within `sphere.reach` and that has no whole neighbour between itself and the centre;
-    /// rounding may add a few slightly farther ones. Slices are outermost, x is fastest. Returns the voxels that the result depends on,
-    /// or `None` if none is in the grid.
+    /// Calls `visit` with every voxel whose box is within `sphere.reach` and that has no whole neighbour
+    /// between itself and the centre; rounding may add a few slightly farther ones. Slices are outermost, x
+    /// is fastest. Returns the voxels that the result depends on, or `None` if none is in the grid.
     #[inline]
     pub(super) fn gather(&self, sphere: &Sphere, mut visit: impl FnMut([i64; 3])) -> Option<VoxelBox> {
         let (occupancy, whole, geometry) = (self.occupancy(), self.whole(), self.geometry());
@@ -119,7 +120,8 @@ impl Voxels {
     }
 }
 
-/// Signed distance along one axis from a voxel's slab to a point at `offset` from the slab's middle; 0 inside.
+/// Returns the signed distance along one axis from a voxel's slab to a point at `offset` from the slab's
+/// middle; 0 inside.
 #[inline]
 pub(super) fn outside(offset: f64, width: f64) -> f64 {
     let half = 0.5 * width;
@@ -128,7 +130,8 @@ pub(super) fn outside(offset: f64, width: f64) -> f64 {
     offset - if above < half { above } else { half }
 }
 
-/// The index next to `from`, which is in `0..count`, toward `to`, with an all-ones mask; or `from` and 0 if there is none.
+/// Returns the index next to `from`, which is in `0..count`, toward `to`, with an all-ones mask; or `from`
+/// and 0 if there is none.
 #[inline]
 fn towards(from: i64, to: i64, count: usize) -> (usize, u64) {
     let next = (from + i64::from(to > from) - i64::from(to < from)).clamp(0, count as i64 - 1);

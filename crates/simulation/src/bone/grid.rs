@@ -27,34 +27,34 @@ use super::BoneError;
 #[repr(transparent)]
 pub struct VoxelIndex(u32);
 
-const _: () = assert!(voxel_grid::MAX_VOXELS <= u32::MAX as usize, "every voxel of a volume has a number");
+const _: () = assert!(voxel_grid::MAX_VOXELS <= u32::MAX as usize, "every voxel index fits into u32");
 
 impl VoxelIndex {
-    /// The voxel with this index.
+    /// Returns the voxel with this index.
     pub fn new(number: u32) -> Self {
         Self(number)
     }
 
-    /// The index as a number.
+    /// Returns the index as a number.
     #[inline]
     pub fn number(self) -> u32 {
         self.0
     }
 
-    /// Position of the voxel's value in the CT.
+    /// Returns the position of the voxel's value in the CT.
     #[inline]
     pub fn at(self) -> usize {
         self.0 as usize
     }
 
-    /// A slice of indices as plain numbers.
+    /// Returns a slice of indices as plain numbers.
     pub fn numbers(many: &[Self]) -> &[u32] {
         zerocopy::transmute_ref!(many)
     }
 }
 
-/// A uniform voxel grid in the world frame (patient frame, LPS, metres). Voxel (i, j, k) is the box of size `spacing_m` about its centre
-/// `origin + direction * (i dx, j dy, k dz)`; x is fastest in memory.
+/// A uniform voxel grid in the world frame (patient frame, LPS, metres). Voxel (i, j, k) is the box of size
+/// `spacing_m` about its centre `origin + direction * (i dx, j dy, k dz)`; x is fastest in memory.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct GridGeometry {
     /// Number of voxels along x, y, z.
@@ -68,38 +68,38 @@ pub struct GridGeometry {
 }
 
 impl GridGeometry {
-    /// An unrotated grid.
+    /// Returns an unrotated grid.
     pub fn axis_aligned(dims: [usize; 3], spacing_m: [f64; 3], origin_world_m: Vector3<f64>) -> Self {
         Self { dims, spacing_m, direction_world_grid: Matrix3::identity(), origin_world_m }
     }
 
-    /// Number of voxels.
+    /// Returns the number of voxels.
     pub fn voxel_count(&self) -> usize {
         self.dims[0] * self.dims[1] * self.dims[2]
     }
 
-    /// Volume of one voxel in cubic metres.
+    /// Returns the volume of one voxel in cubic metres.
     pub fn voxel_volume_m3(&self) -> f64 {
         self.spacing_m[0] * self.spacing_m[1] * self.spacing_m[2]
     }
 
-    /// Smallest voxel edge in metres.
+    /// Returns the smallest voxel edge in metres.
     pub(super) fn smallest_spacing_m(&self) -> f64 {
         self.spacing_m.iter().fold(f64::INFINITY, |low, h| low.min(*h))
     }
 
-    /// Linear index of a voxel, x fastest.
+    /// Returns the linear index of a voxel, x fastest.
     pub fn linear_index(&self, i: usize, j: usize, k: usize) -> usize {
         (k * self.dims[1] + j) * self.dims[0] + i
     }
 
-    /// Linear index of a voxel of the grid, as a [`VoxelIndex`].
+    /// Returns the linear index of a voxel of the grid, as a [`VoxelIndex`].
     #[inline]
     pub fn index(&self, [i, j, k]: [usize; 3]) -> VoxelIndex {
         VoxelIndex(self.linear_index(i, j, k) as u32)
     }
 
-    /// Inverse of the linear index.
+    /// Returns the inverse of the linear index.
     #[inline]
     pub fn voxel(&self, index: VoxelIndex) -> [usize; 3] {
         let [nx, ny, _] = self.dims;
@@ -107,29 +107,30 @@ impl GridGeometry {
         [index % nx, (index / nx) % ny, index / (nx * ny)]
     }
 
-    /// Centre of a voxel in the grid's metric frame, metres.
+    /// Returns the centre of a voxel in the grid's metric frame, metres.
     #[inline]
     pub(super) fn voxel_position(&self, voxel: [i64; 3]) -> [f64; 3] {
         [0, 1, 2].map(|a| voxel[a] as f64 * self.spacing_m[a])
     }
 
-    /// World position of a voxel's centre in metres.
+    /// Returns the world position of a voxel's centre in metres.
     pub fn voxel_centre_world_m(&self, i: usize, j: usize, k: usize) -> Vector3<f64> {
         let [dx, dy, dz] = self.spacing_m;
         self.point_to_world(&Vector3::new(i as f64 * dx, j as f64 * dy, k as f64 * dz))
     }
 
-    /// Transforms a world point into the grid's metric frame: origin at voxel (0, 0, 0), axes along the grid, metres.
+    /// Transforms a world point into the grid's metric frame: origin at voxel (0, 0, 0), axes along the grid,
+    /// metres.
     pub fn point_to_grid(&self, point_world_m: &Vector3<f64>) -> Vector3<f64> {
         self.direction_world_grid.tr_mul(&(point_world_m - self.origin_world_m))
     }
 
-    /// The inverse of [`Self::point_to_grid`].
+    /// Returns the inverse of [`Self::point_to_grid`].
     pub fn point_to_world(&self, point_grid_m: &Vector3<f64>) -> Vector3<f64> {
         self.origin_world_m + self.direction_world_grid * point_grid_m
     }
 
-    /// The grid after validation, with perpendicular axes, as [`VoxelGrid`] requires.
+    /// Returns the grid after validation, with perpendicular axes, as [`VoxelGrid`] requires.
     pub(super) fn validated(self) -> Result<Self, BoneError> {
         let axes = [0, 1, 2].map(|axis| self.direction_world_grid.column(axis).into_owned().into());
         let grid = VoxelGrid::new(self.dims, self.spacing_m, self.origin_world_m.into(), axes)?;
@@ -148,7 +149,7 @@ impl From<&VoxelGrid> for GridGeometry {
     }
 }
 
-/// Floor as an integer, saturating. `f64::floor` is a library call without SSE4.1.
+/// Returns the floor as an integer, saturating. `f64::floor` is a library call without SSE4.1.
 #[inline]
 pub(super) fn floor_to_i64(x: f64) -> i64 {
     let truncated = x as i64;

@@ -1,4 +1,5 @@
-//! From Hounsfield units to the energy needed to cut a volume of bone.
+//! Material laws of bone as functions of Hounsfield units: density, cutting energy, strength and edge
+//! pressure.
 
 use voxel_grid::density;
 
@@ -6,18 +7,20 @@ use super::BoneError;
 
 /// Density law, specific cutting energy, compressive strength and edge pressure.
 ///
-/// `rho(HU) = clamp(offset + slope HU, minimum, maximum)`, `u(rho) = u_ref (rho / rho_ref)^p`, `s(rho) = s_ref (rho / rho_ref)^q` and
-/// `p_e(rho) = p_ref (rho / rho_ref)^a`.
+/// `rho(HU) = clamp(offset + slope HU, minimum, maximum)`, `u(rho) = u_ref (rho / rho_ref)^p`, `s(rho) =
+/// s_ref (rho / rho_ref)^q` and `p_e(rho) = p_ref (rho / rho_ref)^a`.
 ///
-/// Sources. The default density line is the apparent density of [`density`], as used in finite-element work. The exponent 2 is that of compressive strength in Carter and Hayes 1977 (J. Bone Joint Surg.
-/// 59A:954), applied here to cutting energy. `u_ref` for cortical bone is the order of magnitude of orthogonal cutting, about 1e7 to 1e8
-/// J/m3. Strength is Carter and Hayes' own law, 68 MPa (strain rate in 1/s)^0.06 (density in g/cm3)^2, at 0.01/s: 186 MPa at 1.9 g/cm3,
-/// 1.3 MPa at 0.16 g/cm3. Closed-cell polyurethane foam of that density crushes at 0.9 to 2.2 MPa. These are defaults, not a calibration:
-/// a scene gives its own values.
+/// Sources. The default density line is the apparent density of [`density`], as used in finite-element work.
+/// The exponent 2 is that of compressive strength in Carter and Hayes 1977 (J. Bone Joint Surg. 59A:954),
+/// applied here to cutting energy. `u_ref` for cortical bone has the order of magnitude of orthogonal
+/// cutting, about 1e7 to 1e8 J/m3. Strength is Carter and Hayes' law, 68 MPa (strain rate in 1/s)^0.06
+/// (density in g/cm3)^2, at 0.01/s: 186 MPa at 1.9 g/cm3, 1.3 MPa at 0.16 g/cm3. Closed-cell polyurethane
+/// foam of that density crushes at 0.9 to 2.2 MPa. These are defaults, not a calibration; a scene can set its
+/// own values.
 ///
-/// The edge pressure is what a cutter's edges press with before they cut: the ploughing that measurements of sawing split off from
-/// shearing (J. Manuf. Sci. Eng. 143:121009). It is 0 unless a scene sets it; its exponent 1.7 lies between those
-/// of two fits to published thrusts, 1.5 and 1.8 (docs/reproduction.md).
+/// The edge pressure is the pressure of a cutter's edges before they cut: the ploughing component that sawing
+/// measurements separate from shearing (J. Manuf. Sci. Eng. 143:121009). It is 0 unless a scene sets it; its
+/// exponent 1.7 is between those of two fits to published thrust forces, 1.5 and 1.8 (docs/reproduction.md).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MaterialLaw {
     /// Density at 0 HU in kg/m3.
@@ -32,15 +35,15 @@ pub struct MaterialLaw {
     pub specific_energy_ref_j_m3: f64,
     /// Reference density in kg/m3.
     pub density_ref_kg_m3: f64,
-    /// Exponent p.
+    /// Exponent p of the cutting energy.
     pub exponent: f64,
     /// Compressive strength at the reference density in Pa; infinite for bone that does not yield.
     pub strength_ref_pa: f64,
-    /// Exponent q.
+    /// Exponent q of the strength.
     pub strength_exponent: f64,
     /// Edge pressure at the reference density in Pa; 0 for edges that cut under any force.
     pub edge_pressure_ref_pa: f64,
-    /// Exponent a.
+    /// Exponent a of the edge pressure.
     pub edge_exponent: f64,
 }
 
@@ -63,30 +66,31 @@ impl Default for MaterialLaw {
 }
 
 impl MaterialLaw {
-    /// A law that gives every voxel the same specific cutting energy, for tests and homogeneous phantoms.
+    /// Returns a law that gives every voxel the same specific cutting energy, for tests and homogeneous
+    /// phantoms.
     pub fn uniform(specific_energy_j_m3: f64) -> Self {
         Self { specific_energy_ref_j_m3: specific_energy_j_m3, exponent: 0.0, ..Self::default() }
     }
 
-    /// Apparent density in kg/m3.
+    /// Returns the apparent density in kg/m3.
     pub fn density_kg_m3(&self, hu: i16) -> f64 {
         let line = self.density_offset_kg_m3 + self.density_slope_kg_m3_hu * f64::from(hu);
         line.max(self.density_min_kg_m3).min(self.density_max_kg_m3)
     }
 
-    /// Specific cutting energy in J/m3.
+    /// Returns the specific cutting energy in J/m3.
     pub fn specific_energy_j_m3(&self, hu: i16) -> f64 {
         let ratio = self.density_kg_m3(hu) / self.density_ref_kg_m3;
         self.specific_energy_ref_j_m3 * libm::pow(ratio, self.exponent)
     }
 
-    /// Compressive strength in Pa.
+    /// Returns the compressive strength in Pa.
     pub fn strength_pa(&self, hu: i16) -> f64 {
         let ratio = self.density_kg_m3(hu) / self.density_ref_kg_m3;
         self.strength_ref_pa * libm::pow(ratio, self.strength_exponent)
     }
 
-    /// Edge pressure in Pa.
+    /// Returns the edge pressure in Pa.
     pub fn edge_pressure_pa(&self, hu: i16) -> f64 {
         let ratio = self.density_kg_m3(hu) / self.density_ref_kg_m3;
         self.edge_pressure_ref_pa * libm::pow(ratio, self.edge_exponent)
@@ -129,7 +133,8 @@ impl MaterialLaw {
     }
 }
 
-/// The law tabulated over all Hounsfield units from the bone threshold up, so that a tick computes no powers.
+/// The material laws tabulated over all Hounsfield units from the bone threshold up, so that a tick computes
+/// no powers.
 #[derive(Debug, Clone)]
 pub(super) struct MaterialTable {
     threshold_hu: i16,
@@ -151,25 +156,25 @@ impl MaterialTable {
         Ok(Self { threshold_hu, specific_energy_j_m3, strength_pa, least_strength_pa, edge_pressure_pa })
     }
 
-    /// Specific cutting energy in J/m3; values below the threshold return that of the threshold.
+    /// Returns the specific cutting energy in J/m3; values below the threshold return that of the threshold.
     #[inline]
     pub fn specific_energy_j_m3(&self, hu: i16) -> f64 {
         self.specific_energy_j_m3[self.step(hu)]
     }
 
-    /// Compressive strength in Pa; values below the threshold return that of the threshold.
+    /// Returns the compressive strength in Pa; values below the threshold return that of the threshold.
     #[inline]
     pub fn strength_pa(&self, hu: i16) -> f64 {
         self.strength_pa[self.step(hu)]
     }
 
-    /// Edge pressure in Pa; values below the threshold return that of the threshold.
+    /// Returns the edge pressure in Pa; values below the threshold return that of the threshold.
     #[inline]
     pub fn edge_pressure_pa(&self, hu: i16) -> f64 {
         self.edge_pressure_pa[self.step(hu)]
     }
 
-    /// Least compressive strength of any bone, Pa.
+    /// Returns the minimum compressive strength of any bone, Pa.
     pub fn least_strength_pa(&self) -> f64 {
         self.least_strength_pa
     }

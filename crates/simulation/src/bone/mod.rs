@@ -1,18 +1,21 @@
-//! Bone as voxels: what a sphere touches, and what a burr cuts away.
+//! Voxel model of bone: contact of spheres and cutting by a burr.
 //!
-//! [`Voxels`] is the ground truth: one bit per voxel ("bone": at least the threshold and not removed) and, in sparse blocks from a
-//! pool that grows, the fraction of each touched voxel's cutting energy that is already spent. The CT itself stays in shared memory and is
-//! borrowed by the calls that need it.
+//! [`Voxels`] is the ground truth: one bit per voxel ("bone": at least the threshold and not removed) and, in
+//! sparse blocks from a growing pool, the fraction of each touched voxel's cutting energy that is already
+//! spent. The CT itself stays in shared memory and is borrowed by the calls that need it.
 //!
-//! [`BoneField`] adds two caches: which voxels are near each sphere of the tool, and which the burr can reach. Both are built from
-//! the voxels alone. Every change of a voxel is recorded in a journal; before a cache is used it reads the journal and drops the
-//! entries that may be out of date. So a cache decides how fast an answer comes, never what it is.
+//! [`BoneField`] adds two caches: which voxels are near each sphere of the tool, and which the burr can
+//! reach. Both are built from the voxels alone. Every change of a voxel is recorded in a journal; before use,
+//! a cache reads the journal and drops entries that may be out of date. A cache thus affects the speed of a
+//! query, never its result.
 //!
-//! A voxel with spent fraction s holds the fraction 1 - s of its volume: its surface has receded by s voxel widths. Contact
-//! and drilling use the same definition of that surface ([`query`], [`drilling`]), so a burr that rests on bone always
-//! overlaps the voxels it rests on, and neither the contact nor the drilled depth jumps when a voxel is removed.
+//! A voxel with spent fraction s holds the fraction 1 - s of its volume: its surface has receded by s voxel
+//! widths. Contact and drilling use the same definition of that surface ([`query`], [`drilling`]), so a burr
+//! that rests on bone always overlaps the voxels it rests on, and neither the contact nor the drilled depth
+//! jumps when a voxel is removed.
 //!
-//! Only construction, snapshots, [`BoneField::predrill_capsule`] and [`BoneField::make_room`] allocate memory.
+//! Only construction, snapshots, [`BoneField::predrill_capsule`] and [`BoneField::make_room`] allocate
+//! memory.
 
 mod buried;
 pub mod cutting;

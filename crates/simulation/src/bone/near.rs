@@ -1,4 +1,5 @@
-//! The voxels that may be nearest to a sphere, and their distances, stored as arrays for branch-free SIMD loops.
+//! Stores the voxels that may be nearest to a sphere, and their distances, as arrays for branch-free SIMD
+//! loops.
 
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
@@ -11,31 +12,33 @@ use super::query::{ContactKind, Look, VoxelEnd};
 use super::strength::Place;
 use super::voxels::Voxels;
 
-/// Fewest voxels that a search can store.
+/// Minimum capacity of a search, in voxels.
 const LEAST_NEAR: usize = 768;
-/// Area that a search can store at least if its voxels are finer than 0.25 mm, as many faces of voxels: 48 mm².
+/// Minimum surface area that a search can store if its voxels are finer than 0.25 mm, counted in voxel faces:
+/// 48 mm².
 const NEAR_AREA_M2: f64 = 48.0e-6;
 
-/// Maximum voxels that a search stores in a grid of these voxels. There may be more within reach, on a burr in its own tunnel for
-/// example; the nearest count then. They must cover an area, and not be a number, or else the finest voxels would leave of a wall all
-/// around the burr a single plane.
+/// Returns the maximum number of voxels that a search stores in this grid. If more are within reach, as
+/// around a burr in its own tunnel, the nearest are kept. The limit is an area, not a count: with fine
+/// voxels, a fixed count would see only one side of a surrounding wall.
 pub(super) fn most_near(geometry: &GridGeometry) -> usize {
     let edge_m = geometry.smallest_spacing_m();
     LEAST_NEAR.max((NEAR_AREA_M2 / (edge_m * edge_m)) as usize).next_multiple_of(LANES)
 }
 
-/// Values compared at a time.
+/// Number of values compared at a time.
 const LANES: usize = 4;
 
-/// Most voxels that are looked at for one plane beside the nearest. With 16 the gap in a tunnel of 0.5 mm voxels still jumped by 0.012 mm,
-/// with 32 by 0.008 mm, as with all.
+/// Maximum number of voxels examined for one plane besides the nearest. With 16, the gap in a tunnel of 0.5
+/// mm voxels still jumped by 0.012 mm; with 32 by 0.008 mm, the same as with all.
 const MOST_TRIED: usize = 32;
-/// A voxel whose surface was not looked at.
+/// Marks a voxel whose surface was not examined.
 const UNSEEN: u16 = u16::MAX;
 
-const _: () = assert!(LEAST_NEAR.is_multiple_of(LANES), "the lanes' padding has room");
+const _: () = assert!(LEAST_NEAR.is_multiple_of(LANES), "the lanes' padding fits");
 
-/// A stored voxel and how far its box is from the sphere's centre, squared. The greatest is the farthest, the first one of a tie.
+/// A stored voxel and the squared distance of its box from the sphere's centre. The greatest is the farthest;
+/// ties go to the first one.
 #[derive(Debug, Clone, Copy)]
 struct Far {
     distance2: f64,
@@ -71,14 +74,14 @@ pub(super) struct NearVoxels {
     /// Where the pool stores each voxel's spent fraction.
     place: Vec<Place>,
     any_place: bool,
-    /// The fractions, once they are loaded.
+    /// The spent fractions, once loaded.
     spent: Vec<f64>,
-    /// The voxels by their distance, once one more than there is room for has come.
+    /// The voxels by distance; used once the capacity is exceeded.
     by_distance: BinaryHeap<Far>,
 }
 
 impl NearVoxels {
-    /// Room for `most` voxels.
+    /// Creates room for `most` voxels.
     pub fn new(most: usize) -> Self {
         let numbers = || vec![0.0; most];
         Self {
@@ -91,7 +94,7 @@ impl NearVoxels {
         }
     }
 
-    /// Number of voxels that there is room for.
+    /// Returns the capacity.
     pub fn most(&self) -> usize {
         self.place.len()
     }
@@ -102,7 +105,7 @@ impl NearVoxels {
         self.by_distance.clear();
     }
 
-    /// Adds a voxel; false if there is no room.
+    /// Adds a voxel; returns false if there is no room.
     #[inline]
     pub fn push(&mut self, position: [f64; 3], place: Place) -> bool {
         let room = self.count < self.most();
@@ -157,10 +160,10 @@ impl NearVoxels {
     }
 }
 
-/// A nearest voxel.
+/// The voxel nearest to a sphere.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Seed {
-    /// From the voxel to the sphere's centre, grid frame, metres.
+    /// Vector from the voxel to the sphere's centre, grid frame, metres.
     pub offset: Vector3<f64>,
     /// Square of the offset's length.
     pub length2: f64,
@@ -171,29 +174,31 @@ pub(super) struct Seed {
 /// The smoothed surface at a voxel, seen from the sphere's centre.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Surface {
-    /// From the voxel to the centre, unit length.
+    /// Direction from the voxel to the centre, unit length.
     pub direction: Vector3<f64>,
-    /// Out of the bone.
+    /// Outward normal of the bone.
     pub normal: Vector3<f64>,
-    /// From the centre, m.
+    /// Distance from the centre, m.
     pub distance_m: f64,
 }
 
 impl Surface {
-    /// Takes the place of one that is yet to be found.
+    /// Placeholder for a surface not found yet.
     pub const NONE: Self =
         Self { direction: Vector3::new(0.0, 0.0, 0.0), normal: Vector3::new(0.0, 0.0, 0.0), distance_m: 0.0 };
 }
 
-/// Distances of the voxels from the sphere. Stored squared, because only a few need their root.
+/// Distances of the voxels from the sphere, stored squared because only a few need the root.
 #[derive(Debug, Clone)]
 pub(super) struct Candidates {
     count: usize,
     offset: [Vec<f64>; 3],
     length2: Vec<f64>,
-    /// Infinite for voxels out of reach or dropped, and as padding from `count` up to a multiple of `LANES`.
+    /// Squared distances; infinite for voxels out of reach or dropped, and as padding from `count` up to a
+    /// multiple of `LANES`.
     distance2: Vec<f64>,
-    /// The surfaces that were looked at, for the planes after the first, and where each voxel's is; [`UNSEEN`] if it has none.
+    /// The examined surfaces, for the planes after the first, and the index of each voxel's surface;
+    /// [`UNSEEN`] if it has none.
     surfaces: Vec<Surface>,
     surface_of: Vec<u16>,
     /// Working memory of [`Self::nearest_surface`]: distance2 and voxel.
@@ -228,8 +233,9 @@ impl Candidates {
         }
     }
 
-    /// Distances to the voxels' surfaces; those at `reach_m` or beyond do not count. Returns true if the centre lies on a surface or
-    /// behind it. Without `CUT` all voxels are whole, and the compiler drops the code for cut ones.
+    /// Computes the distances to the voxels' surfaces; those at `reach_m` or beyond do not count. Returns
+    /// true if the centre lies on a surface or behind it. Without `CUT`, all voxels are whole, and the
+    /// compiler drops the code for cut ones.
     #[inline(always)]
     fn see_surfaces<const CUT: bool>(
         &mut self,
@@ -269,7 +275,8 @@ impl Candidates {
         self.distance2[self.count..self.count.next_multiple_of(LANES)].fill(f64::INFINITY);
     }
 
-    /// Distances to voxels as balls of the given radius, reduced on both sides by what is spent.
+    /// Computes the distances to voxels as balls of the given radius, reduced on both sides by the spent
+    /// fraction.
     fn see_balls(&mut self, near: &NearVoxels, sphere: &Sphere, radius_m: f64, spent: impl Fn(Place) -> f64) {
         self.count = near.count;
         for voxel in 0..near.count {
@@ -292,7 +299,8 @@ impl Candidates {
         self.distance2[voxel] = seed.distance2;
     }
 
-    /// Keeps the voxels that are nearer than `reach_m`, in their order. Most are not: the surface of a cut voxel is farther than its box.
+    /// Keeps the voxels that are closer than `reach_m`, in their order. Most are not: the surface of a cut
+    /// voxel is farther than its box.
     #[inline(always)]
     fn compact(&mut self, reach_m: f64) {
         let reach2 = reach_m * reach_m;
@@ -314,20 +322,21 @@ impl Candidates {
         self.end_lanes();
     }
 
-    /// Remembers which candidates there are, for [`Self::bring_back`].
+    /// Saves the present candidates for [`Self::bring_back`].
     #[inline(always)]
     pub fn save(&mut self) {
         self.saved.clear();
         self.saved.extend_from_slice(&self.distance2[..self.count]);
     }
 
-    /// Brings back the candidates that were dropped.
+    /// Restores the candidates that were dropped since [`Self::save`].
     #[inline(always)]
     pub fn bring_back(&mut self) {
         self.distance2[..self.count].copy_from_slice(&self.saved);
     }
 
-    /// Drops the candidates whose angle to either direction has a larger cosine than this, which is positive.
+    /// Drops the candidates whose angle to either direction has a cosine larger than `cosine`, which must be
+    /// positive.
     #[inline(always)]
     pub fn drop_near(&mut self, [first, second]: [&Vector3<f64>; 2], cosine: f64) {
         let limit = cosine * cosine;
@@ -343,8 +352,8 @@ impl Candidates {
         }
     }
 
-    /// The nearest surface among the candidates; `look` finds that at a voxel, which is never nearer than the voxel itself. The first one
-    /// in case of a tie.
+    /// Returns the nearest surface among the candidates; the first one in case of a tie. `look` finds the
+    /// surface at a voxel, which is never closer than the voxel itself.
     #[inline(always)]
     pub fn nearest_surface(&mut self, look: &mut impl Look) -> Option<Surface> {
         let nearest = self.nearest()?;
@@ -375,7 +384,7 @@ impl Candidates {
         }
     }
 
-    /// Lists the candidates nearer than this but one, nearest first, at most [`MOST_TRIED`].
+    /// Lists the candidates closer than `reach2` except `but`, nearest first, at most [`MOST_TRIED`].
     #[inline(always)]
     fn list_nearer_than(&mut self, reach2: f64, but: usize) {
         self.order.clear();
@@ -405,7 +414,7 @@ impl Candidates {
         surface
     }
 
-    /// Square of the distance to the nearest surface, m²; infinite if none counts.
+    /// Returns the square of the distance to the nearest surface, m²; infinite if none counts.
     #[inline(always)]
     fn least_distance2(&self) -> f64 {
         let padded = &self.distance2[..self.count.next_multiple_of(LANES)];
@@ -418,7 +427,7 @@ impl Candidates {
         low.iter().fold(f64::INFINITY, |low, x| if *x < low { *x } else { low })
     }
 
-    /// The nearest candidate; the first one in case of a tie.
+    /// Returns the nearest candidate; the first one in case of a tie.
     #[inline(always)]
     fn nearest(&self) -> Option<usize> {
         let distance2 = self.least_distance2();
@@ -436,9 +445,10 @@ impl Candidates {
 }
 
 impl Voxels {
-    /// Distances of the near voxels' surfaces from a sphere; those out of its reach do not count. The spent fractions are loaded, and the
-    /// voxels are all whose boxes are within `searched_m`. Returns the distance to the nearest surface if it is out of the sphere's reach, at
-    /// most `searched_m`: the sphere has no plane then.
+    /// Computes the distances of the near voxels' surfaces from a sphere; those out of its reach do not
+    /// count. The spent fractions must be loaded, and the voxels must be all those whose boxes are within
+    /// `searched_m`. If the nearest surface is out of the sphere's reach, returns its distance, at most
+    /// `searched_m`: the sphere then has no plane.
     #[inline(always)]
     pub(super) fn see(
         &self,
@@ -478,7 +488,8 @@ impl Voxels {
             if candidates.length2[voxel] <= 0.0 {
                 let position = Vector3::from([0, 1, 2].map(|a| near.position[a][voxel]));
                 let offset = self.face_direction(&(sphere.centre - position));
-                // A voxel that is more than half cut and has the sphere's centre at its middle gives no direction to push in.
+                // A voxel that is more than half cut and has the sphere's centre at its middle has no
+                // direction to push in.
                 let pushes = self.pool().spent_at(near.place[voxel]) <= 0.5;
                 let distance2 = if pushes { 0.0 } else { f64::INFINITY };
                 candidates.put(voxel, &Seed { offset, length2: 1.0, distance2 });
@@ -486,7 +497,8 @@ impl Voxels {
         }
     }
 
-    /// Unit vector along the axis on which an offset from a voxel's centre is largest in units of voxels.
+    /// Returns the unit vector along the axis on which an offset from a voxel's centre is largest in units of
+    /// voxels.
     fn face_direction(&self, from_centre: &Vector3<f64>) -> Vector3<f64> {
         let in_voxels = [0, 1, 2].map(|a| (from_centre[a] / self.geometry().spacing_m[a]).abs());
         let mut axis = 0;

@@ -2,19 +2,19 @@
 
 use super::grid::floor_to_i64;
 
-/// Edge of a coarse cell in voxels along y and z (along x it is one 64-bit word).
+/// Base-2 logarithm of the edge of a coarse cell in voxels along y and z (along x it is one 64-bit word).
 const CELL_SHIFT: usize = 3;
-/// Zero bytes before each row.
+/// Number of zero bytes before each row.
 const ROW_PADDING: usize = 8;
 
-/// Voxels in a window: 64 minus up to 7 lost to a start within a byte.
+/// Number of voxels in a window: 64 minus up to 7 lost to a start within a byte.
 pub(super) const WINDOW_VOXELS: i64 = 57;
 
-const _: () = assert!(WINDOW_VOXELS == 64 - 7, "a word less the bits before a window's first");
-const _: () = assert!(64 << (2 * CELL_SHIFT) <= u16::MAX as usize, "a cell's count fits its type");
+const _: () = assert!(WINDOW_VOXELS == 64 - 7, "a word minus the bits before a window's first");
+const _: () = assert!(64 << (2 * CELL_SHIFT) <= u16::MAX as usize, "a cell's count fits into its type");
 
-/// Bit rows along x, stored as bytes, so that a window is one unaligned load. Eight zero bytes precede every row and more than a row of
-/// zeros follows the last one, so a window may run past either end of a row.
+/// Rows of bits along x, stored as bytes so that a window is one unaligned load. Eight zero bytes precede
+/// every row and more than a row of zeros follows the last one, so a window may run past either end of a row.
 #[derive(Debug, Clone)]
 pub(super) struct Occupancy {
     dims: [usize; 3],
@@ -36,7 +36,7 @@ impl VoxelBox {
     /// The empty box.
     pub const NOTHING: Self = Self { low: [i64::MAX; 3], high: [i64::MIN; 3] };
 
-    /// The smallest box that holds both.
+    /// Returns the smallest box that contains both.
     pub fn hull(&self, other: &Self) -> Self {
         Self {
             low: core::array::from_fn(|a| self.low[a].min(other.low[a])),
@@ -44,13 +44,13 @@ impl VoxelBox {
         }
     }
 
-    /// True if the two boxes overlap.
+    /// Returns true if the two boxes overlap.
     #[inline]
     pub fn meets(&self, other: &Self) -> bool {
         (0..3).all(|a| self.low[a] <= other.high[a] && other.low[a] <= self.high[a])
     }
 
-    /// The smallest box that also contains `voxel`.
+    /// Returns the smallest box that also contains `voxel`.
     pub fn with(&self, voxel: [i64; 3]) -> Self {
         Self {
             low: [0, 1, 2].map(|a| self.low[a].min(voxel[a])),
@@ -66,7 +66,7 @@ pub(super) struct WindowPlace {
     shift: u32,
 }
 
-/// A bit for each of up to 64 values that is at least the threshold, the first one lowest.
+/// Returns a bit for each of up to 64 values that is at least the threshold, the first one lowest.
 fn bits_of(values: &[i16], threshold_hu: i16) -> u64 {
     // A byte for each value, which the compiler's vector instructions compare sixteen at a time.
     let mut bytes = [0u8; 64];
@@ -75,7 +75,7 @@ fn bits_of(values: &[i16], threshold_hu: i16) -> u64 {
     }
     let mut word = 0;
     for (place, eight) in bytes.as_chunks::<8>().0.iter().enumerate() {
-        // Moves bit 8 n of eight bytes to bit 56 + n of the product; no two of its terms meet.
+        // Moves bit 8 n of eight bytes to bit 56 + n of the product; its terms do not overlap.
         let gathered = u64::from_le_bytes(*eight).wrapping_mul(0x0102_0408_1020_4080) >> 56;
         word |= gathered << (8 * place);
     }
@@ -83,7 +83,8 @@ fn bits_of(values: &[i16], threshold_hu: i16) -> u64 {
 }
 
 impl Occupancy {
-    /// Marks every voxel of at least `threshold_hu` as bone. `hu` has `dims[0] * dims[1] * dims[2]` values, x fastest.
+    /// Marks every voxel of at least `threshold_hu` as bone. `hu` has `dims[0] * dims[1] * dims[2]` values, x
+    /// fastest.
     pub fn from_threshold(dims: [usize; 3], hu: &[i16], threshold_hu: i16) -> Self {
         let words_per_row = dims[0].div_ceil(64);
         let row_stride = (words_per_row + 1) * ROW_PADDING;
@@ -99,7 +100,7 @@ impl Occupancy {
         for (row, values) in hu.chunks_exact(dims[0]).enumerate() {
             let (j, k) = (row % dims[1], row / dims[1]);
             for (word_index, chunk) in values.chunks(64).enumerate() {
-                // Of most of a CT no voxel is bone.
+                // Most of a CT is not bone.
                 if chunk.iter().copied().fold(i16::MIN, i16::max) < threshold_hu {
                     continue;
                 }
@@ -122,19 +123,19 @@ impl Occupancy {
         ((k * self.dims[1] + j) * self.row_stride + ROW_PADDING + (i >> 3), 1u8 << (i & 7))
     }
 
-    /// Number of voxels that are bone.
+    /// Returns the number of voxels that are bone.
     pub fn solid_count(&self) -> usize {
         self.solid_count
     }
 
-    /// True if the voxel is bone.
+    /// Returns true if the voxel is bone.
     #[inline]
     pub fn is_solid(&self, i: usize, j: usize, k: usize) -> bool {
         let (byte, bit) = self.byte_and_bit(i, j, k);
         self.bytes[byte] & bit != 0
     }
 
-    /// True if the voxel is bone; false outside the grid.
+    /// Returns true if the voxel is bone; false outside the grid.
     #[inline]
     pub fn is_solid_at(&self, index: [i64; 3]) -> bool {
         let inside = (0..3).all(|a| index[a] >= 0 && index[a] < self.dims[a] as i64);
@@ -163,22 +164,23 @@ impl Occupancy {
         }
     }
 
-    /// Position in a row, the same for all rows, of the window of [`WINDOW_VOXELS`] voxels starting at `start`. A start more than 64
-    /// voxels outside is moved to where the window is just as empty.
+    /// Returns the position in a row, the same for all rows, of the window of [`WINDOW_VOXELS`] voxels
+    /// starting at `start`. A start more than 64 voxels outside is moved to a position where the window is
+    /// also empty.
     #[inline]
     pub fn window_place(&self, start: i64) -> WindowPlace {
         let start = start.clamp(-64, self.dims[0] as i64) + 64;
         WindowPlace { byte: (start >> 3) as usize, shift: (start & 7) as u32 }
     }
 
-    /// The window of row (j, k), both inside the grid, as bits; voxels outside the grid are 0. Bits from [`WINDOW_VOXELS`] up are
-    /// undefined.
+    /// Returns the window of row (j, k), both inside the grid, as bits; voxels outside the grid are 0. Bits
+    /// from [`WINDOW_VOXELS`] up are undefined.
     #[inline]
     pub fn window(&self, place: WindowPlace, j: usize, k: usize) -> u64 {
         self.window_at(place, k * self.slice_stride() + j * self.row_stride)
     }
 
-    /// The window of the row whose bytes start at `row`: see [`Self::row_stride`].
+    /// Returns the window of the row whose bytes start at `row`: see [`Self::row_stride`].
     #[inline]
     pub fn window_at(&self, place: WindowPlace, row: usize) -> u64 {
         match self.bytes.get(row + place.byte..).and_then(|bytes| bytes.first_chunk()) {
@@ -187,7 +189,8 @@ impl Occupancy {
         }
     }
 
-    /// Eight voxels along x from `start`, as bits, for N rows of N slices; voxels outside the grid are 0.
+    /// Reads eight voxels along x from `start`, as bits, for N rows of N slices; voxels outside the grid are
+    /// 0.
     #[inline]
     pub fn cube<const N: usize>(&self, start: [i64; 3], rows: &mut [[u8; N]; N]) {
         let place = self.window_place(start[0]);
@@ -206,7 +209,7 @@ impl Occupancy {
                 _ => 0,
             };
             if y.len() == N {
-                // The common case; without the bounds check the compiler unrolls it.
+                // The common case: without the bounds check, the compiler unrolls it.
                 rows[slice] = core::array::from_fn(|_| next());
             } else {
                 rows[slice][y.clone()].iter_mut().for_each(|row| *row = next());
@@ -214,19 +217,20 @@ impl Occupancy {
         }
     }
 
-    /// Bytes between neighbouring rows along y; row (j, k) starts at `k * slice_stride + j * row_stride`.
+    /// Returns the bytes between neighbouring rows along y; row (j, k) starts at `k * slice_stride + j *
+    /// row_stride`.
     #[inline]
     pub fn row_stride(&self) -> usize {
         self.row_stride
     }
 
-    /// Bytes between neighbouring rows along z.
+    /// Returns the bytes between neighbouring rows along z.
     #[inline]
     pub fn slice_stride(&self) -> usize {
         self.row_stride * self.dims[1]
     }
 
-    /// True if any coarse cell that meets the box holds bone.
+    /// Returns true if any coarse cell that overlaps the box contains bone.
     pub fn any_in(&self, voxels: &VoxelBox) -> bool {
         let cells = |axis: usize, shift: usize| {
             (voxels.low[axis] as usize >> shift)..=(voxels.high[axis] as usize >> shift)
@@ -239,13 +243,13 @@ impl Occupancy {
         })
     }
 
-    /// The voxels whose boxes meet the axis-aligned cube of half edge `reach_m` about a point in the grid's metric frame; `None` if there
-    /// are none.
+    /// Returns the voxels whose boxes overlap the axis-aligned cube of half edge `reach_m` about a point in
+    /// the grid's metric frame; `None` if there are none.
     pub fn voxels_around(&self, centre: [f64; 3], reach_m: f64, spacing_m: [f64; 3]) -> Option<VoxelBox> {
         self.voxels_in_box(centre, [reach_m; 3], spacing_m)
     }
 
-    /// The same for a box of these half edges.
+    /// Returns the same for a box with these half edges.
     pub fn voxels_in_box(
         &self,
         centre: [f64; 3],
@@ -273,8 +277,12 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_word_has_the_bit_of_each_value(values in proptest::collection::vec(-3_i16..3, 0..=64), threshold_hu in -3_i16..3) {
-            let one_by_one = values.iter().enumerate().map(|(bit, value)| u64::from(*value >= threshold_hu) << bit);
+        fn a_word_has_the_bit_of_each_value(
+            values in proptest::collection::vec(-3_i16..3, 0..=64),
+            threshold_hu in -3_i16..3,
+        ) {
+            let bits = values.iter().enumerate();
+            let one_by_one = bits.map(|(bit, value)| u64::from(*value >= threshold_hu) << bit);
             prop_assert_eq!(bits_of(&values, threshold_hu), one_by_one.fold(0, |word, bit| word | bit));
         }
     }

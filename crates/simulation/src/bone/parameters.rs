@@ -1,4 +1,4 @@
-//! Bone parameters.
+//! Parameters of the bone model.
 
 use super::BoneError;
 use super::cutting::CuttingLaw;
@@ -13,20 +13,21 @@ pub struct BoneParameters {
     pub threshold_hu: i16,
     /// Density and specific cutting energy.
     pub material: MaterialLaw,
-    /// How a burr turns force and speed into cutting energy.
+    /// Law by which a burr converts force and speed to cutting energy.
     pub cutting: CuttingLaw,
-    /// Contact model of a voxel: part of a smoothed surface, unless an experiment asks for the baseline.
+    /// Contact model of a voxel: part of a smoothed surface, unless an experiment selects the baseline.
     pub contact: ContactKind,
-    /// Rule for removing voxels: by energy, unless an experiment asks for a baseline.
+    /// Rule for removing voxels: by energy, unless an experiment selects a baseline.
     pub removal: Removal,
-    /// Most blocks of 8 x 8 x 8 voxels (4 KiB each) that may hold partly cut voxels; by default those of the grid. Once all are in use,
-    /// voxels in further blocks cannot be cut; each tick's report counts them.
+    /// Maximum number of blocks of 8 x 8 x 8 voxels (4 KiB each) for partly cut voxels; by default those of
+    /// the grid. Once all are in use, voxels in further blocks cannot be cut; each tick's report counts them.
     pub pool_blocks: usize,
-    /// Maximum voxels removed per tick, by default any number; the excess waits for the next tick.
+    /// Maximum voxels removed per tick, unlimited by default; the excess waits for the next tick.
     pub removed_per_tick: usize,
     /// Largest burr radius in metres; it determines the size of the drilling scratch memory.
     pub max_burr_radius_m: f64,
-    /// Largest distance between the centres of a cutter's first and last ball in metres; so does it. 0: the burr is a ball.
+    /// Largest distance between the centres of a cutter's first and last ball in metres; also affects the
+    /// size of the scratch memory. 0 if the burr is a ball.
     pub cutter_span_m: f64,
 }
 

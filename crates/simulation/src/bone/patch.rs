@@ -1,7 +1,8 @@
-//! The patch of bone that a cutter of several balls touches, and the lever at which it cuts there.
+//! The patch of bone that a cutter of several balls touches, and the lever arm at which it cuts there.
 //!
-//! A touched voxel stands for the point of its ball that is nearest to it. Its area is that of its bare faces, projected on the direction to
-//! the ball's centre: over a plane of any direction these areas add up to the plane's.
+//! A touched voxel represents the point of its ball that is nearest to it. Its area is that of its exposed
+//! faces, projected onto the direction to the ball's centre: over a plane of any direction, these areas add
+//! up to that of the plane.
 
 use nalgebra::Vector3;
 
@@ -9,14 +10,15 @@ use super::cutting::Work;
 use super::drilling::DrillTick;
 use super::reach::Press;
 
-/// Bone in which the cutter is less deep than this share of its reach presses with a hundredth or less: what is left of a wall that the
-/// cutter has passed. It recedes ever more slowly, and a long wall of it would count as much as the hole's bottom.
+/// Fraction of the reach below which the cutter's depth in bone is ignored: such bone, left over from a wall
+/// that the cutter has passed, presses with a hundredth or less. It recedes ever more slowly, and a long wall
+/// of it would count as much as the hole's bottom.
 const LEAST_DEPTH: f64 = 0.01;
 
 /// A touched voxel.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Patch {
-    /// Toward the ball, grid axes, unit length.
+    /// Direction to the ball, grid axes, unit length.
     toward: Vector3<f64>,
     area_m2: f64,
     /// Distance of the ball's nearest point from the spin axis.
@@ -24,8 +26,8 @@ pub(super) struct Patch {
 }
 
 impl DrillTick<'_> {
-    /// Mean lever in m of the contacts of a cutter of several balls, weighted by their forces. A cutter that touches nothing, or whose
-    /// contacts are not known, cuts with its end.
+    /// Returns the mean lever arm in m of the contacts of a cutter of several balls, weighted by their
+    /// forces. A cutter that touches nothing, or whose contacts are unknown, cuts with its end.
     pub(super) fn lever_m(&mut self, press: &Press, work: &Work) -> f64 {
         let end_m = work.widest_radius_m() * (2.0 / 3.0);
         self.collect_patch(press);
@@ -56,7 +58,7 @@ impl DrillTick<'_> {
         for voxel in (0..self.reached.index.len()).filter(|voxel| self.reached.depth[*voxel] > least_depth) {
             let ball = self.reached.ball_in(voxel, press);
             let offset = self.reached.offset(voxel, &ball.centre);
-            // A voxel in the very centre of a ball has no direction.
+            // A voxel exactly at the centre of a ball has no direction.
             let toward = offset / offset.norm().max(f64::MIN_POSITIVE);
             let faces_m2 = self.bare_faces_m2(voxel, &offset);
             let area_m2 = (0..3).map(|axis| faces_m2[axis] * toward[axis].abs()).sum();

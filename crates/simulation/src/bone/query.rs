@@ -1,19 +1,23 @@
-//! The contact planes of a sphere against the voxels.
+//! Contact planes between a sphere and the voxels.
 //!
-//! **Where the surface is.** A whole voxel is its box. A voxel with the fraction f left ends at the distance `|c - x| - (f - 1/2) w` from
-//! the sphere's centre c, where x is the voxel's centre and w its width along that direction: the box, cut by a plane that leaves the
-//! fraction f. The distance to a voxel is the larger of this and the distance to its box. A sphere on a flat wall of whole voxels
-//! therefore has gap 0 exactly at the wall.
+//! **Where the surface is.** A whole voxel is its box. A voxel with the fraction f left ends at the distance
+//! `|c - x| - (f - 1/2) w` from the sphere's centre c, where x is the voxel's centre and w its width along
+//! that direction: the box, cut by a plane that leaves the fraction f. The distance to a voxel is the larger
+//! of this and the distance to its box. A sphere on a flat wall of whole voxels therefore has gap 0 exactly
+//! at the wall.
 //!
-//! **Staircases.** The corners of a slanted voxel wall protrude from the plane they approximate. The gap is widened by the nearest
-//! point's protrusion from the smoothed surface (see `surface.rs`), by at most half a voxel; it is never narrowed. Where the smoothed
-//! normal leans far from the direction to the voxel (thin sheets, single voxels), both fade out.
+//! **Staircases.** The corners of a slanted voxel wall protrude from the plane they approximate. The gap is
+//! widened by the nearest point's protrusion from the smoothed surface (see `surface.rs`), by at most half a
+//! voxel; it is never narrowed. Where the smoothed normal leans far from the direction to the voxel (thin
+//! sheets, single voxels), both fade out.
 //!
-//! **Which planes.** A voxel can be nearest only if no whole neighbour lies between it and the centre, which bitwise operations find. On a
-//! flat wall one candidate remains, in a tunnel a few dozen. The candidate with the least distance *plus* widening gives the first plane:
-//! the least of continuous functions is continuous, so the gap changes no faster than the sphere moves (`tests/gap.rs`). The nearest one
-//! more than 60 degrees away from it the second, and so on, up to four, and up to eight where the gap is small, so that no side is missed;
-//! then the nearest ones that are more than 10 degrees away from all others, up to fourteen in all.
+//! **Which planes.** A voxel can be nearest only if no whole neighbour lies between it and the centre, which
+//! bitwise operations find. On a flat wall one candidate remains, in a tunnel a few dozen. The candidate with
+//! the smallest distance *plus* widening gives the first plane: the minimum of continuous functions is
+//! continuous, so the gap changes no faster than the sphere moves (`tests/physics/gap.rs`). The nearest
+//! candidate more than 60 degrees away from it gives the second, and so on, up to four, or up to eight where
+//! the gap is small, so that no side is missed; then the nearest ones that are more than 10 degrees away from
+//! all others follow, up to fourteen in total.
 //!
 //! All of this describes [`ContactKind::Planes`]; [`ContactKind::VoxelBalls`] exists for comparison.
 
@@ -34,27 +38,32 @@ pub enum ContactKind {
     /// Part of the smoothed surface: see the [module](self).
     #[default]
     Planes,
-    /// A ball at the voxel's centre with half the smallest edge as radius and no smoothing, as in published simulators (Phalen et al.
-    /// 2023). Normals change from voxel to voxel, and a wall is a bed of balls.
+    /// A ball at the voxel's centre with half the smallest edge as radius and no smoothing, as in published
+    /// simulators (Phalen et al. 2023). Normals change from voxel to voxel, so a wall acts like a bed of
+    /// balls.
     VoxelBalls,
 }
 
-/// Planes of a sphere on different sides of it, whatever their gap.
+/// Maximum number of planes on different sides of a sphere, regardless of their gap.
 const FAR_PLANES: usize = 4;
-/// The same and those of a small gap: as many sides as a hole may have around the burr. With four, a burr in a hole of its own size saw
-/// one wall at a time and was thrown to and fro.
+/// Maximum number of these planes including those with a small gap: as many sides as a hole can have around
+/// the burr. With four, a burr in a hole of its own size saw one wall at a time and was thrown back and
+/// forth.
 const MOST_FAR_PLANES: usize = 8;
-/// Their least angle from one another (cosine; 60 degrees).
+/// Their minimum angle from one another (cosine; 60 degrees).
 const FAR_APART_COSINE: f64 = 0.5;
-/// Maximum planes per sphere. In a groove or at the end of a hole the bone touches a sphere all around.
+/// Maximum planes per sphere. In a groove or at the end of a hole, bone touches a sphere all around.
 pub const MAX_PLANES: usize = MOST_FAR_PLANES + 6;
-/// Least angle of all planes from one another (cosine; 10 degrees). With 60 degrees only one of a groove's two sides was seen, in turn, and
-/// the burr was thrown to and fro; with 5 degrees the planes of a small patch are all there is.
+/// Minimum angle between any two planes (cosine; 10 degrees). With 60 degrees, only one of a groove's two
+/// sides was seen at a time, and the burr was thrown back and forth; with 5 degrees, the planes of one small
+/// patch use up the capacity.
 const NEAR_APART_COSINE: f64 = 0.985;
-/// Planes less than [`FAR_APART_COSINE`] apart are looked for up to this gap, m: what a sphere moves in a few ticks.
+/// Maximum gap, m, of planes closer together than [`FAR_APART_COSINE`]: the motion of a sphere in a few
+/// ticks.
 const NEAR_GAP_M: f64 = 1.0e-4;
 
-/// A smoothed normal whose cosine with the seed's direction is below this is not trusted: thin sheets, single voxels.
+/// Cosine between the smoothed normal and the seed's direction below which the normal is not trusted, as on
+/// thin sheets and single voxels.
 const NORMAL_AGREEMENT_COSINE: f64 = 0.3;
 
 /// Contact planes of one tick and the query's working memory, allocated once.
@@ -69,7 +78,7 @@ pub struct ContactBuffer {
 }
 
 impl ContactBuffer {
-    /// Room for `capacity` planes.
+    /// Creates a buffer for `capacity` planes.
     pub fn with_capacity(capacity: usize) -> Self {
         Self {
             planes: Vec::with_capacity(capacity),
@@ -80,7 +89,7 @@ impl ContactBuffer {
         }
     }
 
-    /// Makes room for what a search of these voxels stores; a query that finds less makes it itself.
+    /// Reserves the memory for a search of these voxels; otherwise, the first query does so.
     pub fn make_room(&mut self, voxels: &Voxels) {
         let most = most_near(voxels.geometry());
         if self.near.most() < most {
@@ -95,17 +104,18 @@ impl ContactBuffer {
         self.dropped = 0;
     }
 
-    /// The planes found so far, in query order, nearest first within a sphere.
+    /// Returns the planes found so far, in query order, nearest first within a sphere.
     pub fn planes(&self) -> &[ContactPlane] {
         &self.planes
     }
 
-    /// [`Self::planes`], to change them.
+    /// Returns [`Self::planes`], to change them.
     pub fn planes_mut(&mut self) -> &mut [ContactPlane] {
         &mut self.planes
     }
 
-    /// Drops those planes from number `first` on for which `keep`, given the planes before it that stay, is false.
+    /// Drops the planes from index `first` on for which `keep`, given the retained planes before it, returns
+    /// false.
     pub fn keep_from(&mut self, first: usize, keep: impl Fn(&[ContactPlane], &ContactPlane) -> bool) {
         let mut kept = first;
         for place in first..self.planes.len() {
@@ -118,7 +128,7 @@ impl ContactBuffer {
         self.planes.truncate(kept);
     }
 
-    /// Planes dropped for lack of room since the last [`Self::clear`].
+    /// Returns the number of planes dropped because the buffer was full since the last [`Self::clear`].
     pub fn dropped(&self) -> usize {
         self.dropped
     }
@@ -136,20 +146,21 @@ impl ContactBuffer {
 /// Surface of a voxel seen from a point: see the [module](self).
 #[derive(Clone, Copy)]
 pub(super) struct VoxelEnd {
-    /// From the box to the point, metres; 0 along an axis on which the point lies between the faces.
+    /// Vector from the box to the point, metres; 0 along an axis on which the point lies between the faces.
     pub to_box: [f64; 3],
-    /// Square of that, m².
+    /// Its squared length, m².
     pub box2: f64,
     /// Square of the distance from the voxel's centre to the point, m².
     pub length2: f64,
-    /// The voxel's width along that direction, metres; 0 if the direction is undefined.
+    /// The voxel's width along the direction to the point, metres; 0 if undefined.
     pub width: f64,
-    /// From the point to the cutting plane, metres; 0 for a whole voxel.
+    /// Distance from the point to the cutting plane, metres; 0 for a whole voxel.
     pub cut_distance: f64,
 }
 
 impl VoxelEnd {
-    /// `from_centre` points from the voxel's centre to the point; `spacing` holds the voxel's edges.
+    /// Computes the surface; `from_centre` points from the voxel's centre to the point, `spacing` holds the
+    /// voxel's edges.
     #[inline(always)]
     pub fn seen(from_centre: [f64; 3], spacing: [f64; 3], spent: f64) -> Self {
         let [[dx, dy, dz], [hx, hy, hz]] = [from_centre, spacing];
@@ -165,8 +176,9 @@ impl VoxelEnd {
 }
 
 impl Voxels {
-    /// Adds the planes that the sphere (world centre, radius) touches or that are closer than `margin_m`. A sphere whose centre is
-    /// inside bone gets the single plane that leads out. Adds nothing for non-finite values or a radius that is not positive.
+    /// Adds the planes that the sphere (world centre, radius) touches or that are closer than `margin_m`. A
+    /// sphere whose centre is inside bone gets the single plane that leads out. Adds nothing for non-finite
+    /// values or a radius that is not positive.
     pub fn contact_planes(
         &self,
         sphere_index: usize,
@@ -182,7 +194,7 @@ impl Voxels {
         }
     }
 
-    /// The sphere in the grid's frame, or `None` for invalid values.
+    /// Returns the sphere in the grid's frame, or `None` for invalid values.
     #[inline]
     pub(super) fn sphere(
         &self,
@@ -201,7 +213,7 @@ impl Voxels {
         Some(Sphere { index, centre, radius_m, voxel, reach })
     }
 
-    /// True if the centre is inside bone; adds the single plane that leads out.
+    /// Returns true if the centre is inside bone; adds the single plane that leads out.
     #[inline]
     pub(super) fn lead_out(&self, sphere: &Sphere, out: &mut ContactBuffer) -> bool {
         let inside = self.is_mostly_solid(sphere.voxel);
@@ -212,7 +224,7 @@ impl Voxels {
         inside
     }
 
-    /// The planes of a sphere whose centre is outside bone, by a search of all voxels in reach.
+    /// Adds the planes of a sphere whose centre is outside bone, by a search of all voxels in reach.
     pub(super) fn planes_of_search(&self, sphere: &Sphere, out: &mut ContactBuffer) {
         out.make_room(self);
         let ContactBuffer { near, candidates, .. } = out;
@@ -241,7 +253,7 @@ impl Voxels {
         ContactPlane::hard(sphere_index, self.geometry().point_to_world(point), normal, gap_m)
     }
 
-    /// Turns candidates into planes, nearest first; `cells` caches the smoothed surface for the same sphere.
+    /// Converts candidates to planes, nearest first; `cells` caches the smoothed surface for the same sphere.
     #[inline(always)]
     pub(super) fn cluster(
         &self,
@@ -285,7 +297,8 @@ impl Voxels {
         }
     }
 
-    /// Normal of the smoothed surface at a point, or `direction` where it is not trusted; and the point's protrusion from that surface.
+    /// Returns the normal of the smoothed surface at a point, or `direction` if it is not trusted, and the
+    /// point's protrusion from that surface.
     #[inline(always)]
     fn smoothed(
         &self,
@@ -310,10 +323,10 @@ impl Voxels {
     }
 }
 
-/// Finds the smoothed surface at a voxel. A trait and not a closure, because a closure is compiled once, without the vector instructions
-/// of its caller.
+/// Finds the smoothed surface at a voxel. A trait instead of a closure, because a closure would be compiled
+/// once, without the vector instructions of its caller.
 pub(super) trait Look {
-    /// The surface at a voxel, which is never nearer than the voxel itself.
+    /// Returns the surface at a voxel, which is never closer than the voxel itself.
     fn surface(&mut self, seed: &Seed) -> Surface;
 }
 

@@ -1,11 +1,13 @@
-//! Finds the voxels that a burr can reach, once for a burr that moves little between ticks. A burr is a ball or a row of balls; a voxel
-//! belongs to the ball that is deepest in it, so that no voxel counts twice.
+//! Finds the voxels that a burr can reach, with a cache for a burr that moves little between ticks. A burr is
+//! a ball or a row of balls; a voxel belongs to the ball that is deepest in it, so that no voxel counts
+//! twice.
 //!
-//! A voxel matters to a tick of drilling if its surface lies within the burr's reach. The list holds the voxels whose boxes meet a
-//! slightly wider reach ([`SLACK_VOXELS`]). While the burr stays within that slack of the search position, the list contains all voxels
-//! that matter: bone never comes back in a tick. Distances are always recomputed, drilling updates the list's
-//! spent fractions together with the field's, and the list follows grid order wherever the burr is. The results are therefore those of a
-//! new search, bit for bit, and the list is not part of the state.
+//! A voxel matters to a tick of drilling if its surface lies within the burr's reach. The list holds the
+//! voxels whose boxes overlap a slightly wider reach ([`SLACK_VOXELS`]). While the burr stays within that
+//! slack of the search position, the list contains all voxels that matter, because a tick never restores
+//! bone. Distances are always recomputed, drilling updates the list's spent fractions together with the
+//! field's, and the list is in grid order regardless of the burr's position. The results are therefore those
+//! of a new search, bit for bit, and the list is not part of the state.
 
 use nalgebra::Vector3;
 use pulp::Arch;
@@ -20,14 +22,14 @@ use super::query::VoxelEnd;
 use super::strength::Place;
 use super::voxels::Voxels;
 
-/// Extra reach of the cached search, in voxels of the smallest spacing. A burr fed at 1.5 mm/s through voxels of 0.5 mm needs a new
-/// search every 33 ticks.
+/// Extra reach of the cached search, in voxels of the smallest spacing. A burr fed at 1.5 mm/s through 0.5 mm
+/// voxels needs a new search every 33 ticks.
 const SLACK_VOXELS: f64 = 0.1;
 
 /// Number of values compared at a time.
 const LANES: usize = 8;
 
-/// Cutting radius of a burr, m: its own and the cutting law's reach.
+/// Returns the cutting radius of a burr, m: its radius plus the cutting law's reach.
 fn cut_radius_m(radius_m: f64, cutting: &CuttingLaw) -> f64 {
     radius_m + cutting.reach_m
 }
@@ -43,17 +45,17 @@ pub(super) struct PressedBall {
     pub cut_m: f64,
 }
 
-/// The inputs that determine how deep the burr is in a voxel and how much energy the voxel can absorb in a tick.
+/// The inputs that determine the burr's depth in a voxel and the energy that the voxel can absorb in a tick.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Press<'b> {
-    /// Its balls, from the front to the back.
+    /// The burr's balls, from front to back.
     pub balls: &'b [PressedBall],
     /// Maximum recession of a surface in the tick, metres.
     pub recession_m: f64,
 }
 
 impl<'b> Press<'b> {
-    /// The inputs of one burr and tick, whose balls go into `into`.
+    /// Creates the inputs of one burr and tick; stores the balls in `into`.
     pub fn new(voxels: &Voxels, work: &Work, dt_s: f64, into: &'b mut Vec<PressedBall>) -> Self {
         let cutting = &voxels.parameters().cutting;
         let pressed = |ball: &Ball| PressedBall {
@@ -68,7 +70,8 @@ impl<'b> Press<'b> {
     }
 }
 
-/// Maximum number of voxels that a search about the largest burr can find: their boxes meet a capsule.
+/// Returns the maximum number of voxels that a search around the largest burr can find: their boxes overlap a
+/// capsule.
 pub(super) fn most_voxels(geometry: &GridGeometry, parameters: &BoneParameters) -> usize {
     let cut_m = cut_radius_m(parameters.max_burr_radius_m, &parameters.cutting);
     let searched_m = cut_m + geometry.smallest_spacing_m();
@@ -76,20 +79,22 @@ pub(super) fn most_voxels(geometry: &GridGeometry, parameters: &BoneParameters) 
     cells_within(geometry, 1, (searched_m, searched_m + diagonal_m(geometry, 1)), span_m)
 }
 
-/// Maximum number of blocks of `edge` voxels in which one tick of the largest burr can cut: they meet a capsule.
+/// Returns the maximum number of blocks of `edge` voxels in which one tick of the largest burr can cut: they
+/// overlap a capsule.
 pub(super) fn most_blocks(geometry: &GridGeometry, parameters: &BoneParameters, edge: usize) -> usize {
     let cut_m = cut_radius_m(parameters.max_burr_radius_m, &parameters.cutting);
     cells_within(geometry, edge, (cut_m, cut_m + diagonal_m(geometry, edge)), parameters.cutter_span_m)
 }
 
-/// Diagonal of a cell of `edge` voxels along each axis, m.
+/// Returns the diagonal of a cell of `edge` voxels along each axis, m.
 fn diagonal_m(geometry: &GridGeometry, edge: usize) -> f64 {
     let [hx, hy, hz] = geometry.spacing_m;
     edge as f64 * (hx * hx + hy * hy + hz * hz).sqrt()
 }
 
-/// Maximum number of cells of `edge` voxels per axis, which do not overlap, that meet the box of a capsule of radius `box_m` and lie in one
-/// of radius `capsule_m`; the centres of its ends are `span_m` apart, in any direction.
+/// Returns the maximum number of cells of `edge` voxels per axis, which do not overlap each other, that
+/// overlap the bounding box of a capsule of radius `box_m` and lie in one of radius `capsule_m`; the centres
+/// of its ends are `span_m` apart, in any direction.
 fn cells_within(geometry: &GridGeometry, edge: usize, (box_m, capsule_m): (f64, f64), span_m: f64) -> usize {
     let in_box = (0..3).fold(1usize, |count, axis| {
         let along = ((2.0 * box_m + span_m) / (edge as f64 * geometry.spacing_m[axis])) as usize + 2;
@@ -105,34 +110,35 @@ fn cells_within(geometry: &GridGeometry, edge: usize, (box_m, capsule_m): (f64, 
 /// The voxels in reach, in grid order, x fastest, stored as arrays for branch-free SIMD loops.
 #[derive(Debug)]
 pub(super) struct ReachedVoxels {
-    /// The burr's balls at the search; none if the cache is empty.
+    /// The burr's balls at the time of the search; empty if the cache is empty.
     searched: Vec<PressedBall>,
     /// Centres along each grid axis, metres.
     position: [Vec<f64>; 3],
-    /// Around all of them.
+    /// Bounding box of all voxels in reach.
     pub around: VoxelBox,
     pub index: Vec<VoxelIndex>,
-    /// The same along each grid axis.
+    /// The voxels' positions along each grid axis.
     pub at: Vec<[i64; 3]>,
-    /// Where the pool stores each spent fraction, if anywhere, and the fraction.
+    /// The place of each spent fraction in the pool, if any, and the fraction.
     pub place: Vec<Place>,
     pub spent: Vec<f64>,
     /// Energy to cut the whole voxel, J.
     pub full_j: Vec<f64>,
-    /// The burr's depth in each voxel in this tick, as a fraction of its width, the voxel's capacity, J, and its width toward the burr, m.
+    /// The burr's depth in each voxel in this tick, as a fraction of its width, the voxel's capacity, J, and
+    /// its width toward the burr, m.
     pub depth: Vec<f64>,
     pub room_j: Vec<f64>,
     width_m: Vec<f64>,
-    /// Which ball is the deepest in each voxel; empty for a burr that is one ball.
+    /// The deepest ball in each voxel; empty for a burr of one ball.
     deepest: Vec<u8>,
-    /// Depths, capacities and widths of one ball of several.
+    /// Depths, capacities and widths for one ball of several.
     of_ball: [Vec<f64>; 3],
     /// Capacity of all lists.
     capacity: usize,
 }
 
 impl ReachedVoxels {
-    /// Reserves room for every voxel that a search about the largest burr can find.
+    /// Reserves room for every voxel that a search around the largest burr can find.
     pub fn new(geometry: &GridGeometry, parameters: &BoneParameters) -> Self {
         let capacity = most_voxels(geometry, parameters);
         let numbers = || Vec::with_capacity(capacity);
@@ -156,7 +162,7 @@ impl ReachedVoxels {
         }
     }
 
-    /// Maximum length of the lists.
+    /// Returns the maximum length of the lists.
     pub fn capacity(&self) -> usize {
         self.capacity
     }
@@ -184,7 +190,7 @@ impl ReachedVoxels {
         self.searched.len() == press.balls.len() && self.searched.iter().zip(press.balls).all(near)
     }
 
-    /// Computes all depths and capacities, in each voxel those of the ball that is deepest in it.
+    /// Computes all depths and capacities, for each voxel with the ball that is deepest in it.
     fn measure(&mut self, arch: Arch, press: &Press, spacing: [f64; 3]) {
         let count = self.index.len();
         let [of_depth, of_room_j, of_width_m] = &mut self.of_ball;
@@ -219,7 +225,7 @@ impl ReachedVoxels {
         }
     }
 
-    /// The ball that is deepest in a voxel.
+    /// Returns the ball that is deepest in a voxel.
     pub fn ball_in<'b>(&self, voxel: usize, press: &Press<'b>) -> &'b PressedBall {
         let number = self.deepest.get(voxel).copied().unwrap_or(0);
         &press.balls[usize::from(number)]
@@ -231,21 +237,21 @@ impl ReachedVoxels {
         arch.dispatch(Spend { level_j, depth, room_j, full_j, spent: &mut self.spent });
     }
 
-    /// The most that a surface recedes for each joule and unit of depth, m/J.
+    /// Returns the maximum recession of a surface per joule and unit of depth, m/J.
     pub fn most_recession_m_per_j(&self, arch: Arch) -> f64 {
         let count = self.depth.len();
         let [width_m, full_j] = [&self.width_m[..count], &self.full_j[..count]];
         arch.dispatch(MostRecession { depth: &self.depth, width_m, full_j })
     }
 
-    /// From a voxel's centre to a point in the grid's metric frame, m.
+    /// Returns the vector from a voxel's centre to a point in the grid's metric frame, m.
     pub fn offset(&self, voxel: usize, to: &Vector3<f64>) -> Vector3<f64> {
         Vector3::from([0, 1, 2].map(|axis| to[axis] - self.position[axis][voxel]))
     }
 }
 
-/// The loop of [`ReachedVoxels::measure`], compiled for each instruction set. The instruction set changes no bit: each value is computed
-/// on its own by operations that IEEE 754 rounds correctly.
+/// The loop of [`ReachedVoxels::measure`], compiled for each instruction set. The instruction set changes no
+/// bit: each value is computed separately by operations that IEEE 754 rounds correctly.
 struct Measure<'a> {
     ball: &'a PressedBall,
     recession_m: f64,
@@ -272,13 +278,13 @@ impl pulp::WithSimd for Measure<'_> {
             let end = VoxelEnd::seen(from, self.spacing, spent[voxel]);
             let box_distance = end.box2.sqrt();
             let distance = if end.cut_distance > box_distance { end.cut_distance } else { box_distance };
-            // A burr centred on a voxel has the whole voxel in reach, whatever the direction.
+            // A burr centred on a voxel reaches the whole voxel in any direction.
             let per_width = 1.0 / if end.width > 0.0 { end.width } else { self.spacing[0] };
             let left = 1.0 - spent[voxel];
             let deep = (cut_m - distance) * per_width;
             let deep = if deep > 0.0 && left > 0.0 { deep } else { 0.0 };
             let deep = if deep < 1.0 { deep } else { 1.0 };
-            // Limited by what is left and by what the teeth can remove.
+            // Limited by the remaining fraction and by what the teeth can remove.
             let advance = recession_m * per_width;
             let room = if deep < left { deep } else { left };
             let room = if room < advance { room } else { advance };
@@ -358,7 +364,7 @@ impl ReachedVoxels {
         self.clear();
         let (occupancy, geometry) = (voxels.occupancy(), voxels.geometry());
         let spacing = geometry.spacing_m;
-        // Widened by more than rounding can cause; each tick's own distances decide.
+        // Widened by more than rounding can cause; the distances of each tick decide.
         let widest_m = |ball: &PressedBall| ball.cut_m + slack_m + 1e-6 * geometry.smallest_spacing_m();
         let boxes = press
             .balls
@@ -407,7 +413,8 @@ impl ReachedVoxels {
     }
 }
 
-/// The voxels of a window starting at `start` whose slabs along x are within sqrt(`distance2`) of `x`, as bits.
+/// Returns the voxels of a window starting at `start` whose slabs along x are within sqrt(`distance2`) of
+/// `x`, as bits.
 #[inline]
 pub(super) fn columns_within(x: f64, distance2: f64, spacing: f64, start: i64) -> u64 {
     if distance2 <= 0.0 {

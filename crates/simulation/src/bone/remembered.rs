@@ -1,13 +1,14 @@
 //! Cached cells of the smoothed surface, reused as long as nothing changes in them.
 //!
-//! The voxels' journal says where drilling changed bone. On each request, the cached cell is checked against the changes since it was
-//! last valid. It is recomputed if one of them may overlap it, or if there were more changes than the journal keeps. A cached cell
-//! therefore has the same bits as a new one.
+//! The voxels' journal records where drilling changed bone. On each request, the cached cell is checked
+//! against the changes since it was last valid. It is recomputed if one of them may overlap it, or if there
+//! were more changes than the journal keeps. A cached cell therefore has the same bits as a new one.
 
 use super::spline::SplineCell;
 use super::voxels::Voxels;
 
-/// Cells cached per sphere: about as many as its planes look at, so that one tick's cells are still there in the next.
+/// Cells cached per sphere: about as many as its planes need, so that one tick's cells are still cached in
+/// the next.
 const KEPT_CELLS: usize = 32;
 
 /// A cell, and when it was last known to be valid.
@@ -15,7 +16,7 @@ const KEPT_CELLS: usize = 32;
 struct RememberedCell {
     start: [i64; 3],
     cell: SplineCell,
-    /// Number of changed regions it was checked against; `None` if the entry is empty.
+    /// Number of changed regions that it was checked against; `None` if the entry is empty.
     seen: Option<u64>,
 }
 
@@ -23,14 +24,15 @@ struct RememberedCell {
 #[derive(Debug, Clone)]
 pub(super) struct RememberedCells {
     cells: [RememberedCell; KEPT_CELLS],
-    /// [`key`] of each cell's start, and the time of its last request: apart from the cells, so that a search reads little.
+    /// [`key`] of each cell's start, and the time of its last request; stored apart from the cells so that a
+    /// search reads little memory.
     keys: [u64; KEPT_CELLS],
     used: [u64; KEPT_CELLS],
     /// Number of requests so far.
     uses: u64,
 }
 
-/// A number for a start; starts far apart may share it.
+/// Returns a hash of a start; starts far apart may share it.
 #[inline(always)]
 fn key([x, y, z]: [i64; 3]) -> u64 {
     const BITS: u32 = 21;
@@ -44,8 +46,8 @@ impl RememberedCells {
         Self { cells: [nothing; KEPT_CELLS], keys: [u64::MAX; KEPT_CELLS], used: [0; KEPT_CELLS], uses: 0 }
     }
 
-    /// The entry of the cell that starts at a voxel, or else the least recently used one. Loops without a way out, which use vector
-    /// instructions.
+    /// Returns the entry of the cell that starts at a voxel, or else the least recently used one. The loops
+    /// have no early exit, so that they use vector instructions.
     #[inline(always)]
     fn at(&mut self, start: [i64; 3]) -> &mut RememberedCell {
         self.uses += 1;
@@ -65,7 +67,7 @@ impl RememberedCells {
         &mut self.cells[found]
     }
 
-    /// Same as [`Voxels::spline_cell`], bit for bit.
+    /// Returns the same as [`Voxels::spline_cell`], bit for bit.
     #[inline(always)]
     pub fn cell(&mut self, voxels: &Voxels, start: [i64; 3]) -> &SplineCell {
         let journal = voxels.journal();

@@ -1,7 +1,9 @@
-//! Rules for removing voxels: by the cutting energy they absorb, or by one of three published rules, for comparison.
+//! Rules for removing voxels: by the absorbed cutting energy, or by one of three published baseline rules,
+//! for comparison.
 //!
-//! The baselines act on the voxels that the energy rule would cut: those within the burr's reach while it turns and presses. The
-//! baselines ignore force, energy and tick length, so their result depends on voxel size and dt.
+//! The baselines act on the voxels that the energy rule would cut: those within the burr's reach while it
+//! turns and presses. The baselines ignore force, energy and tick length, so their result depends on voxel
+//! size and dt.
 
 use super::drilling::DrillTick;
 use super::grid::VoxelIndex;
@@ -12,30 +14,32 @@ pub enum Removal {
     /// Cutting energy, shared by pressure and area: see [`super::drilling`].
     #[default]
     Energy,
-    /// Removes every touched voxel in the tick in which it is touched.
+    /// Removes every touched voxel in the same tick.
     Naive,
-    /// At most [`CAP_PER_TICK`] voxels per tick at [`RULE_SPEED_RAD_S`], in proportion to the burr's speed, deepest first. The cap is
-    /// that of Munawar et al. 2022 (volumetric drilling): 1, 3, 6, 10 for burrs of 1, 2, 4, 6 mm.
+    /// At most [`CAP_PER_TICK`] voxels per tick at [`RULE_SPEED_RAD_S`], in proportion to the burr's speed,
+    /// deepest first. The cap follows Munawar et al. 2022 (volumetric drilling): 1, 3, 6, 10 for burrs of 1,
+    /// 2, 4, 6 mm.
     Capped,
-    /// Phalen et al. 2023: each voxel has a strength proportional to its density. Each tick of contact subtracts an amount proportional
-    /// to the burr's speed; a voxel collides as a whole until its strength is used up.
+    /// Phalen et al. 2023: each voxel has a strength proportional to its density. Each tick of contact
+    /// subtracts an amount proportional to the burr's speed; a voxel collides as a whole until its strength
+    /// is used up.
     Decrement,
 }
 
-/// Voxels per tick of [`Removal::Capped`], for a 6 mm burr.
+/// Voxels removed per tick by [`Removal::Capped`], for a 6 mm burr.
 pub const CAP_PER_TICK: f64 = 10.0;
-/// Ticks of contact that a voxel of the material law's reference density survives under [`Removal::Decrement`]: the published 1/150 per
-/// step.
+/// Ticks of contact that a voxel of the material law's reference density survives under
+/// [`Removal::Decrement`]: the published 1/150 per step.
 pub const DECREMENT_TICKS: f64 = 150.0;
 /// Burr speed for the two values above: 2250 rpm.
 pub const RULE_SPEED_RAD_S: f64 = 235.619_449_019_234_5;
 
-/// Scale of the dose in the pool of spent fractions. Contact interprets the pool as a receded surface; with this scale a voxel recedes by
-/// less than a nanometre before it is removed.
+/// Scale of the dose in the pool of spent fractions. Contact interprets the pool as a receded surface; with
+/// this scale, a voxel recedes by less than a nanometre before it is removed.
 const DOSE_SCALE: f64 = 1.0 / (1u64 << 30) as f64;
 
 impl Removal {
-    /// Fraction of a voxel's strength left, from its entry in the pool.
+    /// Returns the remaining fraction of a voxel's strength, from its entry in the pool.
     pub(super) fn strength_left(self, spent: f64) -> f64 {
         let dose = self == Removal::Decrement && spent < 1.0;
         if dose { (1.0 - spent / DOSE_SCALE).max(0.0) } else { 1.0 - spent }
@@ -53,7 +57,8 @@ impl DrillTick<'_> {
             Removal::Energy => {}
             Removal::Naive => self.end_first(usize::MAX),
             Removal::Capped => {
-                // Break ties in depth in an order that follows no axis: grid order would push the burr sideways.
+                // Break ties in depth in an order that follows no axis: grid order would push the burr
+                // sideways.
                 let mixed = |index: VoxelIndex| {
                     let number = index.number();
                     number.wrapping_mul(0x9e37_79b1).rotate_left(15).wrapping_mul(0x85eb_ca6b)

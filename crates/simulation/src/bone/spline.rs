@@ -1,10 +1,11 @@
 //! The smoothed surface for the widest tent, in integer arithmetic.
 //!
-//! Over the seven voxels under a tent of half width 3, the weights are quadratic polynomials in the point's position between two faces,
-//! `u` in [0, 1] voxels: eighteenths of the rows of [`WEIGHT_18`]. The smoothed occupancy is therefore a polynomial in (u_x, u_y, u_z)
-//! with 27 coefficients. For whole voxels these are sums of small integers: no rounding, and three coefficients fit into one word. The
-//! spent fractions are then subtracted from the coefficients. The coefficients remain valid as long as nothing changes in the seven
-//! voxels per axis and the point stays between the same faces ([`super::remembered`]).
+//! Over the seven voxels under a tent of half width 3, the weights are quadratic polynomials in the point's
+//! position between two faces, `u` in [0, 1] voxels: eighteenths of the rows of [`WEIGHT_18`]. The smoothed
+//! occupancy is therefore a polynomial in (u_x, u_y, u_z) with 27 coefficients. For whole voxels these are
+//! sums of small integers: no rounding, and three coefficients fit into one word. The spent fractions are
+//! then subtracted from the coefficients. The coefficients remain valid as long as nothing changes in the
+//! seven voxels per axis and the point stays between the same faces ([`super::remembered`]).
 
 use core::ops::{Add, Mul, Sub};
 
@@ -14,13 +15,13 @@ use super::strength::{BLOCK_EDGE, Block, BlocksAbout};
 use super::surface::SurfaceSample;
 use super::voxels::Voxels;
 
-/// Voxels per axis.
+/// Number of voxels per axis.
 pub(super) const SPLINE_VOXELS: usize = 7;
-/// Eighteen times the integral of the tent over each voxel: coefficients of 1, u, u². The tent's heights at the faces are u/3, (u+1)/3,
-/// (u+2)/3, (3-u)/3, (2-u)/3, (1-u)/3.
+/// Eighteen times the integral of the tent over each voxel, as coefficients of 1, u, u². The tent's heights
+/// at the faces are u/3, (u+1)/3, (u+2)/3, (3-u)/3, (2-u)/3, (1-u)/3.
 const WEIGHT_18: [[i64; 3]; SPLINE_VOXELS] =
     [[0, 0, 1], [1, 2, 0], [3, 2, 0], [5, 2, -2], [5, -2, 0], [3, -2, 0], [1, -2, 1]];
-/// The same as floats, for sums with fractions; four lanes, the last of which is unused.
+/// [`WEIGHT_18`] as floats, for sums with fractions; four lanes, the last of which is unused.
 const WEIGHT_18_F64: [[f64; 4]; SPLINE_VOXELS] = {
     let mut weights = [[0.0; 4]; SPLINE_VOXELS];
     let mut place = 0;
@@ -51,7 +52,7 @@ const ROW_SUMS: [i64; 1 << SPLINE_VOXELS] = {
     sums
 };
 
-/// Sums over seven rows or slices by power of u: the columns of WEIGHT_18.
+/// Returns the sums over seven rows or slices by power of u: the columns of WEIGHT_18.
 #[inline(always)]
 fn combine<T>([p0, p1, p2, p3, p4, p5, p6]: [T; SPLINE_VOXELS]) -> [T; 3]
 where
@@ -61,7 +62,7 @@ where
     [p1 + p6 + three * (p2 + p5) + five * (p3 + p4), two * (p1 + p2 + p3 - p4 - p5 - p6), p0 + p6 - two * p3]
 }
 
-/// The three fields of a word, lowest first.
+/// Returns the three fields of a word, lowest first.
 #[inline]
 fn fields(word: i64) -> [f64; 3] {
     const UNUSED: u32 = i64::BITS - FIELD_BITS;
@@ -88,10 +89,10 @@ pub(super) struct SplineCell {
 }
 
 impl SplineCell {
-    /// Air only.
+    /// A cell of air only.
     pub const AIR: Self = Self { coefficients: [[[0.0; 3]; 3]; 3] };
 
-    /// The smoothed occupancy and its slopes with respect to u.
+    /// Returns the smoothed occupancy and its slopes with respect to u.
     #[inline(always)]
     pub fn sample(&self, u: [f64; 3]) -> SurfaceSample {
         let (mut level, mut slope_x, mut slope_y) = ([0.0; 3], [0.0; 3], [0.0; 3]);
@@ -107,7 +108,7 @@ impl SplineCell {
 }
 
 impl Voxels {
-    /// The smoothed surface about the voxels `start..start + 7` per axis.
+    /// Returns the smoothed surface about the voxels `start..start + 7` per axis.
     #[inline(always)]
     pub(super) fn spline_cell(&self, start: [i64; 3]) -> SplineCell {
         let mut slices = [[0; 3]; SPLINE_VOXELS];
@@ -125,12 +126,12 @@ impl Voxels {
         cell
     }
 
-    /// Subtracts the spent fractions from a cell. Sums whole rows of the blocks it lies in, and picks its seven voxels of a row at the
-    /// end: cheaper than to pick them row by row.
+    /// Subtracts the spent fractions from a cell. Sums whole rows of the blocks it lies in, and selects its
+    /// seven voxels of a row at the end, which is cheaper than selecting them row by row.
     #[inline(always)]
     fn take_spent(&self, start: [i64; 3], blocks: &BlocksAbout, cell: &mut SplineCell) {
         let within = start.map(|x| (x & 7) as usize);
-        // Of the first block and of the second along x.
+        // Sums of the first and the second block along x.
         let mut halves = [Sums::NOTHING; 2];
         for (x, half) in halves.iter_mut().enumerate() {
             let mut sides = [[None; 2]; 2];
@@ -151,16 +152,16 @@ impl Voxels {
     }
 }
 
-/// A number for each of eight voxels along x. Loops over all lanes at once, because the compiler makes vector instructions of these, and not
-/// of a loop over lanes that contains the whole sum.
+/// One number for each of eight voxels along x. Its loops cover all lanes at once, because the compiler
+/// vectorises these, but not a loop over lanes that contains the whole sum.
 #[derive(Debug, Clone, Copy)]
 struct Lanes([f64; BLOCK_EDGE]);
 
 impl Lanes {
     const ZERO: Self = Self([0.0; BLOCK_EDGE]);
 
-    /// The spent fractions of the voxels of a row that are still bone: one that is wholly spent is not among the whole voxels from which
-    /// they are subtracted.
+    /// Returns the spent fractions of the voxels of a row that are still bone: a fully spent voxel is not
+    /// among the whole voxels from which they are subtracted.
     #[inline(always)]
     fn of_bone(row: &[f64; BLOCK_EDGE]) -> Self {
         let mut lanes = Self::ZERO;
@@ -222,14 +223,14 @@ struct Sums {
 impl Sums {
     const NOTHING: Self = Self { by_y: [[Lanes::ZERO; 3]; 3] };
 
-    /// `blocks` by z and y; the first voxel's y and z within the first of them.
+    /// Adds blocks, by z and y; `y` and `z` locate the first voxel within the first block.
     #[inline(always)]
     fn add(&mut self, blocks: &[[Option<Block>; 2]; 2], [y, z]: [usize; 2]) {
         let mut slices = [[Lanes::ZERO; SPLINE_VOXELS]; 3];
         let mut any = false;
         #[allow(
             clippy::needless_range_loop,
-            reason = "by an iterator over slices a whole step takes an eighth longer with AVX-512"
+            reason = "iterating over slices makes a whole step an eighth slower with AVX-512"
         )]
         for slice in 0..SPLINE_VOXELS {
             let z = z + slice;
@@ -254,7 +255,7 @@ impl Sums {
     }
 }
 
-/// Slice z of a block.
+/// Returns the slice z of a block.
 #[inline(always)]
 fn slice_of<'p>(block: &Option<Block<'p>>, z: usize) -> &'p [[f64; BLOCK_EDGE]; BLOCK_EDGE] {
     match block {
@@ -263,7 +264,7 @@ fn slice_of<'p>(block: &Option<Block<'p>>, z: usize) -> &'p [[f64; BLOCK_EDGE]; 
     }
 }
 
-/// A slice of a block in which nothing is spent.
+/// A slice of an untouched block.
 static UNCUT: [[f64; BLOCK_EDGE]; BLOCK_EDGE] = [[0.0; BLOCK_EDGE]; BLOCK_EDGE];
 
 /// Subtracts sums along x.
@@ -280,7 +281,8 @@ fn take_rows(by_x: &mut [f64; 3], sums: &[f64]) {
     *by_x = [one, u, u2];
 }
 
-/// Whether one of the seven rows from row `y` on may have a spent fraction, in slice `z` of two blocks.
+/// Returns whether any of the seven rows from row `y` on may have a spent fraction, in slice `z` of two
+/// blocks.
 #[inline(always)]
 fn is_cut(first: &Option<Block>, second: &Option<Block>, y: usize, z: usize) -> bool {
     let rows = |block: &Option<Block>| block.map_or(0, |block| block.partial_rows(z));
@@ -295,8 +297,8 @@ mod tests {
 
     use crate::bone::{BoneField, BoneParameters, BurrState, GridGeometry};
 
-    /// Compares the polynomial with the sums of the tents, on scattered, partly cut voxels, inside the grid and across its edges.
-    /// Tolerance 1e-12: rounding of a few hundred terms below 1.
+    /// The polynomial equals the sums of the tents on scattered, partly cut voxels, inside the grid and
+    /// across its edges. Tolerance 1e-12: rounding of a few hundred terms below 1.
     #[test]
     fn polynomial_is_the_sum_of_the_tents() {
         let dims = [19, 17, 15];

@@ -1,35 +1,36 @@
 //! Spent cutting energy per voxel: sparse blocks of 8 x 8 x 8 voxels from a pool that grows.
 //!
-//! The pool grows by whole segments, which never move, so a place stays valid. [`SpentPool::make_room`] keeps as many blocks free as one
-//! tick can take; called between ticks, it leaves no tick anything to allocate. A tick that finds none free all the same takes a segment
-//! itself. So growing costs time here or there and changes no result.
+//! The pool grows by whole segments, which never move, so a place stays valid. [`SpentPool::make_room`] keeps
+//! as many blocks free as one tick can take; when called between ticks, no tick has to allocate. A tick that
+//! still finds none free allocates a segment itself. When the pool grows therefore affects only timing, never
+//! results.
 
 use super::BoneError;
 use super::occupancy::VoxelBox;
 
-/// The edge of a block is `1 << BLOCK_SHIFT` voxels.
+/// Base-2 logarithm of the edge of a block in voxels.
 const BLOCK_SHIFT: usize = 3;
 pub(super) const BLOCK_EDGE: usize = 1 << BLOCK_SHIFT;
-/// Voxels in a block.
+/// Number of voxels in a block.
 pub(super) const BLOCK_VOXELS: usize = BLOCK_EDGE * BLOCK_EDGE * BLOCK_EDGE;
-/// Rows along x in a block.
+/// Number of rows along x in a block.
 const BLOCK_ROWS: usize = BLOCK_EDGE * BLOCK_EDGE;
 
-const _: () = assert!(BLOCK_EDGE == u8::BITS as usize, "one byte says which voxels of a block's row are cut");
+const _: () = assert!(BLOCK_EDGE == u8::BITS as usize, "one byte flags the cut voxels of a row of a block");
 
-/// Blocks of a segment: 256 KiB of fractions.
+/// Number of blocks in a segment: 256 KiB of fractions.
 const SEGMENT_BLOCKS: usize = 64;
-/// Voxels in a segment.
+/// Number of voxels in a segment.
 const SEGMENT_VOXELS: usize = SEGMENT_BLOCKS * BLOCK_VOXELS;
 const _: () =
     assert!(SEGMENT_VOXELS.is_power_of_two(), "a place within a segment is the low bits of a place");
-/// Blocks that a pool has room for from the start, 16 MiB, unless the grid has fewer.
+/// Initial capacity of a pool in blocks, 16 MiB, unless the grid has fewer.
 const FIRST_BLOCKS: usize = 4096;
 
 /// Table entry of an untouched block.
 const UNTOUCHED: u32 = u32::MAX;
 
-/// Where the pool stores a voxel's spent fraction.
+/// Location of a voxel's spent fraction in the pool.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Place(usize);
 
@@ -38,7 +39,7 @@ impl Place {
     pub const NONE: Self = Self(usize::MAX);
 }
 
-/// The blocks in use about a small cube of voxels, at most two along each axis, looked up once.
+/// The blocks in use around a small cube of voxels, at most two along each axis, looked up once.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct BlocksAbout {
     /// First place of each block by z, y, x; [`Place::NONE`] if the block is untouched.
@@ -53,7 +54,8 @@ pub(super) struct Block<'p> {
 }
 
 impl<'p> Block<'p> {
-    /// The fractions of slice z, by y and x; z counted within the block or from the start of it and its neighbours.
+    /// Returns the fractions of slice z, by y and x; z counts within the block or from the start of it and
+    /// its neighbours.
     #[inline(always)]
     pub fn slice(&self, z: usize) -> &'p [[f64; BLOCK_EDGE]; BLOCK_EDGE] {
         let (rows, _) = self.spent.as_chunks::<BLOCK_EDGE>();
@@ -61,7 +63,8 @@ impl<'p> Block<'p> {
         &slices[z % BLOCK_EDGE]
     }
 
-    /// Which voxels of slice z may have a spent fraction above 0: a byte a row, the first row lowest.
+    /// Returns which voxels of slice z may have a spent fraction above 0: one byte per row, the first row
+    /// lowest.
     #[inline(always)]
     pub fn partial_rows(&self, z: usize) -> u64 {
         let rows = self.partial[(z % BLOCK_EDGE) << BLOCK_SHIFT..].first_chunk();
@@ -79,16 +82,16 @@ struct Segment {
 }
 
 impl Segment {
-    /// Bytes of a segment.
+    /// Size of a segment in bytes.
     const BYTES: usize = SEGMENT_VOXELS * size_of::<f64>() + SEGMENT_VOXELS / BLOCK_EDGE;
 
-    /// A segment of whole voxels; `None` if the system gives no memory.
+    /// Creates a segment of whole voxels; `None` if memory runs out.
     fn new() -> Option<Self> {
         Some(Self { spent: zeroed(0.0)?, partial: zeroed(0)? })
     }
 }
 
-/// An array of zeros; `None` if the system gives no memory.
+/// Returns an array of zeros; `None` if memory runs out.
 fn zeroed<T: Copy, const N: usize>(zero: T) -> Option<Box<[T; N]>> {
     let mut numbers = Vec::new();
     numbers.try_reserve_exact(N).ok()?;
@@ -96,27 +99,27 @@ fn zeroed<T: Copy, const N: usize>(zero: T) -> Option<Box<[T; N]>> {
     numbers.into_boxed_slice().try_into().ok()
 }
 
-/// Words of one bit per voxel of a block.
+/// Number of words for one bit per voxel of a block.
 pub(super) const BLOCK_WORDS: usize = BLOCK_VOXELS / 64;
 
-/// Where a block differs from what it was at the start of the run.
+/// Changes of a block since the start of the run.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct BlockChange<'p> {
     /// Number of the block in the grid.
     pub number: u32,
-    /// Bit b of word w stands for voxel 64 w + b: set where the fraction differs.
+    /// Bit b of word w is voxel 64 w + b; set where the fraction differs.
     pub changed: [u64; BLOCK_WORDS],
     /// The fractions of all its voxels.
     spent: &'p [f64],
 }
 
 impl BlockChange<'_> {
-    /// The fractions that differ, in order.
+    /// Returns the fractions that differ, in order.
     pub fn fractions(&self) -> impl Iterator<Item = f64> + '_ {
         (0..BLOCK_VOXELS).filter(|voxel| bit(&self.changed, *voxel)).map(|voxel| self.spent[voxel])
     }
 
-    /// The same with memory of its own.
+    /// Returns an owned copy.
     pub fn to_owned(self) -> ChangedBlock {
         ChangedBlock { number: self.number, changed: self.changed, spent: self.fractions().collect() }
     }
@@ -130,7 +133,7 @@ pub(super) struct ChangedBlock {
     pub spent: Vec<f64>,
 }
 
-/// The bit of a voxel of a block.
+/// Returns the bit of a voxel of a block.
 #[inline]
 pub(super) fn bit(words: &[u64; BLOCK_WORDS], voxel: usize) -> bool {
     words[voxel / 64] >> (voxel % 64) & 1 == 1
@@ -148,14 +151,15 @@ pub(super) struct SpentPool {
     /// The slots in use by their blocks' numbers, so that nothing depends on which block was touched first.
     by_block: Vec<u32>,
     segments: Vec<Segment>,
-    /// Most blocks: those of the grid, or fewer if a test limits them.
+    /// Maximum number of blocks: those of the grid, or fewer if a test limits them.
     capacity: usize,
     /// Blocks that [`Self::make_room`] keeps free.
     reserve: usize,
 }
 
 impl SpentPool {
-    /// A pool of at most `most` blocks for a grid of `dims` voxels, of which one tick takes at most `per_tick`.
+    /// Creates a pool of at most `most` blocks for a grid of `dims` voxels, of which one tick takes at most
+    /// `per_tick`.
     ///
     /// # Errors
     /// [`BoneError::Memory`].
@@ -168,7 +172,7 @@ impl SpentPool {
         Ok(pool)
     }
 
-    /// A pool without memory yet, of at most `most` blocks.
+    /// Returns a pool of at most `most` blocks, without memory yet.
     pub fn empty(dims: [usize; 3], most: usize) -> Self {
         let block_dims = dims.map(|n| n.div_ceil(BLOCK_EDGE));
         let blocks = block_dims[0] * block_dims[1] * block_dims[2];
@@ -186,7 +190,7 @@ impl SpentPool {
         }
     }
 
-    /// Takes memory until a tick finds as many free blocks as it can take; false if the system gives none.
+    /// Allocates until as many blocks are free as a tick can take; returns false if memory runs out.
     pub fn make_room(&mut self) -> bool {
         let wanted = (self.owners.len() + self.reserve).min(self.capacity);
         while self.segments.len() * SEGMENT_BLOCKS < wanted {
@@ -197,7 +201,7 @@ impl SpentPool {
         true
     }
 
-    /// Takes a segment; the list of segments has room for it.
+    /// Allocates a segment; the list of segments has room for it.
     fn grow(&mut self) -> bool {
         let segment = Segment::new();
         let grown = segment.is_some();
@@ -205,17 +209,17 @@ impl SpentPool {
         grown
     }
 
-    /// Bytes of all segments.
+    /// Returns the size of all segments in bytes.
     pub fn bytes(&self) -> usize {
         self.segments.len() * Segment::BYTES
     }
 
-    /// Blocks in use.
+    /// Returns the number of blocks in use.
     pub fn used(&self) -> usize {
         self.owners.len()
     }
 
-    /// Most blocks that the pool may use.
+    /// Returns the maximum number of blocks that the pool may use.
     pub fn capacity(&self) -> usize {
         self.capacity
     }
@@ -228,7 +232,7 @@ impl SpentPool {
         (block, (((k & mask) << BLOCK_SHIFT) + (j & mask)) * BLOCK_EDGE + (i & mask))
     }
 
-    /// Spent fraction of a voxel in [0, 1].
+    /// Returns the spent fraction of a voxel in [0, 1].
     #[inline]
     pub fn spent(&self, i: usize, j: usize, k: usize) -> f64 {
         let (block, offset) = self.locate(i, j, k);
@@ -238,7 +242,7 @@ impl SpentPool {
         }
     }
 
-    /// Where the fraction of a voxel is stored at present, for [`Self::spent_at`].
+    /// Returns the present place of a voxel's fraction, for [`Self::spent_at`].
     #[inline]
     pub fn place(&self, [i, j, k]: [usize; 3]) -> Place {
         let (block, offset) = self.locate(i, j, k);
@@ -248,20 +252,20 @@ impl SpentPool {
         }
     }
 
-    /// The fraction at a place from [`Self::place`], valid until the next block is taken.
+    /// Returns the fraction at a place from [`Self::place`], valid until the next block is taken.
     #[inline]
     pub fn spent_at(&self, Place(place): Place) -> f64 {
         // A whole voxel has no place.
         self.segments.get(place / SEGMENT_VOXELS).map_or(0.0, |segment| segment.spent[place % SEGMENT_VOXELS])
     }
 
-    /// Where the voxel's fraction is stored, taking a block if needed; `None` if there are no more.
+    /// Returns the place of the voxel's fraction, taking a block if needed; `None` if there are no more.
     pub fn claim(&mut self, [i, j, k]: [usize; 3]) -> Option<Place> {
         let (block, offset) = self.locate(i, j, k);
         self.claim_block(block).map(|slot| Place(slot * BLOCK_VOXELS + offset))
     }
 
-    /// Slot of a block, taking one if needed; `None` if there are no more.
+    /// Returns the slot of a block, taking one if needed; `None` if there are no more.
     fn claim_block(&mut self, block: usize) -> Option<usize> {
         if self.table[block] == UNTOUCHED {
             let used = self.owners.len();
@@ -277,7 +281,7 @@ impl SpentPool {
         Some(self.table[block] as usize)
     }
 
-    /// Sets the fraction at a place from [`Self::claim`]; true if the voxel was whole before.
+    /// Sets the fraction at a place from [`Self::claim`]; returns true if the voxel was whole before.
     #[inline]
     pub fn set(&mut self, Place(place): Place, spent: f64) -> bool {
         let (segment, place) = (&mut self.segments[place / SEGMENT_VOXELS], place % SEGMENT_VOXELS);
@@ -291,12 +295,13 @@ impl SpentPool {
         first
     }
 
-    /// The voxel whose fraction is stored at a place from [`Self::claim`].
+    /// Returns the voxel whose fraction is stored at a place from [`Self::claim`].
     pub fn voxel_at(&self, Place(place): Place) -> Option<[usize; 3]> {
         self.voxel_of(place / BLOCK_VOXELS, place % BLOCK_VOXELS)
     }
 
-    /// Bit b is set if voxel `start + b` of row (j, k), which lies in the grid, has a spent fraction above 0.
+    /// Returns bits of which bit b is set if voxel `start + b` of row (j, k), which lies in the grid, has a
+    /// spent fraction above 0.
     #[inline]
     pub fn partial_window(&self, start: i64, j: usize, k: usize) -> u8 {
         if self.owners.is_empty() {
@@ -321,8 +326,8 @@ impl SpentPool {
         ((bits(first) | bits(first + 1) << 8) >> (start & 7)) as u8
     }
 
-    /// The blocks about the cube of voxels `low` to `low + extent`, at most eight along an axis; it may extend beyond the grid. `None` if
-    /// all blocks are untouched.
+    /// Returns the blocks around the cube of voxels `low` to `low + extent`, at most eight along an axis; it
+    /// may extend beyond the grid. `None` if all blocks are untouched.
     #[inline]
     pub fn blocks_about(&self, low: [i64; 3], extent: i64) -> Option<BlocksAbout> {
         if self.owners.is_empty() {
@@ -353,7 +358,7 @@ impl SpentPool {
         any.then_some(BlocksAbout { place })
     }
 
-    /// One of the blocks about a cube, by its side along x, y, z; `None` if it is untouched.
+    /// Returns one of the blocks around a cube, by its side along x, y, z; `None` if it is untouched.
     #[inline(always)]
     pub fn block(&self, blocks: &BlocksAbout, [x, y, z]: [usize; 3]) -> Option<Block<'_>> {
         let Place(place) = blocks.place[z][y][x];
@@ -371,7 +376,7 @@ impl SpentPool {
         }
     }
 
-    /// The blocks in use by number: slot, number and fractions, `BLOCK_VOXELS` each.
+    /// Returns the blocks in use by number: slot, number and fractions, `BLOCK_VOXELS` each.
     fn contents(&self) -> impl ExactSizeIterator<Item = (usize, u32, &[f64])> {
         self.by_block.iter().map(|slot| {
             let slot = *slot as usize;
@@ -379,13 +384,14 @@ impl SpentPool {
         })
     }
 
-    /// The fractions of a slot in use.
+    /// Returns the fractions of a slot in use.
     fn fractions(&self, slot: usize) -> &[f64] {
         let first = slot % SEGMENT_BLOCKS * BLOCK_VOXELS;
         &self.segments[slot / SEGMENT_BLOCKS].spent[first..first + BLOCK_VOXELS]
     }
 
-    /// What has changed since a start, by the blocks' numbers: every block that the start did not use, and those of its blocks that differ.
+    /// Returns the changes since `start`, in the order of the blocks' numbers: every block that `start` did
+    /// not use, and those of its blocks that differ.
     pub fn changes<'p>(&'p self, start: &'p Self) -> impl Iterator<Item = BlockChange<'p>> {
         self.contents().filter_map(|(_, number, spent)| {
             let before = match start.table[number as usize] {
@@ -402,8 +408,8 @@ impl SpentPool {
         })
     }
 
-    /// Calls `visit` with the spent fraction of every grid voxel in the blocks in use, block by block in the order of their numbers, x fastest
-    /// within a block.
+    /// Calls `visit` with the spent fraction of every grid voxel in the blocks in use, block by block in the
+    /// order of their numbers, x fastest within a block.
     pub fn for_each(&self, mut visit: impl FnMut([usize; 3], f64)) {
         for (slot, _, fractions) in self.contents() {
             for (offset, spent) in fractions.iter().enumerate() {
@@ -414,7 +420,8 @@ impl SpentPool {
         }
     }
 
-    /// The voxels of the blocks taken since only `before` were in use, including those beyond the grid.
+    /// Returns the voxels of the blocks taken since only `before` were in use, including those beyond the
+    /// grid.
     pub fn blocks_since(&self, before: usize) -> impl Iterator<Item = VoxelBox> + '_ {
         self.owners.get(before..).unwrap_or_default().iter().map(|block| {
             let low = self.corner_of(*block as usize).map(|x| x as i64);
@@ -422,13 +429,13 @@ impl SpentPool {
         })
     }
 
-    /// First voxel of a block.
+    /// Returns the first voxel of a block.
     fn corner_of(&self, block: usize) -> [usize; 3] {
         let [bx, by, _] = self.block_dims;
         [block % bx, (block / bx) % by, block / (bx * by)].map(|block| block * BLOCK_EDGE)
     }
 
-    /// Voxel `offset` of slot `slot`; `None` if that part of the block lies outside the grid.
+    /// Returns the voxel `offset` of slot `slot`; `None` if that part of the block lies outside the grid.
     fn voxel_of(&self, slot: usize, offset: usize) -> Option<[usize; 3]> {
         let corner = self.corner_of(self.owners[slot] as usize);
         let mask = BLOCK_EDGE - 1;
@@ -453,7 +460,8 @@ impl SpentPool {
         self.by_block.clear();
     }
 
-    /// Makes another pool's [`Self::changes`] to a pool that has that one's start; false if they do not fit.
+    /// Applies the [`Self::changes`] of another pool to a pool with the same start; returns false if they do
+    /// not fit.
     pub fn load(&mut self, blocks: &[ChangedBlock]) -> bool {
         for ChangedBlock { number, changed, spent } in blocks {
             let known = (*number as usize) < self.table.len();

@@ -1,8 +1,9 @@
 //! The bone surface smoothed over a few voxels: its normal and its distance from a point.
 //!
-//! The sampled field is the exact convolution of the (fractional) occupancy with a tent along each axis. Its gradient is the
-//! tent-weighted sum of the exposed voxel faces. It is exact for axis-aligned walls. For slanted walls it is unbiased, because the faces
-//! of a staircase add up to the area of the plane that it approximates.
+//! The sampled field is the exact convolution of the (fractional) occupancy with a tent along each axis. Its
+//! gradient is the tent-weighted sum of the exposed voxel faces. It is exact for axis-aligned walls. For
+//! slanted walls it is unbiased, because the faces of a staircase add up to the area of the plane that it
+//! approximates.
 
 use core::ops::Range;
 
@@ -14,23 +15,25 @@ use super::remembered::RememberedCells;
 use super::spline::SPLINE_VOXELS;
 use super::voxels::Voxels;
 
-/// Maximum tent half width in voxels; smaller for spheres of only a few voxels, so that the two walls of a corner stay separate. With 3
-/// the normal on a slanted wall is within 2 degrees (slope 0.3 and more), with 2 within 9; measured in `tests/bone_query.rs`.
+/// Maximum tent half width in voxels; smaller for spheres of only a few voxels, so that the two walls of a
+/// corner stay separate. With 3 the normal on a slanted wall is within 2 degrees (slope 0.3 and more), with 2
+/// within 9; measured in `tests/physics/bone_query.rs`.
 const TENT_MAX_VOXELS: f64 = 3.0;
 /// Minimum tent half width in voxels.
 const TENT_MIN_VOXELS: f64 = 1.0;
-/// Maximum voxels under a tent along an axis: 2 * TENT_MAX_VOXELS + 1 for the partial ends, rounded up to a byte.
+/// Maximum voxels under a tent along an axis: 2 * TENT_MAX_VOXELS + 1 for the partial ends, rounded up to a
+/// byte.
 const TENT_VOXELS: usize = 8;
 
 const _: () = assert!(2.0 * TENT_MAX_VOXELS + 1.0 <= TENT_VOXELS as f64, "the widest tent fits");
 const _: () = assert!(TENT_MIN_VOXELS < TENT_MAX_VOXELS && TENT_VOXELS as i64 <= WINDOW_VOXELS);
 const _: () =
-    assert!(SPLINE_VOXELS as f64 == 2.0 * TENT_MAX_VOXELS + 1.0, "the polynomial is the widest tent's");
+    assert!(SPLINE_VOXELS as f64 == 2.0 * TENT_MAX_VOXELS + 1.0, "the polynomial is that of the widest tent");
 
 /// The smoothed field at a point, in the grid's metric frame.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct SurfaceSample {
-    /// Minus the gradient of the smoothed occupancy, 1/m: points out of the bone.
+    /// Negative gradient of the smoothed occupancy, 1/m, which points out of the bone.
     pub outward_per_m: Vector3<f64>,
     /// Smoothed occupancy; 0.5 on a flat surface.
     pub level: f64,
@@ -46,8 +49,8 @@ pub(super) struct TentSizes {
     per_half_width: [f64; 3],
 }
 
-/// The tent along one axis at the faces of the voxels `start..start + count`. The weight of a run of voxels is the difference between its
-/// two ends.
+/// The tent along one axis at the faces of the voxels `start..start + count`. The weight of a run of voxels
+/// is the difference between its two ends.
 struct AxisTent {
     start: i64,
     count: usize,
@@ -58,7 +61,7 @@ struct AxisTent {
 }
 
 impl AxisTent {
-    /// `position` and `half_width` in voxels, `inverse` that of the half width.
+    /// Creates a tent; `position` and `half_width` are in voxels, `inverse` is that of the half width.
     fn new(position: f64, half_width: f64, inverse: f64) -> Self {
         let start = floor_to_i64(position - half_width + 0.5);
         let count = ((floor_to_i64(position + half_width + 0.5) - start + 1) as usize).min(TENT_VOXELS);
@@ -74,7 +77,7 @@ impl AxisTent {
         axis
     }
 
-    /// Integral of the tent over one voxel, and the tent's rise over it.
+    /// Returns the integral of the tent over one voxel, and the tent's rise over it.
     #[inline]
     fn voxel(&self, voxel: usize) -> (f64, f64) {
         (self.integral[voxel + 1] - self.integral[voxel], self.tent[voxel + 1] - self.tent[voxel])
@@ -82,7 +85,7 @@ impl AxisTent {
 }
 
 impl Voxels {
-    /// The tent for spheres of radius `radius_m`.
+    /// Returns the tent for spheres of radius `radius_m`.
     #[inline]
     pub(super) fn tent_sizes(&self, radius_m: f64) -> TentSizes {
         let per_spacing = self.geometry().spacing_m.map(|spacing| 1.0 / spacing);
@@ -91,8 +94,8 @@ impl Voxels {
         TentSizes { per_spacing, half_width, per_half_width: half_width.map(|half| 1.0 / half) }
     }
 
-    /// Samples the smoothed surface at a point in the grid's metric frame. Looks up the point's cell in `remembered`, and stores it
-    /// there.
+    /// Samples the smoothed surface at a point in the grid's metric frame. The point's cell is looked up in
+    /// `remembered`, or computed and stored there.
     #[inline(always)]
     pub(super) fn sample_surface(
         &self,
@@ -117,7 +120,7 @@ impl Voxels {
         sample
     }
 
-    /// The smoothed occupancy and its slopes in 1/voxel, for tents of any width.
+    /// Returns the smoothed occupancy and its slopes in 1/voxel, for tents of any width.
     pub(super) fn sample_tents(&self, position: [f64; 3], tent: &TentSizes) -> SurfaceSample {
         let [x, y, z] = [0, 1, 2]
             .map(|axis| AxisTent::new(position[axis], tent.half_width[axis], tent.per_half_width[axis]));
@@ -141,7 +144,7 @@ impl Voxels {
         SurfaceSample { outward_per_m: outward, level }
     }
 
-    /// The voxels of a tent that lie in the grid.
+    /// Returns the voxels of a tent that lie in the grid.
     fn rows_inside(&self, tent: &AxisTent, axis: usize) -> Range<usize> {
         let first = (-tent.start).clamp(0, tent.count as i64) as usize;
         let end =
@@ -149,7 +152,7 @@ impl Voxels {
         first..end
     }
 
-    /// Sums of the x weights and of their rises over the bone of one row.
+    /// Returns the sums of the x weights and of their rises over the bone of one row.
     #[inline]
     fn row_sums(&self, x: &AxisTent, place: WindowPlace, j: usize, k: usize) -> (f64, f64) {
         const FULL: u64 = (1 << TENT_VOXELS) - 1;

@@ -1,13 +1,15 @@
-//! The contact cache: makes queries fast for spheres that move little between ticks.
+//! The contact cache, which speeds up queries for spheres that move little between ticks.
 //!
-//! Which voxels can be nearest to a sphere depends only on the bone around it and on the voxel that contains its centre. For each sphere
-//! the cache stores the voxels that [`Voxels::gather`] finds within a slightly wider reach ([`SLACK_VOXELS`]). The stored voxels contain
-//! all that matter, in the order of a new search, while three conditions hold: the centre stays in its voxel, the query's reach lies
-//! within the stored one, and no voxel in it is removed or cut for the first time. Distances are always recomputed. The planes equal those of
-//! [`Voxels::contact_planes`] bit for bit, so the cache is not part of the state.
+//! Which voxels can be nearest to a sphere depends only on the bone around it and on the voxel that contains
+//! its centre. For each sphere the cache stores the voxels that [`Voxels::gather`] finds within a slightly
+//! wider reach ([`SLACK_VOXELS`]). The stored voxels contain all that matter, in the order of a new search,
+//! while three conditions hold: the centre stays in its voxel, the query's reach lies within the stored one,
+//! and no voxel in it is removed or cut for the first time. Distances are always recomputed. The planes equal
+//! those of [`Voxels::contact_planes`] bit for bit, so the cache is not part of the state.
 //!
-//! Most spheres of a tool in a hole touch nothing. Of such a sphere the cache also stores how far the nearest surface was, and asks again
-//! only once the sphere has moved so far that it may touch ([`Clear`]).
+//! Most spheres of a tool in a hole touch nothing. For such a sphere, the cache also stores the distance of
+//! the nearest surface, and queries again only once the sphere has moved far enough that it may touch
+//! ([`Clear`]).
 
 use nalgebra::Vector3;
 use pulp::Arch;
@@ -28,33 +30,34 @@ const _: () = assert!(
     "every sphere of the planar tool has a track"
 );
 
-/// Extra reach of the cached search, in voxels of the smallest spacing. A tool fed at 1.5 mm/s through voxels of 0.5 mm needs a new
-/// search every 33 ticks.
+/// Extra reach of the cached search, in voxels of the smallest spacing. A tool fed at 1.5 mm/s through 0.5 mm
+/// voxels needs a new search every 33 ticks.
 const SLACK_VOXELS: f64 = 0.1;
-/// The same for a sphere that touched nothing: it is seldom looked at, so a longer list costs little.
+/// The same for a sphere that touched nothing: it is seldom examined, so a longer list costs little.
 const CLEAR_SLACK_VOXELS: f64 = 0.4;
 
 /// A sphere that touched nothing.
 ///
-/// A voxel's surface is at `max(distance to its box, |d| - (f - 1/2) w(d))`, d from its centre to the sphere's. The first grows by at most
-/// the sphere's motion. So does |d|, and w, which depends on the direction of d alone, changes across it, by at most the voxel's diagonal over
-/// |d|. With |d| at least half the diagonal the distance thus changes by at most sqrt(2) times the motion. Drilling moves every surface
-/// away, and a voxel that was hidden is no nearer than what hid it.
+/// A voxel's surface is at `max(distance to its box, |d| - (f - 1/2) w(d))`, where d points from its centre
+/// to the sphere's. The first term grows by at most the sphere's motion, and so does `|d|`; w depends only on
+/// the direction of d, and changes with the motion across d by at most the voxel's diagonal over `|d|`. With
+/// `|d|` at least half the diagonal, the distance thus changes by at most sqrt(2) times the motion. Drilling
+/// moves every surface away, and a voxel that was hidden is no closer than what hid it.
 #[derive(Debug, Clone, Copy)]
 struct Clear {
-    /// Where it was, in the grid's frame.
+    /// Position of the sphere, in the grid's frame.
     centre: Vector3<f64>,
-    /// Least distance from there to any surface, m.
+    /// Distance from there to the nearest surface, m.
     distance_m: f64,
 }
 
 impl Clear {
-    /// Most change of a distance over the motion: sqrt(2), with room.
+    /// Maximum change of a distance relative to the motion: sqrt(2), with a margin.
     const MOST_CHANGE: f64 = 1.5;
-    /// Far more than the rounding of distances, m.
+    /// Margin far above the rounding of distances, m.
     const ROUNDING_M: f64 = 1e-9;
 
-    /// True if the sphere still touches nothing. A reach of a diagonal keeps |d| above half of one.
+    /// Returns true if the sphere still touches nothing. A reach of one diagonal keeps |d| above half of it.
     #[inline]
     fn holds(&self, sphere: &Sphere, spacing: [f64; 3]) -> bool {
         let [hx, hy, hz] = spacing;
@@ -73,11 +76,11 @@ struct Track {
     /// The voxels searched.
     box_searched: VoxelBox,
     near: NearVoxels,
-    /// Number of changed regions that the voxels' spent fractions were loaded after; `None` if they were not.
+    /// Number of changed regions when the voxels' spent fractions were loaded; `None` if they were not.
     spent_seen: Option<u64>,
     /// The smoothed surface at the nearest voxels.
     cells: RememberedCells,
-    /// Set if the sphere touched nothing when it was last looked at.
+    /// Set if the sphere touched nothing when last examined.
     clear: Option<Clear>,
 }
 
@@ -90,15 +93,16 @@ impl Track {
             && (sphere.centre - searched.centre).norm_squared() <= room * room
     }
 
-    /// Distance from the sphere within which all voxels are stored, for a sphere that [`Self::holds`], m.
+    /// Returns the distance from the sphere within which all voxels are stored, for a sphere that
+    /// [`Self::holds`], m.
     fn searched_m(&self, sphere: &Sphere) -> f64 {
         let rest_m =
             self.sphere.map_or(0.0, |searched| searched.reach - (sphere.centre - searched.centre).norm());
         rest_m.max(sphere.reach)
     }
 
-    /// Call for a voxel that is gone or cut for the first time. That exposes only voxels that are no nearer to a sphere than this one, so a
-    /// sphere that does not reach it sees no change.
+    /// Invalidates the entry near a voxel that is gone or cut for the first time. That exposes only voxels
+    /// that are no closer to a sphere than this one, so a sphere that does not reach it sees no change.
     fn forget_near(&mut self, position: [f64; 3], spacing: [f64; 3]) {
         let reached = self.sphere.is_some_and(|sphere| {
             let to_box = [0, 1, 2].map(|a| outside(sphere.centre[a] - position[a], spacing[a]));
@@ -112,7 +116,7 @@ impl Track {
         }
     }
 
-    /// Call for a box of voxels of which some were cut for the first time.
+    /// Invalidates the entry near a box of voxels, some of which were cut for the first time.
     fn forget_near_box(&mut self, voxels: &VoxelBox, spacing: [f64; 3]) {
         let reached = self.sphere.is_some_and(|sphere| {
             let mut distance2 = 0.0;
@@ -130,7 +134,8 @@ impl Track {
         }
     }
 
-    /// The track with the voxels near a sphere; `None` if there is no room for them (scattered voxels have a lot of surface).
+    /// Returns the track with the voxels near a sphere; `None` if there is no room for them (scattered voxels
+    /// have a lot of surface).
     fn bring(&mut self, voxels: &Voxels, sphere: &Sphere) -> Option<&mut Self> {
         if self.holds(sphere) {
             self.load_spent(voxels);
@@ -142,7 +147,7 @@ impl Track {
         fits.then_some(self)
     }
 
-    /// Stores the voxels near a sphere; false if there is no room for them.
+    /// Stores the voxels near a sphere; returns false if there is no room for them.
     fn search(&mut self, voxels: &Voxels, sphere: &Sphere, slack_voxels: f64) -> bool {
         let slack_m = slack_voxels * voxels.geometry().smallest_spacing_m();
         let widened = Sphere { reach: sphere.reach + slack_m, ..*sphere };
@@ -180,7 +185,7 @@ pub(super) struct ContactCache {
 }
 
 impl ContactCache {
-    /// An empty cache for these voxels.
+    /// Creates an empty cache for these voxels.
     pub fn new(voxels: &Voxels) -> Self {
         let most = most_near(voxels.geometry());
         let empty = || Track {
@@ -235,7 +240,7 @@ impl ContactCache {
             }
         }
         let geometry = voxels.geometry();
-        // What these voxels hid.
+        // Voxels that these voxels hid.
         match voxels.journal().first_cuts() {
             Ok(cut) => cut.iter().for_each(|voxel| self.forget_near(geometry, *voxel)),
             Err(cut) => {
@@ -249,7 +254,7 @@ impl ContactCache {
         }
     }
 
-    /// Drops the entries that a voxel which hides less than before invalidates.
+    /// Drops the entries invalidated by a voxel that hides less than before.
     fn forget_near(&mut self, geometry: &GridGeometry, voxel: [i64; 3]) {
         let (position, own) = (geometry.voxel_position(voxel), VoxelBox { low: voxel, high: voxel });
         for track in self.tracks.iter_mut().filter(|track| track.box_searched.meets(&own)) {
@@ -258,8 +263,8 @@ impl ContactCache {
     }
 }
 
-/// Finds the planes among a track's voxels, compiled for each instruction set. No operation is reordered or fused, so the result is the
-/// same to the bit.
+/// Finds the planes among a track's voxels, compiled for each instruction set. No operation is reordered or
+/// fused, so the result is bit-identical.
 struct PlanesOfTrack<'a> {
     voxels: &'a Voxels,
     sphere: &'a Sphere,

@@ -1,22 +1,25 @@
-//! Yielding: bone under a sphere of the tool bears its compressive strength and no more.
+//! Yielding: bone under a sphere of the tool supports at most its compressive strength.
 //!
-//! **Strength of a contact.** The bone that a sphere presses on is what lies within [`SHELL_M`] of the nearest surface, seen from the
-//! sphere's centre, on the side of the contact's plane. Its volume over the shell's thickness is the footprint, and the contact bears
+//! **Strength of a contact.** The bone that a sphere presses on is the bone within [`SHELL_M`] of the nearest
+//! surface, as seen from the sphere's centre, on the side of the contact's plane. Its volume divided by the
+//! shell's thickness is the footprint, and the contact supports
 //!
 //! `F_y = sum of strength(HU) x footprint x cos(angle to the plane's normal)`,
 //!
-//! the projected footprint times the strength (Carter and Hayes 1977 for the strength: see [`MaterialLaw`](super::MaterialLaw)). A
-//! contact's footprint grows as the sphere sinks in: F_y of a cylinder of radius r in a flat wall follows the chord,
-//! `strength x length x 2 sqrt(2 r d - d^2)` at the depth d.
+//! the projected footprint times the strength (Carter and Hayes 1977 for the strength: see
+//! [`MaterialLaw`](super::MaterialLaw)). A contact's footprint grows as the sphere sinks in: F_y of a
+//! cylinder of radius r in a flat wall follows the chord, `strength x length x 2 sqrt(2 r d - d^2)` at the
+//! depth d.
 //!
-//! **Indentation.** A contact at its strength goes in as far as the tool's step takes it. The overlap that its force does not explain is
-//! permanent: every surface on its side recedes to the depth of the deepest, so that the bone takes the sphere's shape. Work and bone
-//! agree, since the volume is the footprint times the depth. Receding is the same as in [`drilling`](super::drilling): a voxel holds a
-//! spent fraction, and is removed when all of it is spent. Crushed bone is thus gone and not compacted: neither the contact nor the X-ray
-//! sees the mass that real bone would have kept beside the indentation.
+//! **Indentation.** A contact at its strength penetrates as far as the tool's step takes it. The overlap that
+//! its force does not explain is permanent: every surface on its side recedes to the depth of the deepest, so
+//! that the bone takes the sphere's shape. Work and removed bone are consistent, because the volume is the
+//! footprint times the depth. Recession is the same as in [`drilling`](super::drilling): a voxel holds a
+//! spent fraction, and is removed when fully spent. Crushed bone is thus removed, not compacted: neither
+//! contact nor X-ray sees the mass that real bone would keep beside the indentation.
 //!
-//! A burr that turns does not crush: it cuts with whatever force it has. The published removal rules know no strength, and neither does
-//! the contact with balls ([`Voxels::yields`]).
+//! A turning burr does not crush: it cuts at any force. The baseline removal rules and ball contacts have no
+//! strength ([`Voxels::yields`]).
 
 use nalgebra::{Unit, Vector3};
 
@@ -29,39 +32,40 @@ use super::removal::Removal;
 use super::voxels::{Drilling, Voxels};
 use crate::contact_plane::ContactPlane;
 
-/// Thickness of the bone that carries a contact, m: the roughness of a surface that was crushed or cut. A sphere of 3 mm that touches a
-/// flat wall has a footprint of 0.5 mm2.
+/// Thickness of the bone that carries a contact, m: the roughness of a crushed or cut surface. A 3 mm sphere
+/// that touches a flat wall has a footprint of 0.5 mm2.
 pub const SHELL_M: f64 = 50.0e-6;
-/// Planes of a sphere: those of four places.
+/// Maximum planes of a sphere: those of four positions.
 pub const MOST_PLANES: usize = 4 * MAX_PLANES;
-/// Voxels about a sphere before the list of them grows.
+/// Initial capacity of the list of voxels around a sphere.
 pub(super) const FIRST_NEAR: usize = 4096;
-/// Bone belongs to a plane if it is seen within this angle of its normal (cosine; 60 degrees), as in the search for planes.
+/// Angle from a plane's normal within which bone belongs to the plane (cosine; 60 degrees), as in the search
+/// for planes.
 const SIDE_COSINE: f64 = 0.5;
 
-/// A contact that carries what the bone bears, after the tool's step.
+/// A contact loaded to the strength of the bone after the tool's step.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Indentation {
     /// Index of the sphere on the tool.
     pub sphere_index: usize,
     /// The sphere's centre, world, m.
     pub centre_m: Vector3<f64>,
-    /// m.
+    /// Radius of the sphere, m.
     pub radius_m: f64,
-    /// From the bone to the sphere, world, unit length.
+    /// Normal from the bone to the sphere, world, unit length.
     pub normal: Unit<Vector3<f64>>,
-    /// How far the surface must recede, m.
+    /// Depth by which the surface must recede, m.
     pub depth_m: f64,
 }
 
-/// What the indentations of a tick did.
+/// Result of the indentations of a tick.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct CrushReport {
-    /// Voxels whose surface receded.
+    /// Number of voxels whose surface receded.
     pub crushed_count: usize,
     /// Energy that the bone absorbed, J: strength times crushed volume.
     pub energy_j: f64,
-    /// Voxels that could not recede because there is no memory for them.
+    /// Number of voxels that could not recede because memory ran out.
     pub refused_count: usize,
 }
 
@@ -77,21 +81,22 @@ impl core::ops::AddAssign for CrushReport {
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Near {
     voxel: VoxelIndex,
-    /// From the centre to the voxel's surface, m.
+    /// Distance from the centre to the voxel's surface, m.
     surface_m: f64,
     /// The voxel's width toward the centre, m.
     width_m: f64,
-    /// From the voxel's centre to the sphere's, unit length.
+    /// Direction from the voxel's centre to the sphere's, unit length.
     direction: Vector3<f64>,
     spent: f64,
 }
 
-/// Vector lanes for which the list of normals is padded.
+/// Number of vector lanes to which the list of normals is padded.
 const LANES: usize = 8;
-/// Normals of a sphere's planes, padded.
+/// Maximum number of normals of a sphere's planes, padded.
 const MOST_NORMALS: usize = MOST_PLANES.next_multiple_of(LANES);
 
-/// Normals of planes in the grid's frame, stored as arrays for branch-free loops over the planes; padded with zeros.
+/// Normals of planes in the grid's frame, stored as arrays for branch-free loops over the planes; padded with
+/// zeros.
 struct Normals {
     along: [[f64; MOST_NORMALS]; 3],
     count: usize,
@@ -110,7 +115,8 @@ impl Normals {
         all
     }
 
-    /// The plane on whose side bone in this direction is, and the cosine between them; the first one in case of a tie.
+    /// Returns the plane on whose side the bone in this direction lies, and the cosine between them; the
+    /// first one in case of a tie.
     #[inline(always)]
     fn side(&self, direction: &Vector3<f64>) -> Option<(usize, f64)> {
         let count = self.count.next_multiple_of(LANES);
@@ -133,7 +139,7 @@ impl Normals {
     }
 }
 
-/// A sphere's contacts of which the strength is asked for.
+/// Input of a strength query: the contacts of a sphere.
 #[derive(Debug, Clone, Copy)]
 pub struct Pressing<'a> {
     /// The sphere's centre after the step, world, m.
@@ -142,11 +148,11 @@ pub struct Pressing<'a> {
     pub radius_m: f64,
     /// The sphere's planes, as found by [`Voxels::contact_planes`]; at most [`MOST_PLANES`].
     pub planes: &'a [ContactPlane],
-    /// How far the surface on the side of each will have receded, m.
+    /// Depth to which the surface on the side of each will have receded, m.
     pub depth_m: [f64; MOST_PLANES],
 }
 
-/// Finds the strengths, compiled for each instruction set; the same bits.
+/// Finds the strengths; compiled for each instruction set, with the same bits.
 pub(super) struct FindStrengths<'a> {
     pub voxels: &'a Voxels,
     pub hu: &'a [i16],
@@ -165,7 +171,8 @@ impl pulp::WithSimd for FindStrengths<'_> {
 }
 
 impl Voxels {
-    /// True if bone yields: it has a strength, and neither a published removal rule nor a published contact is asked for.
+    /// Returns true if bone yields: it has a finite strength, and no baseline removal rule or contact is
+    /// selected.
     pub fn yields(&self) -> bool {
         let parameters = self.parameters();
         parameters.material.strength_ref_pa.is_finite()
@@ -173,20 +180,20 @@ impl Voxels {
             && parameters.contact == ContactKind::Planes
     }
 
-    /// Force that every contact with bone bears at least, N: the weakest bone on the face of one voxel. A contact that carries less needs
-    /// no strength.
+    /// Returns the minimum force that any contact with bone supports, N: the weakest bone on the face of one
+    /// voxel. A contact that carries less needs no strength.
     pub fn least_strength_n(&self) -> f64 {
         let edge_m = self.geometry().smallest_spacing_m();
         self.material().least_strength_pa() * edge_m * edge_m
     }
 
-    /// Strength of each contact, N. `hu` is the field's CT.
+    /// Returns the strength of each contact, N. `hu` is the field's CT.
     #[inline(always)]
     fn strengths_n(&self, hu: &[i16], pressing: &Pressing, near: &mut Vec<Near>) -> [f64; MOST_PLANES] {
         let normals = Normals::of(pressing.planes.iter().map(|plane| &plane.normal), self);
         let centre = self.geometry().point_to_grid(&pressing.centre_m);
         let (reach_m, depth_m) = (pressing.radius_m + SHELL_M, &pressing.depth_m);
-        // Mostly all that is needed: the surfaces of planes that carry something lie within the sphere.
+        // Usually sufficient: the surfaces of loaded planes lie within the sphere.
         let listed_m = reach_m + depth_m.iter().fold(0.0, |most: f64, depth| most.max(*depth));
         self.list_near(&centre, listed_m, near);
         let nearest_m = nearest_surfaces(near, reach_m, &normals);
@@ -200,7 +207,7 @@ impl Voxels {
         let voxel_m3 = self.geometry().voxel_volume_m3();
         for near in near.iter().filter(|near| near.surface_m < farthest_m) {
             let Some((plane, cosine)) = normals.side(&near.direction) else { continue };
-            // What the shell holds of the voxel's remaining width.
+            // The part of the voxel's remaining width that is in the shell.
             let far_m = (near.surface_m + (1.0 - near.spent) * near.width_m).min(end_m[plane]);
             let deep_m = far_m - near.surface_m.max(end_m[plane] - SHELL_M);
             if deep_m > 0.0 {
@@ -213,7 +220,8 @@ impl Voxels {
         strength_n.map(|strength_n| strength_n.max(least_n))
     }
 
-    /// Lists every voxel of bone whose surface lies within `reach_m` of a centre in the grid's metric frame, in grid order.
+    /// Lists every voxel of bone whose surface lies within `reach_m` of a centre in the grid's metric frame,
+    /// in grid order.
     #[inline(always)]
     fn list_near(&self, centre: &Vector3<f64>, reach_m: f64, list: &mut Vec<Near>) {
         list.clear();
@@ -245,7 +253,8 @@ impl Voxels {
         }
     }
 
-    /// A voxel of bone seen from a centre; `None` if all of it is spent, or the centre is the voxel's.
+    /// Returns a voxel of bone as seen from a centre; `None` if it is fully spent, or if the centre is the
+    /// voxel's.
     #[inline(always)]
     fn near(&self, centre: &Vector3<f64>, voxel: [i64; 3]) -> Option<Near> {
         let geometry = self.geometry();
@@ -263,7 +272,8 @@ impl Voxels {
     }
 }
 
-/// Distance of the nearest surface on the side of each plane, m; infinite if there is none within `reach_m`.
+/// Returns the distance of the nearest surface on the side of each plane, m; infinite if there is none within
+/// `reach_m`.
 #[inline(always)]
 fn nearest_surfaces(near: &[Near], reach_m: f64, normals: &Normals) -> [f64; MOST_PLANES] {
     let mut nearest_m = [f64::INFINITY; MOST_PLANES];

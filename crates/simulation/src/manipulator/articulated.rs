@@ -1,8 +1,9 @@
 //! O(n) factorisation of the chain's implicit operator.
 //!
-//! `H = M(q) + diag` is factored by the articulated-body algorithm (Featherstone 2008, Rigid Body Dynamics Algorithms, ch. 7) in the
-//! bending plane. All spatial quantities are expressed at the base origin, so no transforms between links are needed. A planar motion is
-//! (omega_y, v_x, v_z) at the origin, a planar force (m_y, f_x, f_z).
+//! `H = M(q) + diag` is factored by the articulated-body algorithm (Featherstone 2008, Rigid Body Dynamics
+//! Algorithms, ch. 7) in the bending plane. All spatial quantities are expressed at the base origin, so no
+//! transforms between links are needed. A planar motion is (omega_y, v_x, v_z) at the origin, a planar force
+//! (m_y, f_x, f_z).
 
 use super::MAX_JOINTS;
 use super::coupling::Freedoms;
@@ -11,7 +12,7 @@ use super::geometry::{Configuration, Layout, Planar};
 /// Planar spatial motion (omega, v_x, v_z) or force (m, f_x, f_z) at the base origin.
 pub(super) type Spatial = [f64; 3];
 
-/// Symmetric 3 x 3: entries 00 01 02 11 12 22.
+/// Symmetric 3 x 3 matrix: entries 00 01 02 11 12 22.
 type Symmetric = [f64; 6];
 
 pub(super) fn dot(a: &Spatial, b: &Spatial) -> f64 {
@@ -26,7 +27,7 @@ fn times(m: &Symmetric, v: &Spatial) -> Spatial {
     ]
 }
 
-/// m += scale a a'.
+/// Adds scale a a' to m.
 fn add_outer(m: &mut Symmetric, scale: f64, a: &Spatial) {
     m[0] += scale * a[0] * a[0];
     m[1] += scale * a[0] * a[1];
@@ -36,17 +37,17 @@ fn add_outer(m: &mut Symmetric, scale: f64, a: &Spatial) {
     m[5] += scale * a[2] * a[2];
 }
 
-/// Spatial velocity at the base origin for a unit joint rate of a flexure at `p`.
+/// Returns the spatial velocity at the base origin for a unit joint rate of a flexure at `p`.
 pub(super) fn joint_axis(p: &Planar) -> Spatial {
     [1.0, -p[1], p[0]]
 }
 
-/// Planar spatial force at the base origin of a force at `p` plus a moment.
+/// Returns the planar spatial force at the base origin of a force at `p` plus a moment.
 pub(super) fn force_at(p: &Planar, moment: f64, force: &Planar) -> Spatial {
     [moment + p[1] * force[0] - p[0] * force[1], force[0], force[1]]
 }
 
-/// Velocity of the point `p` of a body with planar motion `v`.
+/// Returns the velocity of the point `p` of a body with planar motion `v`.
 pub(super) fn velocity_at(p: &Planar, v: &Spatial) -> Planar {
     [v[1] + v[0] * p[1], v[2] - v[0] * p[0]]
 }
@@ -61,7 +62,7 @@ pub(super) struct Generalised {
 impl Generalised {
     pub const ZERO: Self = Self { joint: [0.0; MAX_JOINTS], mount: [0.0; 3] };
 
-    /// The coordinates of a state, or their velocities: the mount's come first there.
+    /// Converts the coordinates of a state, or their velocities, in which the mount's come first.
     pub fn of(all: &[f64]) -> Self {
         let mut of = Self::ZERO;
         let (mount, joint) = all.split_at(of.mount.len());
@@ -70,7 +71,7 @@ impl Generalised {
         of
     }
 
-    /// self + scale other.
+    /// Returns self + scale other.
     pub fn plus(&self, scale: f64, other: &Self) -> Self {
         let mut sum = *self;
         sum.add_scaled(scale, other);
@@ -78,14 +79,14 @@ impl Generalised {
     }
 }
 
-/// The flexures alone.
+/// View of the flexures alone.
 impl AsRef<[f64]> for Generalised {
     fn as_ref(&self) -> &[f64] {
         &self.joint
     }
 }
 
-/// As vectors of tendons, which do not move the mount.
+/// Generalised vectors of tendons, which do not move the mount.
 impl Freedoms for Generalised {
     fn dot(&self, other: &Self) -> f64 {
         let mut sum = 0.0;
@@ -125,7 +126,7 @@ pub(super) struct Articulated {
     pub bias: [Spatial; MAX_JOINTS],
     /// 1 / (axis . bias + diagonal).
     pub inverse: [f64; MAX_JOINTS],
-    /// Inverse of the root's 2 x 2 (x, z): entries xx, xz, zz.
+    /// Inverse of the root's 2 x 2 matrix (x, z): entries xx, xz, zz.
     root: [f64; 3],
     /// Inverse of the out-of-plane operator.
     pub lateral: f64,
@@ -192,7 +193,7 @@ impl Articulated {
         out
     }
 
-    /// Motions of all links for generalised velocities `x`.
+    /// Computes the motions of all links for generalised velocities `x`.
     pub fn link_motions(&self, x: &Generalised, out: &mut [Spatial; MAX_JOINTS + 1]) {
         let mut v: Spatial = [0.0, x.mount[0], x.mount[2]];
         out[0] = v;

@@ -1,4 +1,4 @@
-//! What the rungs have in common: parameters, state, and what follows from both.
+//! Data shared by all rungs: parameters, state, and derived quantities.
 
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 
@@ -13,21 +13,21 @@ use super::state::{BaseMotion, ManipulatorState, ProxySphere, StepInput, StepRep
 use super::tendon::{Channels, TendonMemory};
 use super::validation::{validate, validate_base};
 
-/// A Rosenbrock step requires every contact candidate to stay farther away than this at the current velocity, m.
+/// Minimum distance, m, to every contact candidate at the current velocity for a Rosenbrock step.
 const CLEARANCE_M: f64 = 50.0e-6;
 
 /// Sizes of a tool's state.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Room {
-    /// Coordinates, those of the mount included.
+    /// Number of coordinates, including those of the mount.
     pub freedoms: usize,
-    /// Joint stops whose torque a step remembers.
+    /// Number of joint stops whose torque is stored between steps.
     pub stops: usize,
     /// Maximum contacts per step.
     pub contacts: usize,
 }
 
-/// Parameters, state and what follows from them, the same for every rung.
+/// Parameters, state and derived quantities, the same for every rung.
 #[derive(Debug, Clone)]
 pub struct Common {
     pub(super) parameters: ManipulatorParameters,
@@ -35,20 +35,20 @@ pub struct Common {
     /// Damping of the mount along base x, y and z, N s/m.
     pub(super) mount_damping: [f64; 3],
     pub(super) first_frequency_rad_per_s: f64,
-    /// Whether the burr turns; if not, it rubs like the tube.
+    /// Whether the burr turns; a stationary burr has the tube's friction.
     pub(super) burr_turns: bool,
     /// SIMD support of this CPU.
     pub(super) arch: pulp::Arch,
     room: Room,
     pub(super) state: ManipulatorState,
-    /// Derived from `state`.
+    /// Proxy spheres, derived from `state`.
     pub(super) spheres: Vec<ProxySphere>,
     /// Bending angles (rad) and rates (rad/s) of the flexures, base to tip, derived from `state`.
     pub(super) bend: [Vec<f64>; 2],
 }
 
 impl Common {
-    /// Checks what every rung is made from.
+    /// Checks the inputs that every rung is built from.
     ///
     /// # Errors
     /// A parameter or the base motion is out of range; the error names it.
@@ -60,7 +60,7 @@ impl Common {
         validate_base(base)
     }
 
-    /// A tool with all coordinates at 0, at rest on `base`, with slack tendons.
+    /// Creates a tool with all coordinates at 0, at rest on `base`, with slack tendons.
     pub(super) fn new(
         rung: Rung,
         parameters: ManipulatorParameters,
@@ -104,14 +104,14 @@ impl Common {
         }
     }
 
-    /// A copy of the state, with room for the contacts of any step.
+    /// Returns a copy of the state, with room for the contacts of any step.
     pub(super) fn snapshot(&self) -> ManipulatorState {
         let mut state = self.state.clone();
         state.results.reserve_exact(self.room.contacts - state.results.len());
         state
     }
 
-    /// True if a deserialised state belongs to this rung and size.
+    /// Returns true if a deserialised state belongs to this rung and size.
     pub(super) fn fits(&self, state: &ManipulatorState) -> bool {
         let Room { freedoms, stops, contacts } = self.room;
         let sizes = [state.position.len(), state.velocity.len(), state.stop_torque_nm.len()];
@@ -120,25 +120,26 @@ impl Common {
             && state.results.len() <= contacts
     }
 
-    /// Damping of the flexures over their stiffness, s.
+    /// Returns the damping of the flexures over their stiffness, s.
     pub(super) fn damping_s(&self) -> f64 {
         2.0 * self.parameters.damping_ratio / self.first_frequency_rad_per_s
     }
 
-    /// Straightens the tool and stops it. The rung then follows the state and calls [`Self::set_take_up`].
+    /// Straightens the tool and stops it. The rung must then follow the state and call [`Self::set_take_up`].
     pub(super) fn straighten(&mut self) {
         self.state.position.fill(0.0);
         self.state.velocity.fill(0.0);
     }
 
-    /// Notes the take-up of each tendon as if none had slid on the way.
+    /// Sets the take-up of each tendon without changing its sliding state.
     pub(super) fn set_take_up(&mut self, channels: &Channels, take_up_m: impl Fn(usize) -> f64) {
         for t in 0..channels.count {
             self.state.tendon[t].take_up_m = take_up_m(t);
         }
     }
 
-    /// Checks the input of a step. Returns the mean base velocity over it, and the base acceleration from the stated velocities.
+    /// Checks the input of a step. Returns the mean base velocity over the step, and the base acceleration
+    /// from the stated velocities.
     ///
     /// # Errors
     /// The input is not finite or out of range.
@@ -149,7 +150,7 @@ impl Common {
         let to_base = |v: Vector3<f64>| rotation.inverse_transform_vector(&v);
         let moved = (new.t_world_base.translation.vector - old.t_world_base.translation.vector) / dt;
         let turned = (new.t_world_base.rotation * rotation.inverse()).scaled_axis() / dt;
-        let allowed = "a pose that the base reaches within the step at no more than 100 m/s and 1000 rad/s";
+        let allowed = "a pose within one step of the last at no more than 100 m/s and 1000 rad/s";
         check("base.t_world_base speed", libm::sqrt(moved.norm_squared()), allowed, |v| v <= 100.0)?;
         check("base.t_world_base turn", libm::sqrt(turned.norm_squared()), allowed, |v| v <= 1000.0)?;
         let acceleration = (new.linear_velocity_m_per_s - old.linear_velocity_m_per_s) / dt;
@@ -167,8 +168,8 @@ impl Common {
         Ok((drive, frame))
     }
 
-    /// True if no sphere reaches its plane within the step at its current velocity. An unusable contact counts as near, so that the Euler
-    /// step refuses and counts it.
+    /// Returns true if no sphere reaches its plane within the step at its current velocity. An unusable
+    /// contact counts as near, so that the Euler step rejects and counts it.
     pub(super) fn contacts_far(&self, dt: f64, input: &StepInput) -> bool {
         input.contacts.iter().all(|c| {
             let far = |s: &ProxySphere| c.gap_m + dt * s.velocity_m_per_s.dot(&c.normal) > CLEARANCE_M;
@@ -176,7 +177,7 @@ impl Common {
         })
     }
 
-    /// True if every sphere still clears its plane where `place` puts it, base axes.
+    /// Returns true if every sphere clears its plane at its position from `place`, base axes.
     pub(super) fn contacts_clear(
         &self,
         input: &StepInput,
@@ -189,7 +190,7 @@ impl Common {
         })
     }
 
-    /// What the contacts of a step have in common.
+    /// Returns the quantities shared by all contacts of a step.
     pub(super) fn contact_step<'s>(
         &'s self,
         dt: f64,
@@ -208,7 +209,8 @@ impl Common {
         }
     }
 
-    /// Stores the contact impulses for the next step, and adds their moments about the base origin to `moment`.
+    /// Stores the contact impulses for the next step, and adds their moments about the base origin to
+    /// `moment`.
     pub(super) fn store_contacts<const N: usize, O: Operator<N>>(
         &mut self,
         solver: &ContactSolver<N, O>,
@@ -231,8 +233,8 @@ impl Common {
         }
     }
 
-    /// Sets the flange reaction, whose force the mount bears, and the base of the new state. `moment`: of all loads about the base origin,
-    /// less what changed the momentum.
+    /// Sets the flange reaction, whose force is that of the mount, and the base of the new state. `moment` is
+    /// that of all loads about the base origin, minus the change of angular momentum per time.
     pub(super) fn react(&mut self, input: &StepInput, moment: &Vector3<f64>, report: &mut StepReport) {
         let ManipulatorState { position, velocity, .. } = &self.state;
         let mount = |k: usize| {
@@ -259,7 +261,7 @@ impl Common {
         self.state.report = *report;
     }
 
-    /// Copies the bending angles and rates of the flexures from the coordinates that `index` names.
+    /// Copies the bending angles and rates of the flexures from the coordinates given by `index`.
     pub(super) fn copy_bend(&mut self, index: impl Fn(usize) -> usize) {
         for joint in 0..self.bend[0].len() {
             self.bend[0][joint] = self.state.position[index(joint)];
@@ -267,7 +269,7 @@ impl Common {
         }
     }
 
-    /// Pose of a point in the bending plane of the tool, turned by `angle` rad.
+    /// Returns the pose of a point in the bending plane of the tool, turned by `angle` rad.
     pub(super) fn t_world_in_plane(&self, [x, z]: Planar, angle: f64) -> Isometry3<f64> {
         let translation = Translation3::new(x, self.state.position[1], z);
         let rotation = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), angle);

@@ -1,11 +1,13 @@
 //! Contacts and joint stops, for every rung.
 //!
-//! A normal row requires `v_n + P / (k_c dt^2) >= -gap / dt`: the sphere may close its gap within the step (speculative contact), and at
-//! rest the overlap equals force / k_c. Any overlap beyond what the last contact force explains is pushed out at a bounded speed. An
-//! obstacle that yields carries no more than its strength: the sphere then goes in deeper, and the obstacle gives way after the step. One
-//! that is cut recedes within the step by what the force cuts ([`crate::contact_plane::Give`]): the sphere goes in so much deeper at the
-//! same force. Coulomb friction holds per contact: the impulse either stops the sliding or lies on the circle mu P_n and opposes the
-//! remaining sliding. The rows are solved together by Newton's method (`newton`) on the chain's own recursion (`chain`).
+//! A normal row requires `v_n + P / (k_c dt^2) >= -gap / dt`: the sphere may close its gap within the step
+//! (speculative contact), and at rest the overlap equals force / k_c. Any overlap beyond what the last
+//! contact force explains is pushed out at a bounded speed. A yielding obstacle carries no more than its
+//! strength: the sphere then penetrates deeper, and the obstacle recedes after the step. An obstacle being
+//! cut recedes within the step by the depth that the force cuts ([`crate::contact_plane::Give`]): the sphere
+//! penetrates deeper by that amount at the same force. Coulomb friction holds per contact: the impulse either
+//! stops the sliding or lies on the circle mu P_n and opposes the remaining sliding. The rows are solved
+//! together by Newton's method (`newton`) on the chain's own recursion (`chain`).
 
 mod chain;
 mod dense;
@@ -29,10 +31,12 @@ use patch::Patch;
 pub(super) use chain::{Chain, Operator, Square};
 pub(super) use dense::{Dense, Factor, lanes, lanes_mut};
 
-/// A contact inherits the last tick's impulses if it is on the same sphere and the cosine between the two normals exceeds this.
+/// Cosine between two normals above which a contact inherits the last tick's impulses of a contact on the
+/// same sphere.
 const SAME_NORMAL_COSINE: f64 = 0.9;
 
-/// Most overlap beyond what the contact force explains that a step pushes out, m. A longer step must not throw the tool farther.
+/// Maximum overlap, beyond what the contact force explains, that is pushed out per step, m. A longer step
+/// must not throw the tool farther.
 const PUSH_OUT_M: f64 = 50.0e-6;
 
 /// Motion of the base frame in this step, base axes.
@@ -55,23 +59,23 @@ pub(super) struct ContactStep<'a> {
     pub planes: &'a [ContactPlane],
     pub parameters: &'a ContactParameters,
     pub spheres: &'a [SphereLayout],
-    /// Of the last step, ordered by sphere.
+    /// Results of the last step, ordered by sphere.
     pub results: &'a [ContactResult],
-    /// Whether the burr turns; if not, it rubs like the tube.
+    /// Whether the burr turns; a stationary burr has the tube's friction.
     pub burr_turns: bool,
     /// SIMD support of this CPU.
     pub arch: pulp::Arch,
 }
 
 impl ContactStep<'_> {
-    /// 1 / (k_c dt^2).
+    /// Returns 1 / (k_c dt^2).
     pub fn compliance(&self) -> f64 {
         1.0 / (self.parameters.stiffness_n_per_m * self.dt * self.dt)
     }
 }
 
 impl ContactParameters {
-    /// Coulomb coefficient of a sphere.
+    /// Returns the Coulomb coefficient of a sphere.
     pub(super) fn friction_of(&self, kind: SphereKind, burr_turns: bool) -> f64 {
         if kind == SphereKind::Burr && burr_turns {
             self.burr_friction_coefficient
@@ -81,18 +85,18 @@ impl ContactParameters {
     }
 }
 
-/// What a contact is on the tool, in the step's input order within a sphere.
+/// A contact on the tool, in the step's input order within a sphere.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Contact {
     index: usize,
     sphere: usize,
-    /// Base axes.
+    /// Contact point, base axes.
     pub point: Vector3<f64>,
     /// Normal and tangents, base axes.
     direction: [Vector3<f64>; 3],
 }
 
-/// Where a contact presses: the link, the contact point and the unit forces on the link along the directions.
+/// Position of a contact on the tool: link, contact point, and unit forces on the link along the directions.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Place<const N: usize> {
     pub link: usize,
@@ -100,7 +104,7 @@ pub(super) struct Place<const N: usize> {
     pub force: [[f64; N]; 3],
 }
 
-/// Contacts, stops and the chain, or another operator, that they press on.
+/// Contacts and stops, and the chain or other operator that they act on.
 #[derive(Debug, Clone)]
 pub(super) struct ContactSolver<const N: usize, O = Chain<N>> {
     pub chain: O,
@@ -115,7 +119,7 @@ pub(super) struct ContactSolver<const N: usize, O = Chain<N>> {
 }
 
 impl<const N: usize> ContactSolver<N> {
-    /// `first`: see [`Chain::new`]. `contacts` is the most that a step takes.
+    /// Creates a solver on a chain; for `first`, see [`Chain::new`]. `contacts` is the maximum per step.
     pub fn new(first: Vec<usize>, contacts: usize) -> Self {
         let (links, freedoms) = (first.len() - 1, first[first.len() - 1]);
         Self::on(Chain::new(first), (links, freedoms), contacts)
@@ -123,7 +127,8 @@ impl<const N: usize> ContactSolver<N> {
 }
 
 impl<const N: usize, O: Operator<N>> ContactSolver<N, O> {
-    /// On an operator of so many links and freedoms. `contacts` is the most that a step takes.
+    /// Creates a solver on an operator with this number of links and freedoms. `contacts` is the maximum per
+    /// step.
     pub fn on(chain: O, (links, freedoms): (usize, usize), contacts: usize) -> Self {
         Self {
             chain,
@@ -137,7 +142,7 @@ impl<const N: usize, O: Operator<N>> ContactSolver<N, O> {
         }
     }
 
-    /// Forgets all contacts and stops.
+    /// Removes all contacts and stops.
     pub fn clear(&mut self) {
         self.contact.clear();
         self.row.clear();
@@ -146,9 +151,9 @@ impl<const N: usize, O: Operator<N>> ContactSolver<N, O> {
         self.patch = Patch::default();
     }
 
-    /// Takes the usable contacts, ordered by sphere, then by input order, warm-started with the last tick's impulses. Spheres are ordered
-    /// by link. Only those enter for which `enters` says so, by index; `place` gives the contact of the sphere with this index for its
-    /// normal and tangents.
+    /// Collects the usable contacts, ordered by sphere, then by input order, warm-started with the last
+    /// tick's impulses. Spheres are ordered by link. Only contacts whose index satisfies `enters` are
+    /// included; `place` returns the contact of a sphere, by index, for its normal and tangents.
     pub fn collect(
         &mut self,
         step: &ContactStep,
@@ -194,8 +199,8 @@ impl<const N: usize, O: Operator<N>> ContactSolver<N, O> {
         report.contact_count = self.contact.len();
     }
 
-    /// Adds the stop of a freedom at `position` rad if the free motion, at `rate` rad/s, would bring it near its stop. `last_nm` is the
-    /// stop's last torque. Call in ascending order of freedoms.
+    /// Adds the stop of a freedom at `position` rad if the free motion, at `rate` rad/s, would bring it near
+    /// its stop. `last_nm` is the stop's last torque. Must be called in ascending order of freedoms.
     pub fn collect_stop(
         &mut self,
         (dt, law): (f64, &StopLaw),
@@ -208,12 +213,12 @@ impl<const N: usize, O: Operator<N>> ContactSolver<N, O> {
         }
     }
 
-    /// Whether there is anything to solve.
+    /// Returns whether there is anything to solve.
     pub fn is_empty(&self) -> bool {
         self.row.is_empty() && self.stop.is_empty()
     }
 
-    /// Solves for the impulses. `free`: velocities of the freedoms without contact.
+    /// Solves for the impulses. `free` holds the velocities of the freedoms without contact.
     pub fn solve(&mut self, free: &[f64], step: &ContactStep, report: &mut StepReport) {
         let chain = &mut self.chain;
         chain.motions_of(free, &mut self.free_motion);
@@ -237,7 +242,7 @@ impl<const N: usize, O: Operator<N>> ContactSolver<N, O> {
         }
     }
 
-    /// Result of the `k`-th contact.
+    /// Returns the result of the `k`-th contact.
     pub fn result(&self, k: usize, dt: f64, rotation: &UnitQuaternion<f64>) -> ContactResult {
         let (contact, impulse) = (&self.contact[k], &self.row[k].impulse);
         let [normal, t0, t1] = contact.direction;
@@ -250,7 +255,8 @@ impl<const N: usize, O: Operator<N>> ContactSolver<N, O> {
         }
     }
 
-    /// Calls `each` with the freedom and the torque of every stop in the solution, for the next warm start; returns how many carry torque.
+    /// Calls `each` with the freedom and the torque of every stop in the solution, for the next warm start;
+    /// returns how many carry torque.
     pub fn stop_torques(&self, dt: f64, mut each: impl FnMut(usize, f64)) -> usize {
         for StopRow { freedom, stop, .. } in &self.stop {
             each(*freedom, stop.sign * stop.impulse / dt);
@@ -261,13 +267,14 @@ impl<const N: usize, O: Operator<N>> ContactSolver<N, O> {
 
 /// The last tick's contacts, and which of them a contact of this tick has already inherited.
 pub(super) struct LastContacts<'s> {
-    /// Ordered by sphere.
+    /// Results, ordered by sphere.
     pub results: &'s [ContactResult],
     pub used: &'s mut [bool],
 }
 
 impl LastContacts<'_> {
-    /// Target velocity and warm-start impulse of a contact (normal, and along the tangents, base axes).
+    /// Returns the target velocity and warm-start impulse of a contact (normal, and along the tangents, base
+    /// axes).
     pub fn start(
         &mut self,
         step: &ContactStep,
@@ -286,7 +293,7 @@ impl LastContacts<'_> {
         (target(plane.gap_m, explained, fastest, step.dt), impulse)
     }
 
-    /// The last tick's result that this contact inherits. Each result is used once.
+    /// Returns the last tick's result that this contact inherits. Each result is used once.
     fn continued_by(&mut self, plane: &ContactPlane) -> Option<&ContactResult> {
         let sphere = plane.sphere_index;
         let start = self.results.partition_point(|r| r.sphere_index < sphere);

@@ -1,9 +1,10 @@
-//! The part of the implicit operator that couples all joints: elastic tendons under displacement control, and tendon friction.
+//! Part of the implicit operator that couples all joints: elastic tendons under displacement control, and
+//! tendon friction.
 //!
-//! Per tendon it is the rank-one matrix `a g'` with `g = dl/dq` and `a = -d torque / dl`. With friction, `a` is not parallel to `g`.
-//! Contact needs a symmetric operator, so `a` is replaced by `alpha g` with `alpha = (g' H^-1 a) / (g' H^-1 g)`. The take-up l, the only
-//! stiff direction, then responds as under the exact operator, and statics are unaffected. The inverse follows from the Woodbury
-//! identity.
+//! For each tendon it is the rank-one matrix `a g'` with `g = dl/dq` and `a = -d torque / dl`. With friction,
+//! `a` is not parallel to `g`. Contact needs a symmetric operator, so `a` is replaced by `alpha g` with
+//! `alpha = (g' H^-1 a) / (g' H^-1 g)`. The take-up l, the only stiff direction, then responds as under the
+//! exact operator, and statics are unaffected. The inverse follows from the Woodbury identity.
 
 use super::MAX_TENDONS;
 use super::contact::Chain;
@@ -11,7 +12,7 @@ use super::contact::Chain;
 /// Velocities or impulses of all freedoms.
 pub(super) trait Freedoms: Clone {
     fn dot(&self, other: &Self) -> f64;
-    /// self += scale other.
+    /// Adds scale other to self.
     fn add_scaled(&mut self, scale: f64, other: &Self);
     fn clear(&mut self);
     /// Copies the entries into a list with the mount's first.
@@ -38,12 +39,12 @@ impl Freedoms for Vec<f64> {
     }
 }
 
-/// What the tendons of a chain contribute to its operator.
+/// Contributions of a chain's tendons to its operator.
 pub(super) struct TendonTerms<'t, V> {
     pub count: usize,
     /// True for each tendon whose gradient is not zero.
     pub coupled: &'t [bool; MAX_TENDONS],
-    /// d take-up / dq and -d force / d take-up.
+    /// Slopes d take-up / dq and gradients -d force / d take-up.
     pub slope: &'t [V; MAX_TENDONS],
     pub gradient: &'t [V; MAX_TENDONS],
 }
@@ -53,14 +54,14 @@ pub(super) struct TendonTerms<'t, V> {
 pub(super) struct Coupling<V> {
     /// True if any tendon couples the joints.
     active: bool,
-    /// alpha of each tendon, N/m.
+    /// Symmetrised stiffness alpha of each tendon, N/m.
     alpha: [f64; MAX_TENDONS],
     /// Number of tendons.
     count: usize,
     slope: [V; MAX_TENDONS],
-    /// c_t.
+    /// Weights c_t.
     weight: [f64; MAX_TENDONS],
-    /// H^-1 g_t.
+    /// Responses H^-1 g_t.
     response: [V; MAX_TENDONS],
     scratch: V,
     kernel: Kernel,
@@ -76,7 +77,8 @@ pub(super) struct Kernel {
 impl Kernel {
     pub const NONE: Self = Self { entry: [[0.0; MAX_TENDONS]; MAX_TENDONS], count: 0 };
 
-    /// From the weights c and the products s = G' H^-1 G: the first two tendons in closed form, each further one by bordering.
+    /// Creates the kernel from the weights c and the products s = G' H^-1 G: the first two tendons in closed
+    /// form, each further one by bordering.
     pub fn new(count: usize, c: &[f64; MAX_TENDONS], s: &[[f64; MAX_TENDONS]; MAX_TENDONS]) -> Self {
         let mut k = [[0.0; MAX_TENDONS]; MAX_TENDONS];
         let determinant = (1.0 + c[0] * s[0][0]) * (1.0 + c[1] * s[1][1]) - c[0] * c[1] * s[0][1] * s[0][1];
@@ -121,7 +123,7 @@ impl Kernel {
 }
 
 impl<V: Freedoms> Coupling<V> {
-    /// `zero`: all freedoms at 0.
+    /// Creates an inactive coupling; `zero` has all freedoms at 0.
     pub fn new(zero: V) -> Self {
         let blank = || core::array::from_fn(|_| zero.clone());
         Self {
@@ -136,8 +138,8 @@ impl<V: Freedoms> Coupling<V> {
         }
     }
 
-    /// Sets up the coupling for a factored H, whose inverse `solve` writes into its second argument. `scale` weighs the
-    /// rank-one stiffness (dt^2 for the method in use).
+    /// Sets up the coupling for a factored H, whose inverse `solve` writes into its second argument. `scale`
+    /// multiplies the rank-one stiffness (dt^2 for the present method).
     pub fn update(&mut self, terms: &TendonTerms<V>, scale: f64, mut solve: impl FnMut(&V, &mut V)) {
         self.count = terms.count;
         self.active = terms.coupled[..self.count].contains(&true);
@@ -184,7 +186,7 @@ impl<V: Freedoms> Coupling<V> {
         }
     }
 
-    /// A^-1 b from H^-1 b.
+    /// Converts H^-1 b to A^-1 b.
     pub fn correct(&self, x: &mut V) {
         if !self.active {
             return;

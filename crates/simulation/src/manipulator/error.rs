@@ -1,6 +1,6 @@
 //! Errors of construction and stepping.
 
-/// Why a manipulator refused its input. A refused step changes nothing.
+/// Why a manipulator rejected its input. A rejected step changes nothing.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum ManipulatorError {
     /// A scalar is out of range.
@@ -27,8 +27,8 @@ pub enum ManipulatorError {
         /// The accepted range, in words.
         allowed: &'static str,
     },
-    /// A per-joint list does not match the joint list in length, or there are too few or too many joints.
-    #[error("manipulator `{field}` has {given} entries, expected {expected}; give one entry per flexure")]
+    /// The length of a per-joint list does not match the joint list, or there are too few or too many joints.
+    #[error("manipulator `{field}` has {given} entries, expected {expected}")]
     Length {
         /// Name of the list.
         field: &'static str,
@@ -39,7 +39,7 @@ pub enum ManipulatorError {
     },
 }
 
-/// `Ok` if `value` is finite and `accept` holds for it.
+/// Checks that `value` is finite and that `accept` holds for it.
 pub(super) fn check(
     field: &'static str,
     value: f64,
@@ -53,7 +53,7 @@ pub(super) fn check(
     }
 }
 
-/// `Ok` if every entry of `values` is finite and `accept` holds for it.
+/// Checks that every entry of `values` is finite and that `accept` holds for it.
 pub(super) fn check_all(
     field: &'static str,
     values: &[f64],

@@ -1,24 +1,26 @@
 //! Stiffness of a flexure in its six freedoms, from the shape of the tube.
 //!
-//! The bending stiffness is a parameter ([`super::ManipulatorParameters::joint_stiffness_nm_per_rad`]), because it is what finite elements
-//! and experiments are published for. The other five follow from it: each is the bending stiffness times a ratio that depends on the shape
-//! alone, so no modulus of elasticity enters.
+//! The bending stiffness is a parameter ([`super::ManipulatorParameters::joint_stiffness_nm_per_rad`]),
+//! because published finite-element and experimental results give it. The other five follow from it: each is
+//! the bending stiffness times a ratio that depends only on the shape, so no elastic modulus is needed.
 
 use core::f64::consts::PI;
 
 /// Shear coefficient of a rectangular section (Timoshenko's 5/6).
 const RECTANGLE_SHEAR: f64 = 5.0 / 6.0;
-/// Turn of the end of a beam of height h and unit thickness that grows out of an elastic half plane, under a moment M: 16.67 M / (pi E h^2)
-/// (O'Donnell 1960, J. Appl. Mech. 27, 461).
+/// Rotation of the end of a beam of height h and unit thickness clamped in an elastic half plane, under a
+/// moment M: 16.67 M / (pi E h^2) (O'Donnell 1960, J. Appl. Mech. 27, 461).
 const ROOT_TURN: f64 = 16.67 / PI;
-/// The height that counts at the root, beyond the web's least height, as a share of the radius of the notch's round end. Fitted to finite
-/// elements (docs/accuracy-physics.md).
+/// Effective height of the root beyond the web's minimum height, as a fraction of the radius of the notch's
+/// round end. Fitted to finite elements (docs/accuracy-physics.md).
 const ROOT_SHARE: f64 = 0.125;
-/// How far the two roots of a web yield to its shear force V, in V / (E t). Fitted to the same finite elements.
+/// Compliance of the two roots of a web to its shear force V, in V / (E t). Fitted to the same finite
+/// elements.
 const ROOT_YIELD: f64 = 2.6;
-/// How far the two roots of a web yield to its pull N along x, in N / (E t). Fitted to the same finite elements.
+/// Compliance of the two roots of a web to its axial force N along x, in N / (E t). Fitted to the same finite
+/// elements.
 const ROOT_STRETCH: f64 = 0.8;
-/// Points of Simpson's rule along half a web.
+/// Number of interval pairs of Simpson's rule along half a web.
 const PAIRS: usize = 100;
 
 /// Stiffness of a flexure in each freedom, divided by its bending stiffness.
@@ -37,8 +39,9 @@ pub struct StiffnessRatios {
 }
 
 impl StiffnessRatios {
-    /// Of a round tube without notches: `lateral` 1, `torsion` 1 / (1 + nu), axial A/I = 4 / (r_o^2 + r_i^2), and shear with Cowper's
-    /// coefficient of a thin tube, `kappa G/E = 1 / (4 + 3 nu)` (Cowper 1966, J. Appl. Mech. 33).
+    /// Returns the ratios of a round tube without notches: `lateral` 1, `torsion` 1 / (1 + nu), axial A/I = 4
+    /// / (r_o^2 + r_i^2), and shear with Cowper's coefficient of a thin tube, `kappa G/E = 1 / (4 + 3 nu)`
+    /// (Cowper 1966, J. Appl. Mech. 33).
     pub fn tube([outer_m, inner_m]: [f64; 2], poisson_ratio: f64) -> Self {
         let axial = 4.0 / (outer_m * outer_m + inner_m * inner_m);
         let shear = axial / (4.0 + 3.0 * poisson_ratio);
@@ -51,8 +54,8 @@ impl StiffnessRatios {
         }
     }
 
-    /// The ratios of flexures in series, each given with its bending compliance and its share, 0 to 1: compliances add up, freedom by
-    /// freedom.
+    /// Returns the ratios of flexures in series, each given by its bending compliance and ratios: compliances
+    /// add up for each freedom.
     pub(super) fn in_series(parts: &[(f64, Self)]) -> Self {
         let bending: f64 = parts.iter().map(|(compliance, _)| compliance).sum();
         let ratio = |of: fn(&Self) -> f64| {
@@ -67,7 +70,7 @@ impl StiffnessRatios {
         }
     }
 
-    /// Every ratio, by the name that an error gives it.
+    /// Returns every ratio with its name in errors.
     pub(super) fn named(&self) -> [(&'static str, f64); 5] {
         [
             ("ratios.lateral", self.lateral),
@@ -79,36 +82,43 @@ impl StiffnessRatios {
     }
 }
 
-/// A tube that is cut by slots with round ends, alternately from either side of the bending plane. Two neighbouring slots leave two webs
-/// between them, at +y and -y, along x: a flexure. A slot leaves half a ring on its far side: a link.
+/// Notches of a tube: slots with round ends, cut alternately from both sides of the bending plane. Two
+/// neighbouring slots leave two webs between them, at +y and -y, along x: a flexure. A slot leaves half a
+/// ring on its far side: a link.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Notch {
-    /// Width of a slot along the tube, m; its end is half a circle.
+    /// Width of a slot along the tube, m; its end is a semicircle.
     pub width_m: f64,
-    /// How far a slot reaches past the tube's axis, m; at least half its width, so that the webs have a straight part.
+    /// Depth of a slot beyond the tube axis, m; at least half its width, so that the webs have a straight
+    /// part.
     pub past_axis_m: f64,
 }
 
 impl Notch {
-    /// The slots of the BIGSS/JHU manipulator, measured in the meshes that the published simulator shows and collides
-    /// (`ADF/meshes/bigss_cm_burr`, `high_res/seg11.OBJ`, `low_res/seg10.OBJ`, htp2/continuum-manip-volumetric-drilling-plugin, exported from
-    /// the CAD): 0.73 mm wide, to 0.495 mm past the axis, one slot per flexure.
+    /// The slots of the BIGSS/JHU manipulator, measured in the visual and collision meshes of the published
+    /// simulator (`ADF/meshes/bigss_cm_burr`, `high_res/seg11.OBJ`, `low_res/seg10.OBJ`,
+    /// htp2/continuum-manip-volumetric-drilling-plugin, exported from the CAD): 0.73 mm wide, to 0.495 mm
+    /// past the axis, one slot per flexure.
     pub const JHU: Self = Self { width_m: 0.73e-3, past_axis_m: 0.495e-3 };
 
-    /// Stiffness of a flexure for a modulus of elasticity of 1 Pa, N/m and N m/rad; `pitch_m` is the distance of the flexures.
+    /// Returns the stiffness of a flexure for an elastic modulus of 1 Pa, N/m and N m/rad; `pitch_m` is the
+    /// spacing of the flexures.
     ///
-    /// A web is a Timoshenko beam along x: thickness t, the tube's wall; height h(x) = pitch - width, more where the slots' ends are round;
-    /// from -e to e, e being `past_axis_m`. Each end turns in the half ring that it grows out of by O'Donnell's
-    /// `16.67 M / (pi E t h_r^2) + (1 - nu) V / (E t h)`, h_r = h + width/16. With R the mean radius and two webs side by side:
+    /// A web is a Timoshenko beam along x: thickness t, the tube's wall; height h(x) = pitch - width, more at
+    /// the round ends of the slots; from -e to e, with e = `past_axis_m`. Each end rotates in its half ring
+    /// by O'Donnell's `16.67 M / (pi E t h_r^2) + (1 - nu) V / (E t h)`, h_r = h + width/16. With R the mean
+    /// radius and two webs side by side:
     ///
     /// - bending: 1/k = 1/2 [int 12 / (E t h^3) dx + 2 * 16.67 / (pi E t h_r^2)];
-    /// - axial: 1/k = 1/2 [int (12 x^2 / (E t h^3) + 6 / (5 G t h)) dx + 2 (16.67 e^2 / (pi E t h_r^2) + 2 (1 - nu) e / (E t h)) + 2.6 / (E t)];
+    /// - axial: 1/k = 1/2 [int (12 x^2 / (E t h^3) + 6 / (5 G t h)) dx + 2 (16.67 e^2 / (pi E t h_r^2) + 2
+    ///   (1 - nu) e / (E t h)) + 2.6 / (E t)];
     /// - lateral: the two webs sheared in opposite directions, `k_axial (R^2 + t^2/12)`;
     /// - shear toward: the webs stretched, 1/k = 1/2 [int dx / (E t h) + 0.8 / (E t)];
-    /// - shear across and torsion: the webs bent about z, and the half ring between two flexures, on which their forces act a pitch apart.
-    ///   It is an arc of height H = 2 pitch - width that begins H/2 behind the slot's end (Saint-Venant), from the angle
-    ///   asin((e + H/2) / R) on either side, and is twisted by a moment F pitch / 2: along its own axis under shear (as in a helical spring),
-    ///   along y under torsion. Its bending is left out: it is stiff beside the twist.
+    /// - shear across and torsion: the webs bent about z, and the half ring between two flexures, on which
+    ///   their forces act a pitch apart. It is an arc of height H = 2 pitch - width that begins H/2 behind
+    ///   the slot's end (Saint-Venant), from the angle asin((e + H/2) / R) on each side, and is twisted by a
+    ///   moment F pitch / 2: along its own axis under shear (as in a helical spring), along y under torsion.
+    ///   Its bending is neglected, because it is stiff compared with the twist.
     pub fn unit_stiffness(
         &self,
         pitch_m: f64,
@@ -133,25 +143,25 @@ impl Notch {
     }
 }
 
-/// Stiffness of a flexure for a modulus of elasticity of 1 Pa.
+/// Stiffness of a flexure for an elastic modulus of 1 Pa.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct UnitStiffness {
-    /// About y.
+    /// Bending about y.
     pub bending_nm_per_rad: f64,
-    /// About x.
+    /// Lateral bending about x.
     pub lateral_nm_per_rad: f64,
-    /// About z.
+    /// Torsion about z.
     pub torsion_nm_per_rad: f64,
-    /// Along z.
+    /// Stretch along z.
     pub axial_n_per_m: f64,
-    /// Along x.
+    /// Shear along x.
     pub shear_toward_n_per_m: f64,
-    /// Along y.
+    /// Shear along y.
     pub shear_across_n_per_m: f64,
 }
 
 impl UnitStiffness {
-    /// Each over the bending stiffness.
+    /// Returns each stiffness over the bending stiffness.
     pub fn ratios(&self) -> StiffnessRatios {
         let k = self.bending_nm_per_rad;
         StiffnessRatios {
@@ -164,7 +174,7 @@ impl UnitStiffness {
     }
 }
 
-/// One web, for a modulus of 1 Pa.
+/// One web, for an elastic modulus of 1 Pa.
 struct Web {
     notch: Notch,
     pitch_m: f64,
@@ -172,7 +182,7 @@ struct Web {
     poisson_ratio: f64,
 }
 
-/// What the half ring between two flexures adds to the compliance of one.
+/// Contribution of the half ring between two flexures to the compliance of one.
 struct Ring {
     shear: f64,
     torsion: f64,
@@ -183,13 +193,14 @@ impl Web {
         0.5 / (1.0 + self.poisson_ratio)
     }
 
-    /// Least height of the web.
+    /// Returns the minimum height of the web.
     fn height_m(&self) -> f64 {
         self.pitch_m - self.notch.width_m
     }
 
-    /// Integral over the web, -e to e, of a function of x and of the height there; the function is even in x. Simpson's rule over the
-    /// straight part, and over the angle of the round end, in which the height is smooth.
+    /// Returns the integral over the web, -e to e, of a function of x and of the local height, which must be
+    /// even in x. Uses Simpson's rule over the straight part, and over the angle of the round end, in which
+    /// the height is smooth.
     fn integral(&self, of: impl Fn(f64, f64) -> f64) -> f64 {
         let (height, r) = (self.height_m(), 0.5 * self.notch.width_m);
         let straight = self.notch.past_axis_m - r;
@@ -228,7 +239,7 @@ impl Web {
         web + e * e * self.root_turn() + turned + 0.5 * ROOT_YIELD / t
     }
 
-    /// Of the webs alone, along y.
+    /// Returns the compliance of the webs alone, along y.
     fn across_compliance(&self) -> f64 {
         let t = self.thickness_m;
         let shear = RECTANGLE_SHEAR * self.shear_modulus() * t;
@@ -238,7 +249,8 @@ impl Web {
     fn ring_compliance(&self, radius: f64) -> Ring {
         let (t, pitch) = (self.thickness_m, self.pitch_m);
         let height = 2.0 * pitch - self.notch.width_m;
-        // Torsion of a rectangle, long side a and short side b, to 4 % (Roark's Formulas for Stress and Strain, 7th ed., table 10.1, case 4).
+        // Torsion of a rectangle, long side a and short side b, to 4 % (Roark's Formulas for Stress and
+        // Strain, 7th ed., table 10.1, case 4).
         let (a, b) = (height.max(t), height.min(t));
         let twist = self.shear_modulus()
             * a

@@ -1,4 +1,5 @@
-//! Bending modes of the straight tool on a rigid mount, the axial load under which it buckles, and the tension at which its stops begin.
+//! Bending modes of the straight tool on a rigid mount, its buckling load, and the tension at which its
+//! flexures reach their stops.
 
 use nalgebra::{DMatrix, SymmetricEigen};
 
@@ -6,8 +7,8 @@ use super::geometry::{LinkBody, link_bodies, link_lengths_m};
 use super::parameters::ManipulatorParameters;
 
 impl ManipulatorParameters {
-    /// Frequencies of the lowest bending modes, Hz, ascending, at most one per flexure: of `K x = omega^2 M x`, as the eigenvalues
-    /// `1 / omega^2` of `K^-1/2 M K^-1/2`.
+    /// Returns the frequencies of the lowest bending modes, Hz, ascending, at most one per flexure: solutions
+    /// of `K x = omega^2 M x`, as the eigenvalues `1 / omega^2` of `K^-1/2 M K^-1/2`.
     pub fn bending_frequencies_hz(&self, count: usize) -> Vec<f64> {
         let length_m = link_lengths_m(self);
         let first_joint_m = self.joint_positions_m.first().copied().unwrap_or(0.0);
@@ -21,7 +22,8 @@ impl ManipulatorParameters {
         squared_s.into_iter().take(count).map(hz).collect()
     }
 
-    /// Angular frequency of the first mode on a rigid mount, rad/s, by inverse iteration on `K x = omega^2 M x`.
+    /// Returns the angular frequency of the first mode on a rigid mount, rad/s, by inverse iteration on `K x
+    /// = omega^2 M x`.
     pub(super) fn first_frequency_rad_per_s(&self) -> f64 {
         let (stiffness, length_m) = (&self.joint_stiffness_nm_per_rad, link_lengths_m(self));
         let n = length_m.len();
@@ -47,8 +49,9 @@ impl ManipulatorParameters {
         libm::sqrt(squared)
     }
 
-    /// The least tension of one tendon alone that bends a flexure to its stop, at rest in free space and without friction, N: its stiffness
-    /// times the stop's angle over the tendon's lever, `k q = T (d cos(q/2) + g/2 sin(q/2))`. `None` without tendons.
+    /// Returns the smallest tension of a single tendon that bends a flexure to its stop, at rest in free
+    /// space and without friction, N: the flexure's stiffness times the stop angle over the tendon's lever
+    /// arm, `k q = T (d cos(q/2) + g/2 sin(q/2))`. `None` without tendons.
     pub fn first_stop_n(&self) -> Option<f64> {
         let (sin, cos) = libm::sincos(0.5 * self.joint_limit_rad);
         let softest = self.joint_stiffness_nm_per_rad.iter().copied().fold(f64::INFINITY, f64::min);
@@ -59,8 +62,8 @@ impl ManipulatorParameters {
         (lever_m > 0.0).then_some(softest * self.joint_limit_rad / lever_m)
     }
 
-    /// Euler's buckling load of the tool clamped at its base, N: the axial load at the burr whose moments, `P (x_tip - x_i)`, equal those of
-    /// the flexures of the straight tool. By power iteration.
+    /// Returns Euler's buckling load of the tool clamped at its base, N: the axial load at the burr whose
+    /// moments, `P (x_tip - x_i)`, equal those of the flexures of the straight tool. Uses power iteration.
     pub fn euler_load_n(&self) -> f64 {
         let length_m = link_lengths_m(self);
         let (mut shape, mut load_n) = (vec![1.0; length_m.len()], 0.0);
@@ -82,7 +85,7 @@ impl ManipulatorParameters {
     }
 }
 
-/// Joint-space mass matrix of the straight tool, row-major.
+/// Returns the joint-space mass matrix of the straight tool, row-major.
 fn mass_matrix(first_joint_m: f64, length_m: &[f64], body: &[LinkBody]) -> Vec<f64> {
     let n = length_m.len();
     let mut z = vec![0.0; n];
@@ -108,8 +111,8 @@ fn mass_matrix(first_joint_m: f64, length_m: &[f64], body: &[LinkBody]) -> Vec<f
 mod tests {
     use super::*;
 
-    /// A uniform cantilever: `omega = beta^2 sqrt(E I / (m L^4))` with beta L = 1.8751, 4.6941, 7.8548 (Blevins 1979, table 8-1), and
-    /// `P = pi^2 E I / (4 L^2)`.
+    /// Closed forms of a uniform cantilever: `omega = beta^2 sqrt(E I / (m L^4))` with beta L = 1.8751,
+    /// 4.6941, 7.8548 (Blevins 1979, table 8-1), and `P = pi^2 E I / (4 L^2)`.
     #[test]
     fn a_uniform_beam_swings_and_buckles_as_in_its_closed_forms() {
         let (length_m, rigidity_nm2) = (0.1, 0.02);
@@ -122,7 +125,7 @@ mod tests {
         for (hz, beta) in found.iter().zip([1.875_104, 4.694_091, 7.854_757]) {
             let closed_hz = beta * beta * scale / core::f64::consts::TAU;
             println!("{hz:.3} Hz, closed form {closed_hz:.3}");
-            // 60 links: the square of a link over that of a quarter wave.
+            // With 60 links, the error is the squared ratio of a link to a quarter wave.
             assert!((hz / closed_hz - 1.0).abs() < 5e-3, "{hz} {closed_hz}");
         }
         let closed_n = core::f64::consts::PI.powi(2) * rigidity_nm2 / (4.0 * length_m * length_m);

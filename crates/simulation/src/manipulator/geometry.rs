@@ -6,7 +6,7 @@ use super::parameters::ManipulatorParameters;
 /// A point or vector in the bending plane, base axes: (x, z).
 pub(super) type Planar = [f64; 2];
 
-/// Which part of the tool a proxy sphere represents.
+/// The part of the tool that a proxy sphere represents.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum SphereKind {
     /// The rigid shaft proximal to the first flexure.
@@ -31,13 +31,13 @@ pub(super) struct SphereLayout {
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct LinkBody {
     pub mass_kg: f64,
-    /// From the link's flexure (or the base origin) to the centre of mass.
+    /// Distance from the link's flexure (or the base origin) to the centre of mass, m.
     pub centre_m: f64,
-    /// About the centre of mass, axis y.
+    /// Inertia about the centre of mass, axis y.
     pub inertia_kg_m2: f64,
 }
 
-/// Everything that is constant after construction.
+/// Constant data of the chain.
 #[derive(Debug, Clone)]
 pub(super) struct Layout {
     pub joints: usize,
@@ -50,7 +50,7 @@ pub(super) struct Layout {
 }
 
 impl Layout {
-    /// Links and masses from validated parameters.
+    /// Creates links and masses from validated parameters.
     pub fn new(p: &ManipulatorParameters) -> Self {
         let n = p.joint_positions_m.len();
         let mut length_m = [0.0; MAX_JOINTS];
@@ -62,13 +62,13 @@ impl Layout {
     }
 }
 
-/// Length of the link distal to each flexure, m.
+/// Returns the length of the link distal to each flexure, m.
 pub(super) fn link_lengths_m(p: &ManipulatorParameters) -> Vec<f64> {
     let z = &p.joint_positions_m;
     z.windows(2).map(|pair| pair[1] - pair[0]).chain([p.tip_offset_m]).collect()
 }
 
-/// The shaft, then one body per flexure; the burr is part of the last.
+/// Returns the shaft, then one body per flexure; the burr is part of the last.
 pub(super) fn link_bodies(p: &ManipulatorParameters, length_m: &[f64]) -> Vec<LinkBody> {
     let transverse = 0.25 * (p.tube_radii_m[0] * p.tube_radii_m[0] + p.tube_radii_m[1] * p.tube_radii_m[1]);
     let last = length_m.len();
@@ -88,7 +88,7 @@ pub(super) fn link_bodies(p: &ManipulatorParameters, length_m: &[f64]) -> Vec<Li
 /// The burr's moments of inertia about its centre of mass.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct BurrBody {
-    /// From the burr's centre back to its centre of mass, m.
+    /// Distance from the burr centre back to its centre of mass, m.
     pub behind_m: f64,
     pub across_kg_m2: f64,
     pub along_kg_m2: f64,
@@ -125,7 +125,8 @@ fn with_burr(tube: LinkBody, p: &ManipulatorParameters) -> LinkBody {
     LinkBody { mass_kg: mass, centre_m: centre, inertia_kg_m2: inertia }
 }
 
-/// Shaft spheres at equal spacing, one sphere per segment, the burr's from the back to the front. Link indices are non-decreasing.
+/// Returns the shaft spheres at equal spacing, one sphere per segment, and the burr's spheres from back to
+/// front. Link indices are non-decreasing.
 pub(super) fn spheres(p: &ManipulatorParameters) -> Vec<SphereLayout> {
     let length_m = link_lengths_m(p);
     let n = p.joint_positions_m.len();
@@ -142,7 +143,8 @@ pub(super) fn spheres(p: &ManipulatorParameters) -> Vec<SphereLayout> {
         });
     }
     for i in 0..n {
-        // The last segment is as long as the one before it; the remainder of the last link is the shank of the burr.
+        // The last segment is as long as the one before it; the remainder of the last link is the shank of
+        // the burr.
         let segment = if i + 1 == n && n > 1 { length_m[i - 1].min(length_m[i]) } else { length_m[i] };
         list.push(SphereLayout {
             kind: SphereKind::Segment(i),
@@ -174,7 +176,7 @@ pub(super) struct Configuration {
 }
 
 impl Configuration {
-    /// The straight tool.
+    /// Creates the straight tool.
     pub fn new() -> Self {
         Self {
             half_sin: [0.0; MAX_JOINTS],
@@ -202,7 +204,7 @@ impl Configuration {
         }
     }
 
-    /// The point at `along_m` on the axis of `link`.
+    /// Returns the point at `along_m` on the axis of `link`.
     pub fn point(&self, link: usize, along_m: f64) -> Planar {
         [
             self.origin[link][0] + along_m * self.axis[link][0],

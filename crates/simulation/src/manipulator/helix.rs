@@ -1,48 +1,50 @@
-//! Tendons that wind about the tool.
+//! Tendons that wind around the tool.
 //!
-//! The channel of such a tendon turns about the axis by an angle in proportion to the length. A hole in the middle between two flexures
-//! holds the tendon; from hole to hole it runs straight. With the hole behind a flexure at A and the one ahead at B, each from the
-//! flexure's centre in the axes of its own link, the chord is `c = u + R B - A`, R and u being the flexure's turn and displacement, and the
-//! tool takes up `|B - A| - |c|`. A turn about a unit axis e changes `|c|` by `c . (e x R B) / |c|`, a displacement along e by `c . e / |c|`.
+//! The channel of such a tendon turns about the axis by an angle proportional to the length. A hole midway
+//! between two flexures guides the tendon; between holes it runs straight. With the hole behind a flexure at
+//! A and the one ahead at B, each relative to the flexure's centre in the axes of its own link, the chord is
+//! `c = u + R B - A`, where R and u are the flexure's rotation and displacement, and the tool takes up `|B -
+//! A| - |c|`. A rotation about a unit axis e changes `|c|` by `c . (e x R B) / |c|`, a displacement along e
+//! by `c . e / |c|`.
 //!
-//! The shorter the flexures, the nearer the chords are to the tangents of the path, and the forces at the holes, the tension times the
-//! change of direction, to those of Rucker and Webster 2011 ("Statics and dynamics of continuum robots with general tendon routing and
-//! external loading", IEEE Trans. Robotics 27(6):1033, doi 10.1109/TRO.2011.2160469), which
-//! `clients/python/tests/test_helical_tendons.py` solves.
+//! The shorter the flexures, the closer the chords are to the tangents of the path, and the forces at the
+//! holes (tension times change of direction) to those of Rucker and Webster 2011 ("Statics and dynamics of
+//! continuum robots with general tendon routing and external loading", IEEE Trans. Robotics 27(6):1033, doi
+//! 10.1109/TRO.2011.2160469), which `clients/python/tests/test_helical_tendons.py` solves.
 
 use nalgebra::Vector3;
 
 use super::error::{ManipulatorError, check};
 use super::parameters::{ManipulatorParameters, TendonRoute};
 
-/// A tendon on its way from the hole behind a flexure to the one ahead.
+/// A tendon between the hole behind a flexure and the one ahead.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Crossing {
-    /// Hole behind, from the flexure's centre, axes of the link behind, m.
+    /// Position of the hole behind, relative to the flexure's centre, axes of the link behind, m.
     behind_m: Vector3<f64>,
-    /// Hole ahead, from the flexure's centre, axes of the link ahead, m.
+    /// Position of the hole ahead, relative to the flexure's centre, axes of the link ahead, m.
     ahead_m: Vector3<f64>,
     straight_m: f64,
-    /// Turn of the path itself, along x and y, rad.
+    /// Rotation of the path itself, along x and y, rad.
     winding_rad: [f64; 2],
 }
 
-/// What a bent flexure does to a tendon that crosses it. Freedoms in the order of the chain: displacements (of six), bend, lateral bend,
-/// torsion (of three or six).
+/// Effect of a bent flexure on a tendon that crosses it. Freedoms are in the order of the chain:
+/// displacements (of six), bend, lateral bend, torsion (of three or six).
 pub(super) struct Chord {
     /// Take-up, m.
     pub length_m: f64,
-    /// d take-up / d freedom.
+    /// Slope d take-up / d freedom.
     pub slope: [f64; 6],
-    /// d^2 take-up / d freedom^2.
+    /// Curvature d^2 take-up / d freedom^2.
     pub curvature: [f64; 6],
-    /// Wrap of the tendon in its channel, the path's own among it, rad.
+    /// Wrap angle of the tendon in its channel, including that of the path itself, rad.
     pub turn_rad: f64,
-    /// d wrap / d (bend, lateral bend).
+    /// Slope d wrap / d (bend, lateral bend).
     pub turn_slope: [f64; 2],
 }
 
-/// The crossings of the flexures that a tendon bends; none of one that is parallel to the axis.
+/// Returns a tendon's crossings of the flexures that it bends; empty for a tendon parallel to the axis.
 pub(super) fn crossings(p: &ManipulatorParameters, route: &TendonRoute) -> Vec<Crossing> {
     if route.twist_rad_per_m == 0.0 {
         return Vec::new();
@@ -61,7 +63,7 @@ pub(super) fn crossings(p: &ManipulatorParameters, route: &TendonRoute) -> Vec<C
         let (behind_m, ahead_m) = (hole_m(from_m, at_m), hole_m(to_m, at_m));
         let way_m = ahead_m - behind_m;
         let straight_m = way_m.norm();
-        // The tangent of a helix turns by its slope times the angle about the axis, toward the axis.
+        // The tangent of a helix turns toward the axis by its slope times the angle about the axis.
         let slope = libm::hypot(way_m.x, way_m.y) / straight_m;
         let turn_rad = slope * (angle_rad(to_m) - angle_rad(from_m)).abs();
         let middle_m = 0.5 * (behind_m + ahead_m);
@@ -72,7 +74,7 @@ pub(super) fn crossings(p: &ManipulatorParameters, route: &TendonRoute) -> Vec<C
     (route.reach.from..to).map(crossing).collect()
 }
 
-/// Only the spatial chains twist.
+/// Rejects winding tendons, which only the spatial chains support.
 pub(super) fn refuse(p: &ManipulatorParameters, allowed: &'static str) -> Result<(), ManipulatorError> {
     let twists = p.tendon_routes.iter().flatten().map(|route| route.twist_rad_per_m);
     for twist in twists {
@@ -82,7 +84,7 @@ pub(super) fn refuse(p: &ManipulatorParameters, allowed: &'static str) -> Result
 }
 
 impl Crossing {
-    /// The chord of a flexure with `D` freedoms, 1, 3 or 6, at these coordinates.
+    /// Returns the chord of a flexure with `D` freedoms, 1, 3 or 6, at these coordinates.
     pub fn chord<const D: usize>(&self, q: &[f64]) -> Chord {
         let bend = if D == 6 { 3 } else { 0 };
         let at = |k: usize| if k < D { q[k] } else { 0.0 };
@@ -90,7 +92,7 @@ impl Crossing {
         let (sb, cb) = libm::sincos(at(bend));
         let (sl, cl) = libm::sincos(at(bend + 1));
         let (sw, cw) = libm::sincos(at(bend + 2));
-        // R B, R = R_y(bend) R_x(lateral) R_z(torsion), and the axes about which each of the three turns what is ahead of it.
+        // R B, R = R_y(bend) R_x(lateral) R_z(torsion), and the axes of the three rotations.
         let [x, y, z]: [f64; 3] = self.ahead_m.into();
         let (x, y) = (x * cw - y * sw, x * sw + y * cw);
         let (y, z) = (y * cl - z * sl, y * sl + z * cl);
@@ -135,7 +137,8 @@ mod tests {
         crossings(&p, &route)
     }
 
-    /// Against differences of the length itself; 1e-6 of each is what a step of 1e-5 leaves.
+    /// Slopes and curvatures agree with finite differences of the length; a step of 1e-5 leaves a relative
+    /// error of 1e-6.
     #[test]
     fn slopes_and_curvatures_are_those_of_the_length() {
         let crossing = wound(60.0)[3];
@@ -160,8 +163,9 @@ mod tests {
         }
     }
 
-    /// A straight helix with the pitch angle b and the radius r: a tension T winds the tool with `T r sin b` and shortens it with `T cos b`;
-    /// its chords, with the angle f about the axis, have r cos(f/2) in place of r.
+    /// A straight helix with the pitch angle b and the radius r: a tension T twists the tool with `T r sin b`
+    /// and compresses it with `T cos b`; its chords, with the angle f about the axis, have r cos(f/2) instead
+    /// of r.
     #[test]
     fn a_straight_helix_twists_with_its_radius_times_the_sine_of_its_slope() {
         let (twist, pitch_m, radius_m) = (60.0, 0.005, 2.0e-3_f64.hypot(0.5e-3));

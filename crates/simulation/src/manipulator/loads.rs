@@ -7,14 +7,14 @@ use super::articulated::{Spatial, force_at};
 use super::geometry::{Configuration, Layout};
 use super::state::Wrench;
 
-/// Loads that the base frame's motion and the tip wrench impose, all in base axes.
+/// Loads from the motion of the base frame and the tip wrench, in base axes.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Frame {
     /// Gravity minus the base origin's acceleration, m/s^2.
     pub gravity: Vector3<f64>,
     pub angular_velocity: Vector3<f64>,
     pub angular_acceleration: Vector3<f64>,
-    /// On the burr centre.
+    /// Wrench on the burr centre.
     pub tip_wrench: Wrench,
 }
 
@@ -36,7 +36,8 @@ impl Loads {
 
     /// Evaluates all loads for joint velocities `rate` and mount displacement and velocity `mount`.
     ///
-    /// Neglects the gyroscopic moment of a link whose base turns about two axes at once: about I omega^2 = 1e-9 N m at 1 rad/s.
+    /// Neglects the gyroscopic moment of a link whose base turns about two axes at once: about I omega^2 =
+    /// 1e-9 N m at 1 rad/s.
     pub fn evaluate(
         &mut self,
         layout: &Layout,
@@ -100,7 +101,8 @@ impl Loads {
         self.moment += position.cross(&wrench.force_n) + wrench.torque_nm;
     }
 
-    /// The moment about the base origin that produces a change of motion `x` (generalised velocities; link motions in `motions`).
+    /// Returns the moment about the base origin that produces a change of motion `x` (generalised velocities;
+    /// link motions in `motions`).
     pub fn momentum_moment(
         layout: &Layout,
         configuration: &Configuration,

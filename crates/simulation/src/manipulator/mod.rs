@@ -1,20 +1,22 @@
-//! The planar rung of the model ladder: a chain of flexures in reduced coordinates, stepped implicitly; tendons, contacts and joint stops
-//! are part of the same velocity solve.
+//! The planar manipulator model: a chain of flexures in reduced coordinates, stepped implicitly, with
+//! tendons, contacts and joint stops in the same velocity solve. The five models of increasing detail are the
+//! rungs of a ladder ([`Rung`]); this is the middle one.
 //!
 //! # Frames
 //!
-//! World is the patient frame (LPS, metres). The base frame is at the flange: +z is the insertion axis along the straight tool, +x the
-//! bending direction toward tendon 0. Every flexure turns about +y, so positive angles bend toward +x. A translational mount (three
-//! springs along the base axes) connects the tool to the base and carries axial and out-of-plane loads; the chain itself bends only in
-//! the x-z plane. Link 0 is the rigid shaft; link i + 1 is distal to flexure i. The tip frame is that of the last link, with its origin
-//! at the burr centre.
+//! World is the patient frame (LPS, metres). The base frame is at the flange: +z is the insertion axis along
+//! the straight tool, +x the bending direction toward tendon 0. Every flexure turns about +y, so positive
+//! angles bend toward +x. A translational mount (three springs along the base axes) connects the tool to the
+//! base and carries axial and out-of-plane loads; the chain itself bends only in the x-z plane. Link 0 is the
+//! rigid shaft; link i + 1 is distal to flexure i. The tip frame is that of the last link, with its origin at
+//! the burr centre.
 //!
 //! # Method
 //!
-//! Hinges sit at the flexure centres, which makes the error against the continuum O(1/n^2). The operator `M + dt D + dt^2 K` is factored
-//! in O(n) (`articulated`). Tendons act along their channels (`tendon`). Contact is compliant and solved by Newton's method, each of whose
-//! iterations factors the same operator with the pressing contacts on its links (`contact`). Nothing is allocated after
-//! [`Manipulator::new`].
+//! Hinges are at the flexure centres, which makes the error against the continuum O(1/n^2). The operator `M +
+//! dt D + dt^2 K` is factored in O(n) (`articulated`). Tendons act along their channels (`tendon`). Contact
+//! is compliant and solved by Newton's method, each of whose iterations factors the same operator with the
+//! pressing contacts on its links (`contact`). Nothing is allocated after [`Manipulator::new`].
 
 #![expect(
     clippy::needless_range_loop,
@@ -85,27 +87,29 @@ pub const MAX_LINKS: usize = 64;
 pub const MAX_TENDONS: usize = 4;
 /// Maximum number of proxy spheres on the shaft.
 pub const MAX_SHAFT_SPHERES: usize = 8;
-/// Shaft, one per segment, the burr's.
+/// Maximum number of proxy spheres: shaft, one per segment, and burr.
 pub(crate) const MAX_SPHERES: usize = MAX_SHAFT_SPHERES + MAX_JOINTS + MAX_CUTTER_BALLS;
-/// Contacts for each sphere that there is room for. Most spheres have none to four; in a hole as narrow as itself one may have more.
+/// Capacity for contacts per sphere. Most spheres have at most four; one in a hole of its own size can have
+/// more.
 pub const CONTACTS_PER_SPHERE: usize = 10;
-/// Spheres that contacts are counted for: shaft, one per segment, one burr. The balls of a longer burr share with the whole tool.
+/// Number of spheres in the contact capacity: shaft, one per segment, one burr. The balls of a longer burr
+/// share the capacity of the whole tool.
 const COUNTED_SPHERES: usize = MAX_SHAFT_SPHERES + MAX_JOINTS + 1;
-/// Maximum contacts per step; excess contacts are refused and counted.
+/// Maximum contacts per step; excess contacts are rejected and counted.
 pub const MAX_CONTACTS: usize = CONTACTS_PER_SPHERE * COUNTED_SPHERES;
 
-/// The planar rung: see the module's documentation.
+/// The planar manipulator model; see the [module](self).
 #[derive(Debug, Clone)]
 pub struct Manipulator {
     common: Common,
     layout: Layout,
     stiffness: [f64; MAX_JOINTS],
-    /// Joint angles without load, rad.
+    /// Unloaded joint angles, rad.
     rest: [f64; MAX_JOINTS],
     damping: [f64; MAX_JOINTS],
-    /// Derived from the state.
+    /// Configuration, derived from the state.
     configuration: Configuration,
-    /// The fields from here on are workspace.
+    /// This and the following fields are workspace.
     trial: Configuration,
     articulated: Articulated,
     tendon: TendonLoad,
@@ -116,18 +120,18 @@ pub struct Manipulator {
 }
 
 impl Manipulator {
-    /// A tool in its rest shape, at rest on `base`, with slack tendons.
+    /// Creates a tool in its rest shape, at rest on `base`, with slack tendons.
     ///
     /// # Errors
-    /// A parameter is out of range, or the tool twists; the error names it.
+    /// A parameter is out of range, or a tendon winds around the tool; the error names it.
     pub fn new(parameters: ManipulatorParameters, base: &BaseMotion) -> Result<Self, ManipulatorError> {
         Common::check(&parameters, base)?;
         let given = parameters.joint_positions_m.len();
         if given > MAX_JOINTS {
-            let expected = "1 to 32 entries for the planar rung";
+            let expected = "1 to 32 for the planar model";
             return Err(ManipulatorError::Length { field: "joint_positions_m", given, expected });
         }
-        helix::refuse(&parameters, "0: the rung planar does not twist")?;
+        helix::refuse(&parameters, "0: the planar model cannot twist")?;
         let layout = Layout::new(&parameters);
         let n = layout.joints;
         let mut stiffness = [0.0; MAX_JOINTS];
@@ -158,7 +162,7 @@ impl Manipulator {
         Ok(manipulator)
     }
 
-    /// Kinetic energy relative to the base, J.
+    /// Returns the kinetic energy relative to the base, J.
     pub fn kinetic_energy_j(&self) -> f64 {
         let Generalised { joint, mount } = Generalised::of(&self.common.state.velocity);
         let (mut omega, mut v, mut energy) = (0.0, [mount[0], mount[2]], 0.0);
@@ -189,7 +193,8 @@ impl ManipulatorModel for Manipulator {
         self.configuration.update(&self.layout, &q.joint, &q.mount);
         let (pose, mount) = (&state.base.t_world_base, &v.mount);
         let rotation = pose.rotation.to_rotation_matrix();
-        // Rate and origin velocity (x, z) of the link that carries the sphere; spheres come in ascending link order.
+        // Rate and origin velocity (x, z) of the link that carries the sphere; spheres come in ascending link
+        // order.
         let (mut link, mut omega, mut origin) = (0, 0.0, [mount[0], mount[2]]);
         for (sphere, fixed) in self.common.spheres.iter_mut().zip(&self.common.sphere_layout) {
             while link < fixed.link {

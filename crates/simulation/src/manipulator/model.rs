@@ -1,4 +1,4 @@
-//! The ladder of manipulator models behind one trait.
+//! The ladder of manipulator models, behind one trait.
 
 use nalgebra::Isometry3;
 use serde::{Deserialize, Serialize};
@@ -13,12 +13,12 @@ use super::state::{BaseMotion, ContactResult, ManipulatorState, ProxySphere, Ste
 use super::validation::validate_base;
 use super::{MAX_TENDONS, Manipulator};
 
-/// The rungs of the ladder, from cheapest to most detailed.
+/// The manipulator models, from cheapest to most detailed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub enum Rung {
     /// One arc of constant curvature.
     ConstantCurvature,
-    /// A chain that bends in one plane, in a few modes of its bending moment.
+    /// A chain that bends in one plane, described by a few modes of its bending moment.
     Modal,
     /// A chain that bends in one plane.
     Planar,
@@ -33,7 +33,7 @@ impl Rung {
     pub const ALL: [Rung; 5] =
         [Rung::ConstantCurvature, Rung::Modal, Rung::Planar, Rung::Spatial, Rung::Full];
 
-    /// Name in scenes and tables.
+    /// Returns the name in scenes and tables.
     pub fn name(self) -> &'static str {
         match self {
             Rung::ConstantCurvature => "constant_curvature",
@@ -47,32 +47,34 @@ impl Rung {
 
 /// A manipulator of any rung.
 pub trait ManipulatorModel {
-    /// Parameters, state and what all rungs derive from it.
+    /// Returns the parameters, state and derived data common to all rungs.
     fn common(&self) -> &Common;
-    /// The same, to change it; [`Self::follow_state`] must follow a change of the state.
+    /// Mutable [`Self::common`]; call [`Self::follow_state`] after changing the state.
     fn common_mut(&mut self) -> &mut Common;
-    /// Updates what is derived from the state.
+    /// Updates the data derived from the state.
     fn follow_state(&mut self);
     /// Advances by `dt_s` (1e-7 to 0.1 s). Unusable contacts are skipped and counted in the report.
     ///
     /// # Errors
-    /// The input is not finite or out of range. A refused step changes nothing.
+    /// The input is not finite or out of range. A rejected step changes nothing.
     fn step(&mut self, dt_s: f64, input: &StepInput) -> Result<StepReport, ManipulatorError>;
-    /// Makes the tool straight, and at rest: a pre-curved tool that a hole or a guide holds.
+    /// Straightens the tool and puts it at rest, like a pre-curved tool held in a hole or guide.
     fn straighten(&mut self);
-    /// Bend of a flexure without load, with what is out of an outer tube now, rad.
+    /// Returns the unloaded bend of a flexure at the present deployment from an outer tube, rad.
     fn rest_rad(&self, joint: usize) -> f64;
-    /// Pose of the point at `along_m` on the axis of `link` (0 is the shaft at the base origin, i + 1 sits at flexure i), z
-    /// along the link.
+    /// Returns the pose of the point at `along_m` on the axis of `link` (0 is the shaft at the base origin,
+    /// i + 1 is at flexure i), z along the link.
     fn t_world_point(&self, link: usize, along_m: f64) -> Isometry3<f64>;
-    /// Kinetic energy relative to the base plus elastic energy of flexures and mount, J.
+    /// Returns the kinetic energy relative to the base plus elastic energy of flexures and mount, J.
     fn energy_j(&self) -> f64;
 
-    /// Sets how far a tool with an outer tube is out of it, m (initially 0): its springs, and the radius of what the outer
-    /// tube covers. The caller moves the base, which slides with it. Rungs that take no such tool ignore it.
+    /// Sets the deployment of a tool from its outer tube, m (initially 0), which determines its springs and
+    /// the radius of the covered part. The caller moves the base, which slides with it. Ignored by rungs that
+    /// do not support outer tubes.
     fn set_deployed(&mut self, _deployed_m: f64) {}
 
-    /// False while a flexure of a tool in moment modes is beyond its stop ([`MomentModes`]); the other models hold there.
+    /// Returns false while a flexure of a tool in moment modes is beyond its stop ([`MomentModes`]); the
+    /// other models remain valid there.
     fn is_valid(&self) -> bool {
         true
     }
@@ -82,17 +84,17 @@ pub trait ManipulatorModel {
         self.common_mut().burr_turns = turns;
     }
 
-    /// Disables SIMD: slower, same bits.
+    /// Disables SIMD: slower, with the same bits.
     fn use_plain_instructions(&mut self) {
         self.common_mut().arch = pulp::Arch::Scalar;
     }
 
-    /// The complete dynamic state.
+    /// Returns the complete dynamic state.
     fn state(&self) -> &ManipulatorState {
         &self.common().state
     }
 
-    /// A copy of the complete dynamic state, with room for the contacts of any step.
+    /// Returns a copy of the complete dynamic state, with room for the contacts of any step.
     fn snapshot(&self) -> ManipulatorState {
         self.common().snapshot()
     }
@@ -102,18 +104,18 @@ pub trait ManipulatorModel {
         into.copy_from(self.state());
     }
 
-    /// True if a deserialised state belongs to this rung and size.
+    /// Returns true if a deserialised state belongs to this rung and size.
     fn fits(&self, state: &ManipulatorState) -> bool {
         self.common().fits(state)
     }
 
-    /// Continues bit for bit from a snapshot of a tool of the same rung and parameters.
+    /// Restores a snapshot of a tool of the same rung and parameters; continues bit for bit.
     fn restore(&mut self, state: &ManipulatorState) {
         self.common_mut().state.copy_from(state);
         self.follow_state();
     }
 
-    /// Teleports the base and keeps shape and relative motion. For scene set-up, not for motion.
+    /// Teleports the base, keeping shape and relative motion. For scene set-up, not for motion.
     ///
     /// # Errors
     /// The base motion is not finite, not a rotation, or out of range.
@@ -124,93 +126,94 @@ pub trait ManipulatorModel {
         Ok(())
     }
 
-    /// The rung.
+    /// Returns the rung.
     fn rung(&self) -> Rung {
         self.state().rung
     }
 
-    /// The parameters the tool was built from.
+    /// Returns the tool's parameters.
     fn parameters(&self) -> &ManipulatorParameters {
         &self.common().parameters
     }
 
-    /// Base motion at the end of the last step.
+    /// Returns the base motion at the end of the last step.
     fn base(&self) -> &BaseMotion {
         &self.state().base
     }
 
-    /// Number of flexures.
+    /// Returns the number of flexures.
     fn joint_count(&self) -> usize {
         self.joint_positions_rad().len()
     }
 
-    /// Bending angles, base to tip, rad.
+    /// Returns the bending angles, base to tip, rad.
     fn joint_positions_rad(&self) -> &[f64] {
         &self.common().bend[0]
     }
 
-    /// Bending rates, base to tip, rad/s.
+    /// Returns the bending rates, base to tip, rad/s.
     fn joint_velocities_rad_per_s(&self) -> &[f64] {
         &self.common().bend[1]
     }
 
-    /// Pose of a link, z along it. An index past the last link returns the last link.
+    /// Returns the pose of a link, z along it. An index past the last link returns the last link.
     fn t_world_link(&self, link: usize) -> Isometry3<f64> {
         self.t_world_point(link.min(self.joint_count()), 0.0)
     }
 
-    /// Pose of the tip frame: origin at the burr centre, z along the last link.
+    /// Returns the pose of the tip frame: origin at the burr centre, z along the last link.
     fn t_world_tip(&self) -> Isometry3<f64> {
         self.t_world_point(self.joint_count(), self.parameters().tip_offset_m)
     }
 
-    /// Sum of the bending angles, rad.
+    /// Returns the sum of the bending angles, rad.
     fn bend_rad(&self) -> f64 {
         self.joint_positions_rad().iter().sum()
     }
 
-    /// Proxy spheres in the current configuration: shaft, segments, burr.
+    /// Returns the proxy spheres in the current configuration: shaft, segments, burr.
     fn proxy_spheres(&self) -> &[ProxySphere] {
         &self.common().spheres
     }
 
-    /// Contacts of the last step, ordered by sphere.
+    /// Returns the contacts of the last step, ordered by sphere.
     fn contact_results(&self) -> &[ContactResult] {
         &self.state().results
     }
 
-    /// Summary of the last step.
+    /// Returns the summary of the last step.
     fn last_report(&self) -> &StepReport {
         &self.state().report
     }
 
-    /// First bending mode of the tool on a rigid mount while it is straight, Hz.
+    /// Returns the frequency of the first bending mode of the straight tool on a rigid mount, Hz.
     fn first_natural_frequency_hz(&self) -> f64 {
         self.common().first_frequency_rad_per_s / (2.0 * core::f64::consts::PI)
     }
 
-    /// Number of tendons.
+    /// Returns the number of tendons.
     fn tendon_count(&self) -> usize {
         self.parameters().tendon_count()
     }
 
-    /// Tension of each tendon at its proximal end after the last step, N.
+    /// Returns the tension of each tendon at its proximal end after the last step, N.
     fn tendon_tensions_n(&self) -> [f64; MAX_TENDONS] {
         self.last_report().tendon_tension_n
     }
 
-    /// Pulled length of each tendon after the last step, including its stretch, m.
+    /// Returns the pulled length of each tendon after the last step, including its stretch, m.
     fn tendon_displacements_m(&self) -> [f64; MAX_TENDONS] {
         self.last_report().tendon_displacement_m
     }
 
-    /// Wrench of the tool on the flange in the last step: world axes, torque about the base origin.
+    /// Returns the wrench of the tool on the flange in the last step: world axes, torque about the base
+    /// origin.
     fn flange_wrench(&self) -> Wrench {
         self.last_report().flange_wrench
     }
 }
 
-/// Implements what each rung's own fields answer.
+/// Implements the methods that access each rung's own fields.
 macro_rules! own_parts {
     () => {
         fn common(&self) -> &Common {
@@ -228,11 +231,11 @@ macro_rules! own_parts {
 }
 pub(super) use own_parts;
 
-/// A manipulator of a rung chosen at run time.
+/// A manipulator model chosen at run time.
 #[derive(Debug, Clone)]
 #[expect(
     clippy::large_enum_variant,
-    reason = "one a simulation; a box would stand between the tick and its state"
+    reason = "one per simulation; boxing would add an indirection to every tick"
 )]
 pub enum AnyManipulator {
     /// See [`ConstantCurvature`].
@@ -250,10 +253,10 @@ pub enum AnyManipulator {
 }
 
 impl AnyManipulator {
-    /// A tool in its rest shape, at rest on `base`, with slack tendons.
+    /// Creates a tool in its rest shape, at rest on `base`, with slack tendons.
     ///
     /// # Errors
-    /// A parameter is out of range, or the rung cannot represent the tool; the error names it.
+    /// A parameter is out of range, or the rung cannot represent the tool; the error names the parameter.
     pub fn new(
         rung: Rung,
         parameters: ManipulatorParameters,

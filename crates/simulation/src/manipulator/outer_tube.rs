@@ -1,25 +1,27 @@
-//! A tool that slides out of a straight tube: the springs of its flexures, as far as that tube covers them.
+//! Springs of the flexures of a tool that slides out of a straight outer tube.
 //!
-//! Two tubes, one in the other without play, bend by the same angle. The outer one is straight by itself, so where both are, the curvature
-//! is the mean of theirs, weighted by their bending stiffness: `kappa = k_i kappa_i / (k_i + k_o)` (Dupont, Lock, Itkowitz and Butler 2010,
-//! "Design and control of concentric-tube robots", IEEE Trans. Robotics 26, 209, eq. 6; Webster, Romano and Cowan 2009, IEEE Trans.
-//! Robotics 25, 67). Of a flexure whose stretch of tube stands out by the share f, the two parts are in series:
+//! Two concentric tubes without clearance bend by the same angle. The unloaded outer tube is straight, so
+//! where both overlap, the curvature is the mean of theirs, weighted by bending stiffness: `kappa = k_i
+//! kappa_i / (k_i + k_o)` (Dupont, Lock, Itkowitz and Butler 2010, "Design and control of concentric-tube
+//! robots", IEEE Trans. Robotics 26, 209, eq. 6; Webster, Romano and Cowan 2009, IEEE Trans. Robotics 25,
+//! 67). For a flexure whose section of tube is deployed by the fraction f, the two parts are in series:
 //!
-//! `1/k = f / k_i + (1 - f) / (k_i + k_o)`, `q_0 = q_i (f + (1 - f) k_i / (k_i + k_o))`, with `k_o = E I / length`.
+//! `1/k = f / k_i + (1 - f) / (k_i + k_o)`, `q_0 = q_i (f + (1 - f) k_i / (k_i + k_o))`, with `k_o = E I /
+//! length`.
 //!
-//! The outer tube bends only where flexures lie in it; the rest of it is rigid, as the tool's own shaft is. The tool slides and turns in
-//! it without friction, so stretch, shear and torsion are the tool's own.
+//! The outer tube bends only where it contains flexures; the rest is rigid, like the tool's shaft. The tool
+//! slides and turns in it without friction, so stretch, shear and torsion are those of the tool alone.
 
 use super::common::Common;
 use super::geometry::SphereKind;
 use super::parameters::ManipulatorParameters;
 
-/// A straight tube on the tool's base, out of which the tool slides.
+/// A straight outer tube on the tool base, out of which the tool slides.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct OuterTube {
-    /// From the base to its end, m.
+    /// Distance from the base to its end, m.
     pub end_m: f64,
-    /// Outside, m: that of the contact spheres that it covers.
+    /// Outer radius, m, which is that of the contact spheres that it covers.
     pub outer_radius_m: f64,
     /// Bending stiffness E I, N m².
     pub bending_nm2: f64,
@@ -28,16 +30,17 @@ pub struct OuterTube {
 /// The bending spring of a flexure.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BendingSpring {
-    /// In the bending plane, N m/rad.
+    /// Stiffness in the bending plane, N m/rad.
     pub bend_nm_per_rad: f64,
-    /// Across it, N m/rad.
+    /// Stiffness across the bending plane, N m/rad.
     pub lateral_nm_per_rad: f64,
-    /// Bend without load, rad.
+    /// Unloaded bend, rad.
     pub rest_rad: f64,
 }
 
 impl OuterTube {
-    /// Radius of a contact sphere `along_m` from the base of the drawn-back tool, whose own is `own_m`. The outer tube's end is round.
+    /// Returns the radius of a contact sphere at `along_m` from the base of the retracted tool, whose own
+    /// radius is `own_m`. The outer tube's end is round.
     fn radius_m(&self, along_m: f64, own_m: f64, deployed_m: f64) -> f64 {
         let behind_m = self.end_m - (along_m + deployed_m);
         let share = (behind_m / self.outer_radius_m).clamp(0.0, 1.0);
@@ -46,7 +49,8 @@ impl OuterTube {
 }
 
 impl ManipulatorParameters {
-    /// The spring of flexure `joint` with `deployed_m` of the tool out of its outer tube; without one, its own.
+    /// Returns the spring of flexure `joint` with `deployed_m` of the tool out of its outer tube; without an
+    /// outer tube, that of the tool.
     pub fn bending_spring(&self, joint: usize, deployed_m: f64) -> BendingSpring {
         let own = self.joint_stiffness_nm_per_rad.get(joint).copied().unwrap_or(0.0);
         let lateral = self.stiffness_ratios(joint).lateral * own;
@@ -68,7 +72,7 @@ impl ManipulatorParameters {
 }
 
 impl Common {
-    /// Gives every sphere of shaft and segments its radius with `deployed_m` of the tool out of its outer tube.
+    /// Sets the radius of every shaft and segment sphere with `deployed_m` of the tool out of its outer tube.
     pub(super) fn cover_spheres(&mut self, deployed_m: f64) {
         let p = &self.parameters;
         let Some(outer) = &p.outer_tube else { return };

@@ -9,62 +9,65 @@ use super::error::ManipulatorError;
 use super::flexure::{Notch, StiffnessRatios};
 use super::outer_tube::OuterTube;
 
-/// How a step is integrated.
+/// Integration method of a step.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Integrator {
-    /// First order. Damps modes that the step does not resolve, and never diverged in the stress matrix.
+    /// First order. Damps modes that the step does not resolve; never diverged in the stress tests.
     LinearlyImplicitEuler,
-    /// Second-order Rosenbrock (ROS2, Verwer et al. 1999, SIAM J. Sci. Comput. 20(4), gamma = 1 - 1/sqrt 2) in free motion. Linearly
-    /// implicit Euler takes the step instead if there is a contact or joint-stop candidate, if a tendon with friction reverses, starts or
-    /// stops sliding, or if the embedded error estimate exceeds [`ManipulatorParameters::hybrid_tolerance_rad`].
+    /// Second-order Rosenbrock (ROS2, Verwer et al. 1999, SIAM J. Sci. Comput. 20(4), gamma = 1 - 1/sqrt 2)
+    /// in free motion. Linearly implicit Euler takes the step instead if there is a contact or joint-stop
+    /// candidate, if a tendon with friction reverses, starts or stops sliding, or if the embedded error
+    /// estimate exceeds [`ManipulatorParameters::hybrid_tolerance_rad`].
     Hybrid,
 }
 
-/// Parameters of all tendons that have none of their own, and the antagonist pair: tendon 0 runs on the +x side of the base frame and bends
-/// toward +x (positive joint angles), tendon 1 runs on the -x side.
+/// Default parameters of all tendons, and the antagonist pair: tendon 0 runs on the +x side of the base frame
+/// and bends toward +x (positive joint angles), tendon 1 runs on the -x side.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TendonParameters {
     /// Distance of the pair's channels from the tool axis, m.
     pub offset_m: f64,
-    /// Free length of the tendon across one flexure, hole to hole, at zero bend, m. The chord between the holes is
-    /// `gap cos(q/2) -+ 2 offset sin(q/2)`.
+    /// Free length of the tendon across one flexure, hole to hole, at zero bend, m. The chord between the
+    /// holes is `gap cos(q/2) -+ 2 offset sin(q/2)`.
     pub gap_m: f64,
     /// Axial stiffness of the whole tendon from actuator to anchor, N/m.
     pub stiffness_n_per_m: f64,
     /// Capstan friction coefficient between tendon and channel; 0 is frictionless.
     pub friction_coefficient: f64,
-    /// Sliding distance over which friction builds up from zero to full (Dahl pre-sliding), m. A reversal of capstan friction takes twice
-    /// this distance.
+    /// Sliding distance over which friction builds up from zero to full (Dahl pre-sliding), m. A reversal of
+    /// capstan friction takes twice this distance.
     pub presliding_m: f64,
 }
 
-/// Where a tendon runs.
+/// Range of flexures that a tendon bends.
 #[derive(Debug, Clone, PartialEq, Eq, Default, PartialOrd)]
 pub struct TendonReach {
-    /// The first flexure that it bends, from 0.
+    /// The first flexure that the tendon bends, from 0.
     pub from: usize,
-    /// The flexure behind the last that it bends; `None` if it ends at the tip.
+    /// The flexure after the last that the tendon bends; `None` if it ends at the tip.
     pub to: Option<usize>,
 }
 
-/// A tendon in a channel parallel to the tool's axis, or winding about it.
+/// A tendon in a channel parallel to the tool axis, or winding around it.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct TendonRoute {
-    /// Channel, (x, y) from the tool axis in the base frame, m. Only the spatial rungs bend along y.
+    /// Channel position (x, y) relative to the tool axis in the base frame, m. Only the spatial rungs bend
+    /// along y.
     pub channel_m: [f64; 2],
-    /// The flexures that it bends. In front of them a sheath holds it, behind them it ends.
+    /// The flexures that it bends. Before them it runs in a sheath; after them it ends.
     pub reach: TendonReach,
-    /// Angle by which the channel turns about the tool's axis, from x toward y, per length from half way before the first flexure that it
-    /// bends on, rad/m; 0: parallel to the axis. Only the spatial rungs twist: see `manipulator::helix`.
+    /// Winding rate of the channel about the tool axis, from x toward y, rad/m, starting halfway before the
+    /// first flexure that it bends; 0 if parallel to the axis. Supported by the spatial rungs only; see
+    /// `manipulator::helix`.
     pub twist_rad_per_m: f64,
-    /// Its own axial stiffness, N/m, in place of that of all.
+    /// Axial stiffness, N/m, which overrides that of [`TendonParameters`].
     pub stiffness_n_per_m: Option<f64>,
-    /// Its own capstan friction coefficient, in place of that of all.
+    /// Capstan friction coefficient, which overrides that of [`TendonParameters`].
     pub friction_coefficient: Option<f64>,
 }
 
 impl From<[f64; 2]> for TendonRoute {
-    /// Along the whole tool.
+    /// A tendon along the whole tool.
     fn from(channel_m: [f64; 2]) -> Self {
         Self { channel_m, ..Self::default() }
     }
@@ -73,62 +76,67 @@ impl From<[f64; 2]> for TendonRoute {
 /// Contact model and its solver.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ContactParameters {
-    /// Coulomb coefficient of the shaft and segment spheres, and of a burr that stands still.
+    /// Coulomb coefficient of the shaft and segment spheres, and of a stationary burr.
     pub friction_coefficient: f64,
-    /// Coulomb coefficient of a burr that turns. It slides about its own axis, which leaves no dry friction to resist the feed: 0.
+    /// Coulomb coefficient of a turning burr: 0, because its surface slides about its own axis, which leaves
+    /// no dry friction to resist the feed.
     pub burr_friction_coefficient: f64,
     /// Stiffness of one contact, N/m: the overlap at rest is force / stiffness.
     pub stiffness_n_per_m: f64,
-    /// Maximum speed at which overlap beyond what the contact force explains is pushed out, m/s; at most 0.05 mm a step.
+    /// Maximum speed at which overlap beyond what the contact force explains is pushed out, m/s; at most 0.05
+    /// mm per step.
     pub push_out_speed_m_per_s: f64,
     /// Maximum number of Newton iterations of the contact solver.
     pub max_iterations: usize,
-    /// The solver stops when no contact misses its law by more than this speed, m/s.
+    /// Speed, m/s, by which contacts may violate their law when the solver stops.
     pub tolerance_m_per_s: f64,
 }
 
-/// What a flexure is, besides its bending stiffness.
+/// Cross-section of a flexure, which determines its stiffness other than bending.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Section {
-    /// A piece of a round tube without notches.
+    /// A section of round tube without notches.
     Tube,
-    /// Given by its ratios, one entry per flexure: see [`ManipulatorParameters::set_notch`].
+    /// Given by stiffness ratios, one entry per flexure; see [`ManipulatorParameters::set_notch`].
     Ratios(Vec<StiffnessRatios>),
 }
 
-/// Moment modes of the rung `modal` unless others are asked for: with five, the standard tool is at rest within 25 µm of all its flexures.
+/// Default number of moment modes of the modal rung: with five, the standard tool at rest is within 25 µm of
+/// the planar chain.
 pub const STANDARD_MOMENT_MODES: usize = 5;
 
-/// Complete definition of a continuum manipulator, for every rung. SI units.
+/// Complete definition of a continuum manipulator for all rungs, in SI units.
 ///
-/// Base frame: +z is the insertion axis along the straight tool, +x the bending direction toward tendon 0, and in the
-/// planar rungs every flexure turns about +y. The origin is the flange.
+/// Base frame: +z is the insertion axis along the straight tool, +x the bending direction toward tendon 0,
+/// and in the planar rungs every flexure turns about +y. The origin is the flange.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ManipulatorParameters {
     /// z of each flexure centre on the straight tool, in the base frame, strictly increasing, m.
     pub joint_positions_m: Vec<f64>,
     /// Bending stiffness of each flexure, N m/rad.
     pub joint_stiffness_nm_per_rad: Vec<f64>,
-    /// Bend of each flexure without load, rad: that of a pre-curved tube, in the bending plane. Empty for a straight tool.
+    /// Unloaded bend of each flexure of a pre-curved tube, in the bending plane, rad. Empty for a straight
+    /// tool.
     pub joint_rest_rad: Vec<f64>,
-    /// Where the stiffness of a flexure in its other freedoms comes from. Used by the spatial rungs only.
+    /// Source of the stiffness of a flexure in its other freedoms. Used by the spatial rungs only.
     pub section: Section,
-    /// Lateral stiffness of each flexure divided by its bending stiffness, in place of that of `section`.
+    /// Lateral stiffness of each flexure divided by its bending stiffness; overrides that of `section`.
     pub lateral_stiffness_ratio: Option<f64>,
-    /// Torsional stiffness of each flexure divided by its bending stiffness, in place of that of `section`.
+    /// Torsional stiffness of each flexure divided by its bending stiffness; overrides that of `section`.
     pub torsion_stiffness_ratio: Option<f64>,
     /// Poisson's ratio nu.
     pub poisson_ratio: f64,
-    /// Joint stop of each flexure, to either side of its rest angle, rad.
+    /// Joint stop of each flexure, on both sides of its rest angle, rad.
     pub joint_limit_rad: f64,
     /// Stiffness of the stop, N m/rad.
     pub joint_stop_stiffness_nm_per_rad: f64,
-    /// From the last flexure centre to the burr centre, m. The tip frame sits at the burr centre, which is that of its front ball.
+    /// Distance from the last flexure centre to the burr centre, m. The tip frame is at the burr centre,
+    /// which is that of its front ball.
     pub tip_offset_m: f64,
     /// Mass per length of the flexible tube, kg/m.
     pub linear_density_kg_per_m: f64,
-    /// Outer and inner radius of the tube, m. They set the links' rotary inertia and, with `section`, the stiffness of a flexure but for
-    /// bending, which `joint_stiffness_nm_per_rad` gives.
+    /// Outer and inner radius of the tube, m. They determine the links' rotary inertia and, with `section`,
+    /// the stiffness of a flexure except for bending, which is `joint_stiffness_nm_per_rad`.
     pub tube_radii_m: [f64; 2],
     /// Mass of the burr, a solid, kg.
     pub burr_mass_kg: f64,
@@ -136,7 +144,8 @@ pub struct ManipulatorParameters {
     pub shaft_mass_kg: f64,
     /// z of the shaft's centre of mass in the base frame, m.
     pub shaft_centre_m: f64,
-    /// Damping ratio of the first bending mode; each flexure has the Kelvin-Voigt damping (2 ratio / omega_1) k.
+    /// Damping ratio of the first bending mode; each flexure has the Kelvin-Voigt damping (2 ratio / omega_1)
+    /// k.
     pub damping_ratio: f64,
     /// Stiffness of the tool mount along base x, y and z, N/m.
     pub mount_stiffness_n_per_m: [f64; 3],
@@ -156,17 +165,19 @@ pub struct ManipulatorParameters {
     pub cutter: Cutter,
     /// The tendons.
     pub tendon: TendonParameters,
-    /// The tendons' routes, none for a tool without tendons; `None` for the antagonist pair.
+    /// The tendons' routes; empty for a tool without tendons, `None` for the antagonist pair.
     pub tendon_routes: Option<Vec<TendonRoute>>,
-    /// The tube out of which the tool slides, if there is one.
+    /// The outer tube out of which the tool slides, if any.
     pub outer_tube: Option<OuterTube>,
     /// The contact model.
     pub contact: ContactParameters,
-    /// How a step is integrated.
+    /// Integration method of a step.
     pub integrator: Integrator,
-    /// Error per joint and step, rad, above which [`Integrator::Hybrid`] repeats the step with linearly implicit Euler.
+    /// Error per joint and step, rad, above which [`Integrator::Hybrid`] repeats the step with linearly
+    /// implicit Euler.
     pub hybrid_tolerance_rad: f64,
-    /// Number of moment modes, 2 to 8. Used by the rung `modal` only; a tool of fewer flexures has one mode each.
+    /// Number of moment modes, 2 to 8. Used by the modal rung only; a tool with fewer flexures has one mode
+    /// per flexure.
     pub moment_modes: usize,
 }
 
@@ -178,7 +189,8 @@ const JHU_JOINTS_MM: [f64; 27] = [
     60.68872, 61.82167, 62.95139, 64.08112, 65.21084, 66.34056, 67.47028,
 ];
 
-/// Finite-element flexure stiffnesses of the same tool, N m/degree, proximal to distal (`replace_cm_joint_properties.py`).
+/// Finite-element flexure stiffnesses of the same tool, N m/degree, proximal to distal
+/// (`replace_cm_joint_properties.py`).
 const JHU_STIFFNESS_NM_PER_DEG: [f64; 27] = [
     0.013685109,
     0.013281173,
@@ -209,14 +221,16 @@ const JHU_STIFFNESS_NM_PER_DEG: [f64; 27] = [
     0.005336815,
 ];
 
-/// Mean distance of a flexure from its neighbours, m; 0 for the only one. `joints_m`: places of all of them.
+/// Returns the mean distance of a flexure from its neighbours, m; 0 for the only one. `joints_m` holds the
+/// positions of all of them.
 pub(crate) fn pitch_m(joints_m: &[f64], index: usize) -> f64 {
     let last = joints_m.len().saturating_sub(1);
     let (from, to) = (index.saturating_sub(1), (index + 1).min(last));
     (joints_m[to] - joints_m[from]) / (to - from).max(1) as f64
 }
 
-/// The ratios of flexures at `joints_m` between notches; the pitch of a flexure is the mean of those on either side.
+/// Returns the ratios of flexures at `joints_m` between notches; the pitch of a flexure is the mean of those
+/// on both sides.
 fn notched(
     notch: &Notch,
     joints_m: &[f64],
@@ -229,12 +243,14 @@ fn notched(
 }
 
 impl ManipulatorParameters {
-    /// The 27-flexure notched nitinol tool of BIGSS/JHU: OD 6 mm, ID 4 mm, tendon channels at 2.5 mm, burr 6.5 mm.
+    /// Returns the 27-flexure notched nitinol tool of BIGSS/JHU: OD 6 mm, ID 4 mm, tendon channels at 2.5 mm,
+    /// burr 6.5 mm.
     ///
-    /// Geometry and bending stiffness come from the tables above, the other stiffnesses from the notches ([`Notch::JHU`], nu = 0.33);
-    /// masses assume a solid nitinol tube (6450 kg/m^3, 0.101 kg/m). `tendon.gap_m` is 0, as in the published prediction (8.65 degrees
-    /// per newton): a gap of one full pitch bends about 1 % more. Tendon stiffness (a 0.35 mm steel cable of 0.3 m), damping ratio, stop
-    /// stiffness and friction are assumptions: override them with measured values if you have them.
+    /// Geometry and bending stiffness come from the tables above, the other stiffnesses from the notches
+    /// ([`Notch::JHU`], nu = 0.33); masses assume a solid nitinol tube (6450 kg/m^3, 0.101 kg/m).
+    /// `tendon.gap_m` is 0, as in the published prediction (8.65 degrees per newton): a gap of one full pitch
+    /// bends about 1 % more. Tendon stiffness (a 0.35 mm steel cable of 0.3 m), damping ratio, stop stiffness
+    /// and friction are assumptions; override them with measured values if available.
     pub fn jhu_27() -> Self {
         let joints: Vec<f64> = JHU_JOINTS_MM.iter().map(|z| z * 1e-3).collect();
         let stiffness =
@@ -292,9 +308,9 @@ impl ManipulatorParameters {
         }
     }
 
-    /// A uniform beam of `length_m` and flexural rigidity `rigidity_nm2` (EI) as `joints` equal links with flexures at their centres:
-    /// half a link precedes the first flexure and follows the last. A round tube, no shaft, no burr mass, stops out of reach;
-    /// everything else as in [`Self::jhu_27`].
+    /// Returns a uniform beam of `length_m` and flexural rigidity `rigidity_nm2` (EI) as `joints` equal links
+    /// with flexures at their centres: half a link precedes the first flexure and follows the last. It has a
+    /// round tube, no shaft, no burr mass and stops out of reach; everything else is as in [`Self::jhu_27`].
     pub fn uniform_beam(joints: usize, length_m: f64, rigidity_nm2: f64) -> Self {
         let pitch = length_m / joints as f64;
         Self {
@@ -312,12 +328,13 @@ impl ManipulatorParameters {
         }
     }
 
-    /// The same tool with `links` equal links over its flexible length, 1 to 64.
+    /// Returns the same tool with `links` equal links over its flexible length, 1 to 64.
     ///
-    /// The flexible length extends half a pitch beyond the first and the last flexure. Each original flexure's compliance is spread
-    /// evenly over its cell, which reaches halfway to both neighbours. A new flexure gets the compliance of its link and sits at that
-    /// compliance's centroid, so a small tip load moves the tip as before. The other freedoms' compliances and the rest angles are spread
-    /// and summed alike.
+    /// The flexible length extends half a pitch beyond the first and the last flexure. Each original
+    /// flexure's compliance is spread evenly over its cell, which reaches halfway to both neighbours. A new
+    /// flexure gets the compliance of its link and is placed at the centroid of that compliance, so a small
+    /// tip load moves the tip as before. The other freedoms' compliances and the rest angles are spread and
+    /// summed in the same way.
     ///
     /// # Errors
     /// The number of links or a parameter is out of range; a tendon begins or ends within a link.
@@ -353,7 +370,7 @@ impl ManipulatorParameters {
             ratios.push(StiffnessRatios::in_series(&parts));
         }
         let tip_offset_m = burr - positions[links - 1];
-        // Joint stop and tendon gap scale with the length of tube.
+        // Joint stop and tendon gap scale with the length of tube per flexure.
         let pitch_ratio = n as f64 / links as f64;
         let mut tendon = self.tendon;
         tendon.gap_m *= pitch_ratio;
@@ -377,7 +394,7 @@ impl ManipulatorParameters {
         })
     }
 
-    /// The tendons' routes over links between `after` in place of flexures between `before`, m.
+    /// Returns the tendons' routes over links between `after` instead of flexures between `before`, m.
     fn routes_over(
         &self,
         before: &[f64],
@@ -387,11 +404,13 @@ impl ManipulatorParameters {
         let same_m = 1e-9;
         let edge = |flexure: usize| {
             let z_m = before.get(flexure).copied().unwrap_or(f64::NAN);
-            after.iter().position(|edge_m| (edge_m - z_m).abs() < same_m).ok_or(ManipulatorError::OutOfRange {
-                field: "links",
-                value: (after.len() - 1) as f64,
-                allowed: "a number of links of which none is bent in part only by a tendon that begins or ends in it",
-            })
+            after.iter().position(|edge_m| (edge_m - z_m).abs() < same_m).ok_or(
+                ManipulatorError::OutOfRange {
+                    field: "links",
+                    value: (after.len() - 1) as f64,
+                    allowed: "a number of links such that tendons begin and end only at link boundaries",
+                },
+            )
         };
         let moved = |route: &TendonRoute| {
             let to = route.reach.to.map(edge).transpose()?;
@@ -401,19 +420,20 @@ impl ManipulatorParameters {
         routes.iter().map(moved).collect::<Result<Vec<_>, _>>().map(Some)
     }
 
-    /// Bend of flexure `joint` without load, rad; 0 past the end.
+    /// Returns the unloaded bend of flexure `joint`, rad; 0 past the end.
     pub fn rest_rad(&self, joint: usize) -> f64 {
         self.joint_rest_rad.get(joint).copied().unwrap_or(0.0)
     }
 
-    /// Takes the stiffness of every flexure but for bending from notches of this shape in a tube of `tube_radii_m`. A web's height follows
-    /// from the distances to the neighbouring flexures.
+    /// Sets the stiffness of every flexure except for bending from notches of this shape in a tube of
+    /// `tube_radii_m`. A web's height follows from the distances to the neighbouring flexures.
     pub fn set_notch(&mut self, notch: &Notch) {
         let ratios = notched(notch, &self.joint_positions_m, self.tube_radii_m, self.poisson_ratio);
         self.section = Section::Ratios(ratios);
     }
 
-    /// Stiffness of flexure `joint` in its other freedoms over its bending stiffness. The last flexure's past the end.
+    /// Returns the stiffness of flexure `joint` in its other freedoms over its bending stiffness; past the
+    /// end, that of the last flexure.
     pub fn stiffness_ratios(&self, joint: usize) -> StiffnessRatios {
         let tube = || StiffnessRatios::tube(self.tube_radii_m, self.poisson_ratio);
         let own = match &self.section {
@@ -427,33 +447,35 @@ impl ManipulatorParameters {
         }
     }
 
-    /// Distance of the burr's centre from the base, along the straight tool, m.
+    /// Returns the distance of the burr's centre from the base, along the straight tool, m.
     pub fn burr_centre_m(&self) -> f64 {
         self.joint_positions_m.last().copied().unwrap_or(0.0) + self.tip_offset_m
     }
 
-    /// Length that bends, from the first flexure to the burr's centre, m.
+    /// Returns the flexible length, from the first flexure to the burr centre, m.
     pub fn flexible_length_m(&self) -> f64 {
         let z = &self.joint_positions_m;
         z.first().zip(z.last()).map_or(0.0, |(first, last)| last - first) + self.tip_offset_m
     }
 
-    /// Radius of the tool where it is widest, but for the burr, m: of its tube, or of the one that it slides out of.
+    /// Returns the maximum radius of the tool excluding the burr, m: that of its tube, or of the outer tube.
     pub fn widest_tube_m(&self) -> f64 {
         self.outer_tube.map_or(self.tube_radii_m[0], |outer| outer.outer_radius_m)
     }
 
-    /// Number of tendons.
+    /// Returns the number of tendons.
     pub fn tendon_count(&self) -> usize {
         self.tendon_routes.as_ref().map_or(2, Vec::len)
     }
 
-    /// Boundaries of the cells of tube that the flexures represent, one more than there are flexures, m.
+    /// Returns the boundaries of the sections of tube that the flexures represent, one more than there are
+    /// flexures, m.
     pub(super) fn cell_edges_m(&self) -> Vec<f64> {
         (0..=self.joint_positions_m.len()).map(|edge| self.cell_edge_m(edge)).collect()
     }
 
-    /// One of [`Self::cell_edges_m`]: half way between two flexures, and as far beyond the outer ones.
+    /// Returns one of [`Self::cell_edges_m`]: halfway between two flexures, and the same distance beyond the
+    /// outer ones.
     pub(super) fn cell_edge_m(&self, edge: usize) -> f64 {
         let z = &self.joint_positions_m;
         let n = z.len();

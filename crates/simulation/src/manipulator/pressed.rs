@@ -1,16 +1,17 @@
 //! Joint stops under load, treated as springs of the implicit operator.
 //!
-//! A stop that carried torque in the last step is assumed to carry torque in this one. Its unilateral law, `torque = k dt (target - v)`
-//! toward the free range, then becomes an equation that the operator solves exactly together with the flexures. If these stops were rows
-//! of the contact solver, a tool pressed against all its stops would not converge. If the solution makes a stop pull, the step is solved
-//! again with that stop as a contact row.
+//! A stop that carried torque in the last step is assumed to carry torque in this one. Its unilateral law,
+//! `torque = k dt (target - v)` toward the free range, then becomes an equation that the operator solves
+//! exactly together with the flexures. With these stops as rows of the contact solver, a tool pressed against
+//! all its stops would not converge. If a stop pulls in the solution, the step is solved again with that stop
+//! as a contact row.
 
 use super::parameters::ManipulatorParameters;
 
 /// The pressed stops, one entry per degree of freedom.
 #[derive(Debug, Clone)]
 pub(super) struct PressedStops {
-    /// Spring stiffness, 0 where no stop is pressed, N m/rad.
+    /// Spring stiffness, N m/rad; 0 where no stop is pressed.
     stiffness: Vec<f64>,
     /// Torque at rest, N m.
     drive: Vec<f64>,
@@ -44,7 +45,7 @@ impl PressedStops {
         }
     }
 
-    /// Releases the stops that would pull at velocities `v` (rad/s); true if there were any.
+    /// Releases the stops that would pull at velocities `v` (rad/s); returns true if there were any.
     pub fn release(&mut self, dt: f64, v: &[f64], last: &[f64]) -> bool {
         let mut released = false;
         if self.any {
@@ -69,17 +70,17 @@ impl PressedStops {
         self.drive[i] - self.stiffness[i] * dt * v[i]
     }
 
-    /// True if the stop of coordinate `i` is pressed.
+    /// Returns true if the stop of coordinate `i` is pressed.
     pub fn has(&self, i: usize) -> bool {
         self.stiffness[i] != 0.0
     }
 
-    /// N m/rad.
+    /// Returns the spring stiffness of each stop, N m/rad.
     pub fn stiffness(&self) -> &[f64] {
         &self.stiffness
     }
 
-    /// N m.
+    /// Returns the torque of each stop at rest, N m.
     pub fn drive(&self) -> &[f64] {
         &self.drive
     }

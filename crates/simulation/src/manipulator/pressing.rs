@@ -1,4 +1,5 @@
-//! The planar chain as the contact solver sees it: motions and forces (omega_y, x, z, y) at the base origin, freedoms of the mount first.
+//! The planar chain in the contact solver's form: motions and forces (omega_y, x, z, y) at the base origin,
+//! with the freedoms of the mount first.
 
 use nalgebra::Vector3;
 
@@ -7,17 +8,17 @@ use super::articulated::Generalised;
 use super::contact::{Chain, Square};
 use super::geometry::{Configuration, Layout};
 
-/// Freedoms of the mount: x, y, z.
+/// Number of freedoms of the mount: x, y, z.
 pub(super) const MOUNT: usize = 3;
-/// Mount and flexures.
+/// Maximum number of freedoms: mount and flexures.
 pub(super) const MAX_FREEDOMS: usize = MOUNT + MAX_JOINTS;
 
-/// The first freedom of each link, then their number.
+/// Returns the first freedom of each link, then the number of freedoms.
 pub(super) fn first_freedoms(joints: usize) -> Vec<usize> {
     core::iter::once(0).chain(MOUNT..=MOUNT + joints).collect()
 }
 
-/// A unit force along `direction` at `point`.
+/// Returns a unit force along `direction` at `point`.
 pub(super) fn force(point: &Vector3<f64>, direction: &Vector3<f64>) -> [f64; 4] {
     [point.z * direction.x - point.x * direction.z, direction.x, direction.z, direction.y]
 }
@@ -43,7 +44,7 @@ pub(super) fn describe(
     }
 }
 
-/// Inertia of a link about the base origin.
+/// Returns the inertia of a link about the base origin.
 fn inertia(layout: &Layout, configuration: &Configuration, link: usize) -> Square<4> {
     let body = &layout.body[link];
     let c = configuration.point(link, body.centre_m);
@@ -52,7 +53,7 @@ fn inertia(layout: &Layout, configuration: &Configuration, link: usize) -> Squar
     [[about, m * c[1], -m * c[0], 0.0], [m * c[1], m, 0.0, 0.0], [-m * c[0], 0.0, m, 0.0], [0.0, 0.0, 0.0, m]]
 }
 
-/// The velocities in the order of the chain's freedoms.
+/// Returns the velocities in the order of the chain's freedoms.
 pub(super) fn ordered<'o>(v: &Generalised, out: &'o mut [f64; MAX_FREEDOMS], joints: usize) -> &'o [f64] {
     out[..MOUNT].copy_from_slice(&v.mount);
     out[MOUNT..].copy_from_slice(&v.joint);

@@ -1,12 +1,12 @@
-//! What the rows of the contact solver are made of: a contact's directions, the targets of contacts and joint stops.
+//! Ingredients of the contact solver's rows: contact directions, and targets of contacts and joint stops.
 
 use nalgebra::Vector3;
 
 use super::parameters::ManipulatorParameters;
 
-/// A flexure enters the solver if the free step would take it beyond this fraction of its stop.
+/// Fraction of its stop beyond which the free step must take a flexure for the stop to enter the solver.
 const STOP_SHARE: f64 = 0.9;
-/// Maximum return rate of a flexure that is past its stop, rad/s.
+/// Maximum return rate of a flexure past its stop, rad/s.
 const STOP_RETURN_RAD_PER_S: f64 = 5.0;
 
 /// The two stops of a flexure, at plus and minus the same angle.
@@ -17,8 +17,8 @@ pub(super) struct StopLaw {
 }
 
 impl StopLaw {
-    /// The stop that a free step of `dt` s approaches, for a flexure at `q_rad` turning at `rate_rad_per_s`; `last_nm` is its stop torque
-    /// in the last step.
+    /// Returns the stop that a free step of `dt` s approaches, for a flexure at `q_rad` turning at
+    /// `rate_rad_per_s`; `last_nm` is its stop torque in the last step.
     pub fn near(&self, dt: f64, q_rad: f64, rate_rad_per_s: f64, last_nm: f64) -> Option<Stop> {
         let predicted = q_rad + dt * rate_rad_per_s;
         if predicted.abs().max(q_rad.abs()) <= STOP_SHARE * self.limit_rad {
@@ -34,7 +34,8 @@ impl StopLaw {
         })
     }
 
-    /// Velocity toward the free range that the stop on side `sign` requires after carrying `last_nm`, rad/s.
+    /// Returns the velocity toward the free range that the stop on side `sign` requires after carrying
+    /// `last_nm`, rad/s.
     pub fn target(&self, dt: f64, sign: f64, q_rad: f64, last_nm: f64) -> f64 {
         let explained = last_nm / self.stiffness_nm_per_rad;
         target(self.limit_rad + sign * q_rad, explained, STOP_RETURN_RAD_PER_S, dt)
@@ -42,7 +43,7 @@ impl StopLaw {
 }
 
 impl ManipulatorParameters {
-    /// The flexures' stops.
+    /// Returns the flexures' stops.
     pub(super) fn stop_law(&self) -> StopLaw {
         StopLaw {
             limit_rad: self.joint_limit_rad,
@@ -55,21 +56,21 @@ impl ManipulatorParameters {
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Stop {
     pub sign: f64,
-    /// 1 / (k dt^2).
+    /// Compliance, 1 / (k dt^2).
     pub compliance: f64,
     /// Lower bound for rate toward the free range + compliance * impulse, rad/s.
     pub target: f64,
-    /// N m s.
+    /// Impulse, N m s.
     pub impulse: f64,
 }
 
-/// Target velocity of a unilateral row: the whole gap may close within the step. Overlap that the last force explains stays; the rest is
-/// pushed out at `fastest` at most.
+/// Returns the target velocity of a unilateral row: the whole gap may close within the step. Overlap
+/// explained by the last force remains; the rest is pushed out at `fastest` at most.
 pub(super) fn target(gap: f64, explained: f64, fastest: f64, dt: f64) -> f64 {
     if gap >= 0.0 { -gap / dt } else { explained / dt + ((-gap - explained) / dt).min(fastest) }
 }
 
-/// Two unit tangents, the first in the bending plane unless the normal is nearly perpendicular to it.
+/// Returns two unit tangents, the first in the bending plane unless the normal is nearly perpendicular to it.
 pub(super) fn tangents(normal: &Vector3<f64>) -> [Vector3<f64>; 2] {
     let in_plane = libm::sqrt(normal.x * normal.x + normal.z * normal.z);
     let first = if in_plane > 0.1 {

@@ -23,7 +23,7 @@ pub struct BaseMotion {
 }
 
 impl BaseMotion {
-    /// A base at rest.
+    /// Returns a base at rest.
     pub fn at_rest(t_world_base: Isometry3<f64>) -> Self {
         Self {
             t_world_base,
@@ -33,22 +33,23 @@ impl BaseMotion {
     }
 }
 
-/// How the tendons are driven.
+/// Command to the tendon actuators.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum TendonCommand {
-    /// Tension of the first two at the proximal end, N; the others are slack. A negative tension counts as 0.
+    /// Tension of the first two tendons at the proximal end, N; the others are slack. Negative values count
+    /// as 0.
     Force([f64; 2]),
-    /// Length of the first two pulled out at the base, measured from the just-taut straight tool, m; the others are not pulled. The
-    /// tension follows from the tendon's stiffness; a slack tendon does not push.
+    /// Pulled length of the first two tendons at the base, relative to the just-taut straight tool, m; the
+    /// others are not pulled. The tension follows from the tendon's stiffness; a slack tendon does not push.
     Displacement([f64; 2]),
-    /// Tension of each, N (`servo_jf`).
+    /// Tension of each tendon, N (`servo_jf`).
     EachForce([f64; MAX_TENDONS]),
-    /// Pulled length of each, m (`servo_jp`).
+    /// Pulled length of each tendon, m (`servo_jp`).
     EachDisplacement([f64; MAX_TENDONS]),
 }
 
 impl TendonCommand {
-    /// Tension or pulled length of each tendon.
+    /// Returns the tension or pulled length of each tendon.
     pub(super) fn values(&self) -> [f64; MAX_TENDONS] {
         match *self {
             TendonCommand::Force([a, b]) | TendonCommand::Displacement([a, b]) => [a, b, 0.0, 0.0],
@@ -56,7 +57,7 @@ impl TendonCommand {
         }
     }
 
-    /// True if the pulled length is commanded, so that the tension depends on the shape.
+    /// Returns true if the pulled length is commanded, so that the tension depends on the shape.
     pub(super) fn is_displacement(&self) -> bool {
         matches!(self, TendonCommand::Displacement(_) | TendonCommand::EachDisplacement(_))
     }
@@ -67,12 +68,12 @@ impl TendonCommand {
 pub struct Wrench {
     /// Force, N.
     pub force_n: Vector3<f64>,
-    /// Torque about the point named where the wrench is used, N m.
+    /// Torque, N m, about a point that depends on the use.
     pub torque_nm: Vector3<f64>,
 }
 
 impl Wrench {
-    /// No load.
+    /// Returns a zero wrench.
     pub fn zero() -> Self {
         Self { force_n: Vector3::zeros(), torque_nm: Vector3::zeros() }
     }
@@ -81,27 +82,28 @@ impl Wrench {
 /// All inputs of one step.
 #[derive(Debug, Clone, Copy)]
 pub struct StepInput<'a> {
-    /// Base motion at the end of the step. Contact uses the mean velocity between the last pose and this one; inertia uses the change of
-    /// the stated velocities.
+    /// Base motion at the end of the step. Contact uses the mean velocity between the last pose and this one;
+    /// inertia uses the change of the stated velocities.
     pub base: BaseMotion,
-    /// Constant during the step.
+    /// Tendon command, constant during the step.
     pub tendon: TendonCommand,
     /// External load on the burr centre (dead load), constant during the step.
     pub tip_wrench: Wrench,
-    /// Contact candidates in the configuration before the step; those beyond [`super::MAX_CONTACTS`] are refused.
+    /// Contact candidates in the configuration before the step; those beyond [`super::MAX_CONTACTS`] are
+    /// rejected.
     pub contacts: &'a [ContactPlane],
 }
 
 /// A sphere that approximates the tool's surface in contact queries.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ProxySphere {
-    /// World, m.
+    /// Centre, world, m.
     pub centre_m: Vector3<f64>,
-    /// World, m/s.
+    /// Velocity, world, m/s.
     pub velocity_m_per_s: Vector3<f64>,
-    /// m.
+    /// Radius, m.
     pub radius_m: f64,
-    /// Which part of the tool the sphere represents.
+    /// The part of the tool that the sphere represents.
     pub kind: SphereKind,
 }
 
@@ -110,9 +112,9 @@ pub struct ProxySphere {
 pub struct ContactResult {
     /// Index into [`StepInput::contacts`].
     pub contact_index: usize,
-    /// The contact's sphere.
+    /// Index of the contact's sphere.
     pub sphere_index: usize,
-    /// World, from the obstacle to the sphere.
+    /// World-frame normal, from the obstacle to the sphere.
     pub normal: Vector3<f64>,
     /// Mean normal force on the tool over the step, N, never negative. Multiply by dt for the impulse.
     pub normal_force_n: f64,
@@ -123,21 +125,21 @@ pub struct ContactResult {
 /// Summary of one step.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct StepReport {
-    /// The method that took this step.
+    /// The method used for this step.
     pub integrator: Integrator,
     /// Error estimate of a Rosenbrock step, largest joint, rad; 0 if none was attempted.
     pub error_estimate_rad: f64,
-    /// Contacts that entered the solver.
+    /// Number of contacts that entered the solver.
     pub contact_count: usize,
-    /// Contacts that carried force.
+    /// Number of contacts that carried force.
     pub active_contact_count: usize,
-    /// Contacts refused: unknown sphere, not finite, or over the limit.
+    /// Number of rejected contacts: unknown sphere, not finite, or over the limit.
     pub refused_contact_count: usize,
-    /// Flexures pressing on their stop.
+    /// Number of flexures pressing on their stop.
     pub stopped_joint_count: usize,
-    /// Newton iterations of the contact solver.
+    /// Number of Newton iterations of the contact solver.
     pub contact_iterations: usize,
-    /// Largest speed by which a contact (m/s) or a joint stop (rad/s) misses its law after them. Above
+    /// Largest speed by which a contact (m/s) or a joint stop (rad/s) violates its law afterwards. Above
     /// [`super::ContactParameters::tolerance_m_per_s`] if the solver stopped at its iteration limit.
     pub contact_residual_m_per_s: f64,
     /// Deepest overlap among the contacts that entered, m.
@@ -153,7 +155,7 @@ pub struct StepReport {
 }
 
 impl StepReport {
-    /// The report before the first step.
+    /// Returns the report before the first step.
     pub(super) fn none() -> Self {
         Self {
             integrator: Integrator::LinearlyImplicitEuler,
@@ -177,20 +179,21 @@ impl StepReport {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ManipulatorState {
     pub(super) rung: Rung,
-    /// Displacement relative to the base along base x, y and z, m; then the coordinates in which the rung describes the
-    /// shape (flexure angles in rad for [`super::Manipulator`], whose entries past the last flexure stay 0).
+    /// Displacement relative to the base along base x, y and z, m; then the rung's shape coordinates (flexure
+    /// angles in rad for [`super::Manipulator`], whose entries past the last flexure stay 0).
     pub position: Vec<f64>,
     /// Velocities of the coordinates.
     pub velocity: Vec<f64>,
     /// Base motion at the end of the last step.
     pub base: BaseMotion,
     pub(super) tendon: [TendonMemory; MAX_TENDONS],
-    /// Torque of each joint stop in the last step, positive toward positive angles, N m. Warm-starts the next step.
+    /// Torque of each joint stop in the last step, positive toward positive angles, N m. Warm-starts the next
+    /// step.
     pub(super) stop_torque_nm: Vec<f64>,
     /// Results of the last step, ordered by sphere. Output, and warm start of the next step.
     pub(super) results: Vec<ContactResult>,
     pub(super) report: StepReport,
-    /// Limit of the energy in free motion (spatial rungs), J; infinite after a step that was not free.
+    /// Energy ceiling in free motion (spatial rungs), J; infinite after a step that was not free.
     pub(super) energy_ceiling_j: f64,
 }
 

@@ -1,8 +1,8 @@
-//! One step of the chain.
+//! One step of the planar chain.
 //!
-//! Linearly implicit Euler: `(M + dt D + dt^2 K) dv = dt (f - dt K v) + J' P`, where the contact impulses P come from the same velocity
-//! solve, then `q += dt v`. A state at rest in contact is an exact equilibrium. ROS2 (see [`Integrator::Hybrid`]) solves the same
-//! operator twice, with gamma dt in place of dt.
+//! Linearly implicit Euler: `(M + dt D + dt^2 K) dv = dt (f - dt K v) + J' P`, where the contact impulses P
+//! come from the same velocity solve, then `q += dt v`. A state at rest in contact is an exact equilibrium.
+//! ROS2 (see [`Integrator::Hybrid`]) solves the same operator twice, with gamma dt instead of dt.
 
 use nalgebra::Vector3;
 
@@ -20,9 +20,10 @@ use super::{MAX_JOINTS, Manipulator, ManipulatorModel};
 
 /// 1 - 1/sqrt 2, the choice that makes ROS2 L-stable.
 pub(super) const GAMMA: f64 = 1.0 - core::f64::consts::FRAC_1_SQRT_2;
-/// A Rosenbrock step requires every flexure to be within this fraction of its stop.
+/// Fraction of its stop within which every flexure must be for a Rosenbrock step.
 pub(super) const FREE_SHARE: f64 = 0.9;
-/// Maximum solves per step of linearly implicit Euler. Each one drops the assumptions that the previous one violated.
+/// Maximum solves per step of linearly implicit Euler. Each one drops the assumptions that the previous one
+/// violated.
 pub(super) const MAX_ROUNDS: usize = 4;
 /// The configuration in which a stage of a step is evaluated.
 #[derive(Debug, Clone, Copy)]
@@ -82,7 +83,8 @@ impl Manipulator {
         Generalised::of(&self.common.state.position)
     }
 
-    /// Damping, and stiffness including pressed stops and the tendons' diagonal part (never below zero).
+    /// Returns the damping, and stiffness including pressed stops and the tendons' diagonal part (never below
+    /// zero).
     fn diagonals(&self) -> Diagonals {
         let mut stiffness =
             Generalised { joint: self.stiffness, mount: self.common.parameters.mount_stiffness_n_per_m };
@@ -93,7 +95,7 @@ impl Manipulator {
         Diagonals { stiffness, damping }
     }
 
-    /// Generalised forces of springs, dampers and tendons at `q`, `v`, minus `K y`.
+    /// Returns the generalised forces of springs, dampers and tendons at `q`, `v`, minus `K y`.
     fn elastic_forces(
         &self,
         q: &Generalised,
@@ -127,7 +129,7 @@ impl Manipulator {
         self.coupling.update(&self.tendon.terms(), h * h, solve);
     }
 
-    /// A^-1 (f + loads).
+    /// Returns A^-1 (f + loads).
     fn solve_loads(&self, f: &Generalised) -> Generalised {
         let mut rhs = *f;
         rhs.mount[1] += self.loads.lateral;
@@ -176,7 +178,7 @@ impl Manipulator {
         turns(&self.tendon.slides_on, &self.tendon.slope, [&before.joint, &after.joint])
     }
 
-    /// Velocities after the step without contacts.
+    /// Returns the velocities after the step without contacts.
     fn free_velocity(&self, dt: f64, (q, v): (&Generalised, &Generalised), d: &Diagonals) -> Generalised {
         let f = self.elastic_forces(q, v, &Generalised::ZERO.plus(dt, v), d);
         v.plus(dt, &self.solve_loads(&f))
@@ -246,8 +248,8 @@ impl Manipulator {
         self.common.store_contacts(&self.contact, dt, drive, &mut self.loads.moment, report);
     }
 
-    /// Takes a ROS2 step in free motion; returns its error estimate. `Err` leaves the state unchanged: ROS2 is off (estimate 0), the
-    /// motion is not free, or the estimate is above the tolerance.
+    /// Takes a ROS2 step in free motion; returns its error estimate. `Err` leaves the state unchanged: ROS2
+    /// is off (estimate 0), the motion is not free, or the estimate is above the tolerance.
     fn rosenbrock(&mut self, dt: f64, input: &StepInput, frame: &Frame) -> Result<(Generalised, f64), f64> {
         let wanted =
             self.common.parameters.integrator == Integrator::Hybrid && self.common.contacts_far(dt, input);
@@ -274,7 +276,8 @@ impl Manipulator {
         if self.tendon.slides_on != slid {
             return Err(0.0);
         }
-        // Substituting x = kv2 + 2 kv1: A x = f2 + 2 (h D + h^2 K) kv1 - h K (v2 - 2 kq1); M drops out of the right-hand side.
+        // Substituting x = kv2 + 2 kv1: A x = f2 + 2 (h D + h^2 K) kv1 - h K (v2 - 2 kq1); M drops out of the
+        // right-hand side.
         let y = Generalised::ZERO.plus(h, &v2.plus(-2.0, &kq1)).plus(-2.0 * h * h, &kv1);
         let mut f = self.elastic_forces(&q2, &v2, &y, &d);
         for i in 0..self.layout.joints {
@@ -296,7 +299,8 @@ impl Manipulator {
         Ok((v.plus(1.5 * dt, &kv1).plus(0.5 * dt, &kv2), error))
     }
 
-    /// Tendons, factored operator and loads of one stage at `q`, `v` in the start or trial configuration.
+    /// Returns the tendons, factored operator and loads of one stage at `q`, `v` in the start or trial
+    /// configuration.
     fn stage(
         &mut self,
         (q, v): (&Generalised, &Generalised),
@@ -336,12 +340,13 @@ impl Manipulator {
         self.deflection(q).iter().any(|q| q.abs() > reach)
     }
 
-    /// Joint angles from those without load, rad.
+    /// Returns the joint angles relative to the unloaded ones, rad.
     fn deflection(&self, q: &Generalised) -> [f64; MAX_JOINTS] {
         core::array::from_fn(|i| q.joint[i] - self.rest[i])
     }
 
-    /// True if every sphere still clears its plane in configuration `next`. Leaves `next` in the trial configuration.
+    /// Returns true if every sphere still clears its plane in configuration `next`. Leaves `next` in the
+    /// trial configuration.
     fn contacts_clear(&mut self, next: &Generalised, input: &StepInput) -> bool {
         if input.contacts.is_empty() {
             return true;

@@ -1,18 +1,22 @@
-//! Tendons, routed hole to hole, as joint torques.
+//! Joint torques of tendons that are routed from hole to hole.
 //!
-//! A tendon in a channel at (d, e) from the axis, with free gap g, spans a flexure bent by q with the chord `g cos(q/2) - 2 d sin(q/2)`;
-//! in the planar rung e has no effect. The antagonist pair lies at d and -d. The tool takes up `l = sum (g - chord)` of tendon, less that
-//! in its rest shape, so a tension T exerts the joint torque `T dl/dq = T (d cos(q/2) + g/2 sin(q/2))`. The sum is over the flexures that
-//! the tendon bends.
+//! A tendon in a channel at (d, e) from the axis, with free gap g, spans a flexure bent by q with the chord
+//! `g cos(q/2) - 2 d sin(q/2)`; in the planar rung e has no effect. The antagonist pair lies at d and -d. The
+//! tool takes up `l = sum (g - chord)` of tendon, minus that in its rest shape, so a tension T exerts the
+//! joint torque `T dl/dq = T (d cos(q/2) + g/2 sin(q/2))`. The sum is over the flexures that the tendon
+//! bends.
 //!
-//! Capstan friction reduces the tension along the channel, `T_i = T_0 exp(-mu s phi_i)`, with the wrap angle `phi_i = sum_{j<i} |q_j| +
-//! |q_i| / 2`. The tendon turns by half the joint angle at each of the two holes of a flexure, which makes the discrete law second-order
-//! accurate against the continuous channel `dT = -mu T dphi`. The sliding state s in [-1, 1] is Dahl's play operator on the take-up: it
-//! moves by dl / presliding and saturates at +1 (tendon pulled in) and -1 (tendon let out), which gives the hysteresis loop.
+//! Capstan friction reduces the tension along the channel, `T_i = T_0 exp(-mu s phi_i)`, with the wrap angle
+//! `phi_i = sum_{j<i} |q_j| + |q_i| / 2`. The tendon turns by half the joint angle at each of the two holes
+//! of a flexure, which makes the discrete law second-order accurate relative to the continuous channel `dT =
+//! -mu T dphi`. The sliding state s in [-1, 1] is Dahl's play operator on the take-up: it moves by dl /
+//! presliding and saturates at +1 (tendon pulled in) and -1 (tendon let out), which gives the hysteresis
+//! loop.
 //!
-//! At saturation the friction changes only if the tendon reverses, so the implicit operator needs the sliding direction before the step
-//! is taken. The step assumes that every saturated tendon keeps sliding, and is solved again if the resulting velocities reverse one
-//! ([`turns`]). The rank-one stiffness of friction makes that reversal smaller but does not undo it.
+//! At saturation the friction changes only if the tendon reverses, so the implicit operator needs the sliding
+//! direction before the step is taken. The step assumes that every saturated tendon keeps sliding, and is
+//! solved again if the resulting velocities reverse one ([`turns`]). The rank-one stiffness of friction
+//! reduces that reversal but does not undo it.
 
 use serde::{Deserialize, Serialize};
 
@@ -24,19 +28,20 @@ use super::parameters::{ManipulatorParameters, TendonParameters};
 use super::state::TendonCommand;
 use super::{MAX_JOINTS, MAX_TENDONS};
 
-/// Largest capstan exponent at which a Rosenbrock step is taken. The operator ignores how the wrap of one flexure changes the friction in
-/// more distal ones; at 10 ms this excites oscillations from an exponent of 1.5 upward.
+/// Largest capstan exponent at which a Rosenbrock step is taken. The operator ignores the effect of one
+/// flexure's wrap on the friction in more distal ones; at 10 ms this excites oscillations from an exponent of
+/// 1.5 upward.
 const MAX_CAPSTAN_EXPONENT: f64 = 1.25;
 
 /// Routing of the tendons.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Channels {
     pub count: usize,
-    /// From the tool axis along base x and y, m.
+    /// Position relative to the tool axis along base x and y, m.
     pub offset_m: [[f64; 2]; MAX_TENDONS],
-    /// The first flexure that each bends, and the one behind the last.
+    /// The first flexure that each bends, and the one after the last.
     pub reach: [[usize; 2]; MAX_TENDONS],
-    /// What each is made of.
+    /// Parameters of each tendon.
     pub cable: [TendonParameters; MAX_TENDONS],
     /// Take-up in the rest shape, m.
     pub rest_m: [f64; MAX_TENDONS],
@@ -45,7 +50,7 @@ pub(super) struct Channels {
 }
 
 impl Channels {
-    /// The channels from the parameters, or the antagonist pair.
+    /// Returns the channels of the parameters, or the antagonist pair.
     pub fn of(parameters: &ManipulatorParameters) -> Self {
         let mut offset_m = [[0.0; 2]; MAX_TENDONS];
         let joints = parameters.joint_positions_m.len();
@@ -82,13 +87,14 @@ impl Channels {
         Self { count: parameters.tendon_count(), offset_m, reach, cable, rest_m, compliance_rad_per_nm }
     }
 
-    /// The flexures that tendon `t` bends.
+    /// Returns the flexures that tendon `t` bends.
     pub fn flexures(&self, t: usize) -> core::ops::Range<usize> {
         self.reach[t][0]..self.reach[t][1]
     }
 
-    /// True if friction is too strong for a Rosenbrock step. The measure is the capstan exponent mu phi, with mu the largest of all and phi
-    /// the sum of the bends, rad, that each tension alone would cause without friction and stops.
+    /// Returns true if friction is too strong for a Rosenbrock step. The measure is the capstan exponent mu
+    /// phi, where mu is the largest of all and phi the sum of the bends, rad, that each tension alone would
+    /// cause without friction and stops.
     pub fn bind(&self, tension_n: &[f64; MAX_TENDONS]) -> bool {
         let moment = |t: usize| tension_n[t] * libm::hypot(self.offset_m[t][0], self.offset_m[t][1]);
         let bend_rad = self.compliance_rad_per_nm * (0..self.count).map(moment).sum::<f64>();
@@ -107,12 +113,13 @@ pub(super) struct TendonMemory {
 }
 
 impl TendonMemory {
-    /// Sliding state after the take-up has changed to `take_up_m`.
+    /// Returns the sliding state after the take-up has changed to `take_up_m`.
     pub fn sliding_at(&self, take_up_m: f64, parameters: &TendonParameters) -> f64 {
         (self.sliding + (take_up_m - self.take_up_m) / parameters.presliding_m).clamp(-1.0, 1.0)
     }
 
-    /// Advances the sliding state of tendon `t` to a new take-up; returns its tension (N) and displacement (m).
+    /// Advances the sliding state of tendon `t` to a new take-up; returns its tension (N) and displacement
+    /// (m).
     pub fn advance(
         &mut self,
         take_up_m: f64,
@@ -137,15 +144,16 @@ pub(super) struct TendonLoad {
     pub channels: Channels,
     /// Torque on each joint, N m.
     pub torque: [f64; MAX_JOINTS],
-    /// -d torque_i / d q_i at constant tension and sliding state, N m/rad.
+    /// Stiffness -d torque_i / d q_i at constant tension and sliding state, N m/rad.
     pub stiffness: [f64; MAX_JOINTS],
-    /// d take-up / d q_i of each tendon, m/rad.
+    /// Slope d take-up / d q_i of each tendon, m/rad.
     pub slope: [Generalised; MAX_TENDONS],
-    /// -d torque_i / d take-up of each tendon, N m/m.
+    /// Gradient -d torque_i / d take-up of each tendon, N m/m.
     pub gradient: [Generalised; MAX_TENDONS],
     /// True for each tendon whose gradient is not zero.
     pub coupled: [bool; MAX_TENDONS],
-    /// True if the step assumes that this tendon's friction does not change: it was sliding at the given velocity and keeps sliding.
+    /// True if the step assumes that this tendon's friction does not change: it was sliding at the given
+    /// velocity and keeps sliding.
     pub slides_on: [bool; MAX_TENDONS],
     /// Tension at the proximal end, N.
     pub tension_n: [f64; MAX_TENDONS],
@@ -165,13 +173,14 @@ impl TendonLoad {
         }
     }
 
-    /// What couples the joints.
+    /// Returns the terms that couple the joints.
     pub fn terms(&self) -> TendonTerms<'_, Generalised> {
         let Self { channels, coupled, slope, gradient, .. } = self;
         TendonTerms { count: channels.count, coupled, slope, gradient }
     }
 
-    /// Evaluates all tendons. `rate`, the joint velocities, tells whether a saturated sliding state is about to reverse.
+    /// Evaluates all tendons. `rate`, the joint velocities, shows whether a saturated sliding state is about
+    /// to reverse.
     pub fn evaluate(
         &mut self,
         layout: &Layout,
@@ -236,7 +245,7 @@ impl TendonLoad {
         slope_rate
     }
 
-    /// Length of tendon `t` taken up by the bent tool, from its rest shape, m.
+    /// Returns the length of tendon `t` taken up by the bent tool, from its rest shape, m.
     pub fn take_up(&self, configuration: &Configuration, t: usize) -> f64 {
         let gap_m = self.channels.cable[t].gap_m;
         let mut sum = 0.0;
@@ -248,7 +257,8 @@ impl TendonLoad {
     }
 }
 
-/// True if velocities `after` reverse a tendon that was assumed to keep sliding as with `before`; `slope` is d take-up / dq of each.
+/// Returns true if velocities `after` reverse a tendon that was assumed to keep sliding as with `before`;
+/// `slope` is d take-up / dq of each.
 pub(super) fn turns<S: AsRef<[f64]>>(
     slides_on: &[bool; MAX_TENDONS],
     slope: &[S; MAX_TENDONS],
@@ -261,12 +271,13 @@ pub(super) fn turns<S: AsRef<[f64]>>(
         .any(|(slides_on, slope)| *slides_on && rate(slope, before) * rate(slope, after) < 0.0)
 }
 
-/// d|x| / dx, taken as 0 at 0.
+/// Returns d|x| / dx, with 0 at 0.
 pub(super) fn sign(x: f64) -> f64 {
     if x == 0.0 { 0.0 } else { x.signum() }
 }
 
-/// Tension at the proximal end: as commanded, or from the stretch under the commanded pull. A slack tendon does not push.
+/// Returns the tension at the proximal end: as commanded, or from the stretch under the commanded pull. A
+/// slack tendon does not push.
 pub(super) fn base_tension(
     parameters: &TendonParameters,
     command: &TendonCommand,

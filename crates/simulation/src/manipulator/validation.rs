@@ -1,4 +1,4 @@
-//! The accepted ranges of a manipulator's parameters and of a step's input.
+//! Accepted ranges of a manipulator's parameters and of a step's input.
 
 use super::error::{ManipulatorError, check, check_all};
 use super::flexure::StiffnessRatios;
@@ -21,14 +21,14 @@ impl ManipulatorParameters {
             return Err(ManipulatorError::Length {
                 field: "joint_positions_m",
                 given: n,
-                expected: "1 to 64 entries (1 to 32 for the planar rung)",
+                expected: "1 to 64 (1 to 32 for the planar model)",
             });
         }
         if self.joint_stiffness_nm_per_rad.len() != n {
             return Err(ManipulatorError::Length {
                 field: "joint_stiffness_nm_per_rad",
                 given: self.joint_stiffness_nm_per_rad.len(),
-                expected: "as many entries as joint_positions_m",
+                expected: "as many as joint_positions_m",
             });
         }
         check_all("joint_positions_m", &self.joint_positions_m, "0 to 10 m", |z| (0.0..=10.0).contains(&z))?;
@@ -51,7 +51,7 @@ impl ManipulatorParameters {
             return Err(ManipulatorError::Length {
                 field: "joint_rest_rad",
                 given: self.joint_rest_rad.len(),
-                expected: "none, or as many entries as joint_positions_m",
+                expected: "0, or as many as joint_positions_m",
             });
         }
         check_all("joint_rest_rad", &self.joint_rest_rad, "-1.6 to 1.6 rad", |x| x.abs() <= 1.6)?;
@@ -76,7 +76,7 @@ impl ManipulatorParameters {
             return Err(ManipulatorError::Length {
                 field: "section",
                 given: ratios.len(),
-                expected: "as many entries as joint_positions_m",
+                expected: "as many as joint_positions_m",
             });
         }
         for (field, value) in ratios.iter().flat_map(StiffnessRatios::named) {
@@ -140,7 +140,7 @@ impl ManipulatorParameters {
     fn validate_routes(&self, routes: &[TendonRoute]) -> Result<(), ManipulatorError> {
         let given = routes.len();
         if given > MAX_TENDONS {
-            let expected = "at most 4 entries";
+            let expected = "at most 4";
             return Err(ManipulatorError::Length { field: "tendon_routes", given, expected });
         }
         let joints = self.joint_positions_m.len();
@@ -198,7 +198,7 @@ impl ManipulatorParameters {
     }
 }
 
-/// Refuses input that is not finite or out of range.
+/// Rejects input that is not finite or out of range.
 pub(super) fn validate(dt: f64, input: &StepInput) -> Result<(), ManipulatorError> {
     check("dt_s", dt, "1e-7 to 0.1 s", |x| (1e-7..=0.1).contains(&x))?;
     validate_base(&input.base)?;
@@ -213,7 +213,7 @@ pub(super) fn validate(dt: f64, input: &StepInput) -> Result<(), ManipulatorErro
     check_all("tip_wrench.torque_nm", wrench.torque_nm.as_slice(), "-1e5 to 1e5 N m", |x| x.abs() <= 1e5)
 }
 
-/// Refuses a base motion that is not finite, not a rotation, or out of range.
+/// Rejects a base motion that is not finite, not a rotation, or out of range.
 pub(super) fn validate_base(base: &BaseMotion) -> Result<(), ManipulatorError> {
     let pose = &base.t_world_base;
     check_all("base translation", pose.translation.vector.as_slice(), "-1000 to 1000 m", |x| x.abs() <= 1e3)?;

@@ -1,4 +1,4 @@
-//! Definition of a body.
+//! Definition of a rigid body.
 
 use nalgebra::{Isometry3, Vector3};
 
@@ -7,21 +7,21 @@ use super::error::RigidError;
 /// Convex shape, centred at the body's origin.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum BodyShape {
-    /// Half extents along the body's x, y and z, m.
+    /// A cuboid.
     Box {
-        /// m.
+        /// Half extents along the body's x, y and z, m.
         half_extents_m: Vector3<f64>,
     },
     /// A ball.
     Ball {
-        /// m.
+        /// Radius, m.
         radius_m: f64,
     },
     /// A capsule along the body's z.
     Capsule {
         /// Half of the distance between the centres of its ends, m.
         half_height_m: f64,
-        /// m.
+        /// Radius, m.
         radius_m: f64,
     },
 }
@@ -29,9 +29,9 @@ pub enum BodyShape {
 /// Whether a body can move.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum BodyMotion {
-    /// Stationary: a clamp.
+    /// Stationary, like a clamp.
     Fixed,
-    /// Moves under forces: a fragment.
+    /// Moves under forces, like a bone fragment.
     Free,
 }
 
@@ -42,18 +42,19 @@ pub struct BodyParameters {
     pub name: String,
     /// Shape.
     pub shape: BodyShape,
-    /// Pose at the start.
+    /// Initial pose.
     pub t_world_body: Isometry3<f64>,
     /// Fixed or free.
     pub motion: BodyMotion,
     /// Density of a free body, kg/m^3.
     pub density_kg_per_m3: f64,
-    /// Coulomb coefficient against other bodies; Rapier takes the mean of the two. The tool's contacts use the tool's coefficient.
+    /// Coulomb coefficient against other bodies; Rapier takes the mean of the two. The tool's contacts use
+    /// the tool's coefficient.
     pub friction: f64,
 }
 
 impl BodyParameters {
-    /// Checks every number. The error names the first invalid one.
+    /// Checks every value. The error names the first invalid one.
     ///
     /// # Errors
     /// [`RigidError::OutOfRange`].
@@ -89,7 +90,7 @@ impl BodyParameters {
         allowed: &'static str,
         accept: impl Fn(f64) -> bool,
     ) -> Result<(), RigidError> {
-        // A NaN is in no range, so this refuses it too.
+        // NaN is in no range, so this rejects it too.
         if accept(value) {
             return Ok(());
         }

@@ -1,7 +1,8 @@
-//! Tool and free bodies in one tick: finding their common motion.
+//! Couples the tool and the free bodies within a tick by finding their common motion.
 //!
-//! The tool steps against planes whose gaps account for the assumed motion of the bodies, and exerts impulses. Rapier then moves the
-//! bodies under these impulses. [`Descent`] iterates until the assumed motion and the response agree.
+//! The tool steps against planes whose gaps account for the assumed motion of the bodies, and exerts
+//! impulses. Rapier then moves the bodies under these impulses. [`Descent`] iterates until the assumed motion
+//! and the response agree.
 
 use serde::{Deserialize, Serialize};
 
@@ -13,8 +14,8 @@ use crate::manipulator::{
 use super::descent::{Inertia, Motion};
 use super::scene::RigidScene;
 
-/// Convergence threshold, m/s: the largest difference between a plane's speed as the tool assumed it and as the body produced it. Ten
-/// times the residual of the tool's contact solver.
+/// Convergence threshold, m/s: the largest difference between a plane's speed as assumed by the tool and as
+/// produced by the body. Ten times the residual of the tool's contact solver.
 const TOLERANCE_M_PER_S: f64 = 1e-5;
 /// Maximum evaluations per tick.
 const MAX_EVALUATIONS: usize = 24;
@@ -37,7 +38,7 @@ pub struct CouplingReport {
     pub moving_planes: usize,
     /// Number of trial steps of tool and bodies.
     pub evaluations: usize,
-    /// Largest difference between a plane's speed as the tool assumed it and as the body produced it, m/s.
+    /// Largest difference between a plane's speed as assumed by the tool and as produced by the body, m/s.
     pub residual_m_per_s: f64,
 }
 
@@ -60,11 +61,11 @@ pub(super) struct Moving {
 }
 
 impl RigidScene {
-    /// Steps the manipulator against `planes` (including those of the last [`Self::find_contacts`]), and the bodies under its reaction.
-    /// The planes' gaps are unchanged on return.
+    /// Steps the manipulator against `planes` (including those of the last [`Self::find_contacts`]), and the
+    /// bodies under its reaction. The planes' gaps are unchanged on return.
     ///
     /// # Errors
-    /// The manipulator refuses its input; nothing has changed.
+    /// The manipulator rejects its input; nothing has changed.
     pub fn step(
         &mut self,
         manipulator: &mut impl ManipulatorModel,
@@ -93,7 +94,7 @@ impl RigidScene {
         Ok(report)
     }
 
-    /// Collects the planes on free bodies, and the motion of these bodies if they continue as in the last tick.
+    /// Collects the planes on free bodies, and predicts the motion of these bodies from the last tick.
     fn collect_moving(&mut self, planes: &[ContactPlane]) {
         self.moving.clear();
         for (own, &body_index) in self.plane_body.iter().enumerate() {
@@ -157,7 +158,8 @@ impl RigidScene {
         Ok(report)
     }
 
-    /// Steps tool and trial world with the descent's motion; returns the residual and the largest plane speed, m/s.
+    /// Steps tool and trial world with the descent's motion; returns the residual and the largest plane
+    /// speed, m/s.
     fn evaluate(
         &mut self,
         manipulator: &mut impl ManipulatorModel,
@@ -188,7 +190,7 @@ impl RigidScene {
         Ok((report, self.residuals(planes)))
     }
 
-    /// Response minus assumed motion; returns the largest difference in plane speed, m/s.
+    /// Computes response minus assumed motion; returns the largest difference in plane speed, m/s.
     fn residuals(&mut self, planes: &[ContactPlane]) -> f64 {
         let mut largest = 0.0f64;
         for moving in &self.moving {

@@ -1,11 +1,13 @@
 //! Descent on a convex potential of the bodies' motions: limited-memory BFGS with line search.
 //!
-//! Finds the motion x (one twist per body) at which the residual r(x) = response(x) - x vanishes. The response is how the bodies move
-//! under the impulses of a tool that assumed x. Both terms are monotone (the faster a body approaches the tool, the larger the impulse
-//! that repels it), so -r is the gradient of a convex function in the metric of the bodies' inertia. The function is piecewise quadratic
-//! because contacts open and close. Search directions follow Nocedal (1980, "Updating quasi-Newton matrices with limited storage", Math.
-//! Comp. 35) in that metric. The curvature pairs are kept from tick to tick, because the tool hardly changes between ticks. Along a
-//! direction d the slope <r, d> decreases; bracketed secant steps find its root.
+//! Finds the motion x (one twist per body) at which the residual r(x) = response(x) - x vanishes. The
+//! response is the motion of the bodies under the impulses of a tool that assumed x. Both terms are monotone
+//! (the faster a body approaches the tool, the larger the impulse that repels it), so -r is the gradient of a
+//! convex function in the metric of the bodies' inertia. The function is piecewise quadratic because contacts
+//! open and close. Search directions follow Nocedal (1980, "Updating quasi-Newton matrices with limited
+//! storage", Math. Comp. 35) in that metric. The curvature pairs are kept from tick to tick, because the tool
+//! hardly changes between ticks. Along a direction d the slope <r, d> decreases; bracketed secant steps find
+//! its root.
 
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
@@ -31,12 +33,12 @@ impl Motion {
         Motion { linear: Vector3::zeros(), angular: Vector3::zeros() }
     }
 
-    /// self + scale other.
+    /// Returns self + scale other.
     pub fn plus(&self, scale: f64, other: &Motion) -> Motion {
         Motion { linear: self.linear + other.linear * scale, angular: self.angular + other.angular * scale }
     }
 
-    /// Velocity at offset `arm` from the centre of mass.
+    /// Returns the velocity at offset `arm` from the centre of mass.
     pub fn at(&self, arm: &Vector3<f64>) -> Vector3<f64> {
         self.linear + self.angular.cross(arm)
     }
@@ -46,12 +48,12 @@ impl Motion {
 #[derive(Debug, Clone, Copy, Serialize, Deserialize)]
 pub(super) struct Inertia {
     pub mass_kg: f64,
-    /// About the centre of mass, world axes.
+    /// Inertia about the centre of mass, world axes.
     pub moment_kg_m2: Matrix3<f64>,
 }
 
 impl Inertia {
-    /// A body that does not take part.
+    /// Returns the inertia of a body that does not take part.
     pub fn none() -> Inertia {
         Inertia { mass_kg: 0.0, moment_kg_m2: Matrix3::zeros() }
     }
@@ -66,7 +68,7 @@ pub(super) struct Pair {
 }
 
 impl Pair {
-    /// Number of bodies in the pair; `None` if its two vectors differ in length.
+    /// Returns the number of bodies in the pair; `None` if its two vectors differ in length.
     pub fn bodies(&self) -> usize {
         if self.step.len() == self.change.len() { self.step.len() } else { 0 }
     }
@@ -83,7 +85,7 @@ pub(super) struct Descent {
     start: Vec<Motion>,
     start_residual: Vec<Motion>,
     direction: Vec<Motion>,
-    /// Oldest first; the first `used` are valid. Part of the state.
+    /// Curvature pairs, oldest first; the first `used` are valid. Part of the state.
     pairs: Vec<Pair>,
     used: usize,
     line: Line,
@@ -117,7 +119,7 @@ impl Descent {
         }
     }
 
-    /// The stored curvature pairs.
+    /// Returns the stored curvature pairs.
     pub fn memory(&self) -> &[Pair] {
         &self.pairs[..self.used]
     }
@@ -215,7 +217,7 @@ impl Descent {
 }
 
 impl Line {
-    /// The next step from the slope at the present one.
+    /// Returns the next step from the slope at the present one.
     fn next(&mut self, slope: f64) -> f64 {
         let here = (self.step, slope);
         if slope > 0.0 {
@@ -242,7 +244,7 @@ impl Line {
     }
 }
 
-/// Inner product weighted by the bodies' inertia.
+/// Returns the inner product weighted by the bodies' inertia.
 fn dot(inertia: &[Inertia], a: &[Motion], b: &[Motion]) -> f64 {
     let bodies = a.iter().zip(b).zip(inertia);
     let one = |((a, b), inertia): ((&Motion, &Motion), &Inertia)| {
@@ -251,7 +253,7 @@ fn dot(inertia: &[Inertia], a: &[Motion], b: &[Motion]) -> f64 {
     bodies.map(one).sum()
 }
 
-/// a += scale b.
+/// Adds scale b to a.
 fn add(a: &mut [Motion], scale: f64, b: &[Motion]) {
     for (x, y) in a.iter_mut().zip(b) {
         *x = x.plus(scale, y);

@@ -1,9 +1,9 @@
 //! Errors of building a rigid scene.
 
-/// Why [`super::RigidScene::new`] refused a body.
+/// Errors of [`super::RigidScene::new`].
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum RigidError {
-    /// A number of a body is not finite or out of range.
+    /// A value of a body is not finite or out of range.
     #[error("body `{body}`: `{field}` is {value}, expected {allowed}; correct it where the body is defined")]
     OutOfRange {
         /// The body's name.

@@ -8,10 +8,10 @@ use rapier3d_f64::parry::shape::{Ball, Capsule, Cuboid};
 use super::body::BodyShape;
 use super::world::{from_vector, vector};
 
-/// Closer to the surface than this, a sphere centre defines no reliable direction, m.
+/// Distance from the surface within which a sphere centre defines no reliable direction, m.
 const ON_SURFACE_M: f64 = 1e-10;
 
-/// A shape in the form that Parry's point projection takes.
+/// A shape in the form that Parry's point projection needs.
 #[derive(Debug, Clone)]
 pub(super) enum QueryShape {
     Box(Cuboid),
@@ -39,7 +39,7 @@ impl QueryShape {
         }
     }
 
-    /// Radius of the bounding sphere about the origin, m.
+    /// Returns the radius of the bounding sphere about the origin, m.
     pub fn bounding_radius_m(&self) -> f64 {
         match self {
             QueryShape::Box(cuboid) => cuboid.half_extents.length(),
@@ -48,7 +48,7 @@ impl QueryShape {
         }
     }
 
-    /// The surface point nearest to `centre_m`.
+    /// Returns the surface point nearest to `centre_m`.
     pub fn nearest(&self, t_world_body: &Isometry3<f64>, centre_m: &Vector3<f64>) -> Nearest {
         let (pose, centre) = (Pose::from(*t_world_body), vector(centre_m));
         let projection = match self {
@@ -64,7 +64,8 @@ impl QueryShape {
             let normal = Unit::new_unchecked(outward / length);
             return Nearest { point_m, normal, distance_m: side * length };
         }
-        // On the surface: point away from the body's centre, which leads out of every convex shape.
+        // On the surface, use the direction away from the body's centre, which leads out of every convex
+        // shape.
         let away = centre_m - t_world_body.translation.vector;
         let normal = Unit::try_new(away, ON_SURFACE_M).unwrap_or_else(Vector3::z_axis);
         Nearest { point_m, normal, distance_m: 0.0 }

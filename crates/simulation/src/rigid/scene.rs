@@ -17,13 +17,13 @@ pub(super) struct Body {
     pub handle: RigidBodyHandle,
     pub free: bool,
     shape: QueryShape,
-    /// Derived from the world.
+    /// Pose, derived from the world.
     pub t_world_body: Isometry3<f64>,
     /// Centre of mass, world, m. Derived from the world.
     pub centre_m: Vector3<f64>,
-    /// Derived from the world.
+    /// Velocities, derived from the world.
     pub motion: Motion,
-    /// Mean over the last tick, where the next tick's iteration starts. Part of the state.
+    /// Mean motion over the last tick, from which the next tick's iteration starts. Part of the state.
     pub mean: Motion,
 }
 
@@ -60,7 +60,8 @@ pub struct RigidScene {
     pub(super) world: World,
     /// Workspace: the world after a trial step.
     pub(super) trial: World,
-    /// Body of each plane that the last [`Self::find_contacts`] appended, and the index of the first such plane.
+    /// Body of each plane that the last [`Self::find_contacts`] appended, and the index of the first such
+    /// plane.
     pub(super) plane_body: Vec<usize>,
     pub(super) first_plane: usize,
     pub(super) moving: Vec<Moving>,
@@ -69,8 +70,8 @@ pub struct RigidScene {
 }
 
 impl RigidScene {
-    /// The bodies at rest at their start poses. `dt_s` is the tick; gravity is in world axes and acts on free bodies; `sphere_count` is
-    /// the number of the tool's proxy spheres.
+    /// Creates the bodies at rest at their start poses. `dt_s` is the tick; gravity is in world axes and acts
+    /// on free bodies; `sphere_count` is the number of the tool's proxy spheres.
     ///
     /// # Errors
     /// [`RigidError`]: a number is invalid.
@@ -115,8 +116,9 @@ impl RigidScene {
         })
     }
 
-    /// For each sphere and body, appends the plane at the body's nearest surface point if the gap is below `margin_m` or could close
-    /// within the tick at the current velocities. At most one plane per sphere and body.
+    /// For each sphere and body, appends the plane at the body's nearest surface point if the gap is below
+    /// `margin_m` or could close within the tick at the current velocities. At most one plane per sphere and
+    /// body.
     pub fn find_contacts(&mut self, spheres: &[ProxySphere], margin_m: f64, planes: &mut Vec<ContactPlane>) {
         self.first_plane = planes.len();
         self.plane_body.clear();
@@ -140,7 +142,8 @@ impl RigidScene {
         }
     }
 
-    /// The smallest gap between each body and these spheres, m; negative where they overlap. In the order of the definition.
+    /// Returns the smallest gap between each body and these spheres, m; negative if they overlap; in the
+    /// order of the definition.
     pub fn gaps_m(&self, spheres: &[ProxySphere]) -> Vec<f64> {
         let gap_m = |body: &Body, sphere: &ProxySphere| {
             body.shape.nearest(&body.t_world_body, &sphere.centre_m).distance_m - sphere.radius_m
@@ -150,32 +153,34 @@ impl RigidScene {
         self.bodies.iter().map(smallest_m).collect()
     }
 
-    /// Number of bodies.
+    /// Returns the number of bodies.
     pub fn body_count(&self) -> usize {
         self.bodies.len()
     }
 
-    /// Pose of each body, in the order of the definition.
+    /// Returns the pose of each body, in the order of the definition.
     pub fn poses(&self) -> impl Iterator<Item = &Isometry3<f64>> {
         self.bodies.iter().map(|body| &body.t_world_body)
     }
 
-    /// Velocity of a body's centre of mass and its angular velocity, world axes, m/s and rad/s; `None` past the last.
+    /// Returns the velocity of a body's centre of mass and its angular velocity, world axes, m/s and rad/s;
+    /// `None` past the last.
     pub fn velocity(&self, body: usize) -> Option<(Vector3<f64>, Vector3<f64>)> {
         self.bodies.get(body).map(|body| (body.motion.linear, body.motion.angular))
     }
 
-    /// Mass of a body, kg; `None` past the last.
+    /// Returns the mass of a body, kg; `None` past the last.
     pub fn mass_kg(&self, body: usize) -> Option<f64> {
         self.bodies.get(body).map(|body| self.world.body(body.handle).mass())
     }
 
-    /// Body of a plane of the last [`Self::find_contacts`], by index in the list; `None` if the plane has another source.
+    /// Returns the body of a plane of the last [`Self::find_contacts`], by index in the list; `None` if the
+    /// plane has another source.
     pub fn body_of_plane(&self, plane: usize) -> Option<usize> {
         plane.checked_sub(self.first_plane).and_then(|own| self.plane_body.get(own)).copied()
     }
 
-    /// Outcome of the last step's coupling.
+    /// Returns the outcome of the last step's coupling.
     pub fn last_report(&self) -> &CouplingReport {
         &self.report
     }
@@ -190,7 +195,7 @@ impl RigidScene {
         }
     }
 
-    /// A copy of the complete dynamic state. Allocates.
+    /// Returns a copy of the complete dynamic state. Allocates.
     pub fn snapshot(&self) -> RigidSnapshot {
         RigidSnapshot {
             world: self.world.clone(),
@@ -201,13 +206,14 @@ impl RigidScene {
         }
     }
 
-    /// The contents of [`Self::snapshot`], serialisable without a copy; deserialises as a [`RigidSnapshot`].
+    /// Returns the contents of [`Self::snapshot`], serialisable without a copy; deserialises as a
+    /// [`RigidSnapshot`].
     pub fn serialised(&self) -> impl Serialize + '_ {
         let mean = Means(&self.bodies);
         (&self.world, mean, self.descent.memory(), &self.descent.inertia, &self.report)
     }
 
-    /// True if a deserialised snapshot belongs to a scene with these bodies.
+    /// Returns true if a deserialised snapshot belongs to a scene with these bodies.
     pub fn fits(&self, snapshot: &RigidSnapshot) -> bool {
         let bodies = self.bodies.len();
         snapshot.world.holds(self.bodies.iter().map(|body| body.handle))

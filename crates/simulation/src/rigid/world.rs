@@ -20,7 +20,7 @@ const PREDICTION_M: f64 = 2e-3;
 /// Velocity clamp in Rapier, m/s. Far above any velocity in a scene, so clamping never removes momentum.
 const FASTEST_M_PER_S: f64 = 1e4;
 
-/// The parts of Rapier's world that a step changes: a clone continues bit for bit.
+/// The parts of Rapier's world that a step changes. A clone continues bit for bit.
 #[derive(Clone, Serialize, Deserialize)]
 pub(super) struct World {
     bodies: RigidBodySet,
@@ -30,7 +30,7 @@ pub(super) struct World {
     narrow_phase: NarrowPhase,
 }
 
-/// What a step needs besides the world: settings, empty sets and workspace. None of it is state.
+/// What a step needs besides the world: settings, empty sets and workspace, none of which is state.
 pub(super) struct Stepper {
     gravity: Vector,
     parameters: IntegrationParameters,
@@ -43,7 +43,8 @@ pub(super) struct Stepper {
 
 impl Stepper {
     pub fn new(dt_s: f64, gravity_m_per_s2: &Vector3<f64>) -> Stepper {
-        // With the default springs (30 Hz), 10 N press a light body millimetres into its support; 1e5 Hz holds it.
+        // With the default springs (30 Hz), 10 N press a light body millimetres into its support; 1e5 Hz
+        // holds it.
         let stiff = SpringCoefficients::new(1e5, 1.0);
         let parameters = IntegrationParameters {
             dt: dt_s,
@@ -86,7 +87,7 @@ impl Stepper {
 }
 
 impl World {
-    /// The bodies at their start poses, in the given order, with their handles.
+    /// Creates the bodies at their start poses, in the given order, with their handles.
     pub fn new(list: &[BodyParameters]) -> (World, Vec<RigidBodyHandle>) {
         let mut world = World {
             bodies: RigidBodySet::new(),
@@ -113,7 +114,7 @@ impl World {
         (world, handles)
     }
 
-    /// True if the world holds exactly these bodies and no NaN.
+    /// Returns true if the world holds exactly these bodies and no NaN.
     pub fn holds(&self, handles: impl ExactSizeIterator<Item = RigidBodyHandle>) -> bool {
         let finite = |v: Vector| v.is_finite();
         let body_is_sound = |body: &RigidBody| finite(body.translation()) && finite(body.linvel());
@@ -129,7 +130,7 @@ impl World {
         (*self.body(handle).position()).into()
     }
 
-    /// Velocity of a body's centre of mass, and its angular velocity.
+    /// Returns the velocity of a body's centre of mass, and its angular velocity.
     pub fn motion(&self, handle: RigidBodyHandle) -> Motion {
         let body = self.body(handle);
         Motion { linear: from_vector(body.linvel()), angular: from_vector(body.angvel()) }
@@ -139,7 +140,7 @@ impl World {
         from_vector(self.body(handle).center_of_mass())
     }
 
-    /// Mean motion of a body between this world and `later`, which is `dt_s` after it.
+    /// Returns the mean motion of a body between this world and `later`, which is `dt_s` after it.
     pub fn motion_to(&self, later: &World, handle: RigidBodyHandle, dt_s: f64) -> Motion {
         let turn = later.pose(handle).rotation * self.pose(handle).rotation.inverse();
         Motion {
@@ -172,12 +173,12 @@ fn collider(body: &BodyParameters) -> Collider {
     shape.density(body.density_kg_per_m3).friction(body.friction).restitution(0.0).build()
 }
 
-/// nalgebra to glam.
+/// Converts from nalgebra to glam.
 pub(super) fn vector(v: &Vector3<f64>) -> Vector {
     Vector::new(v.x, v.y, v.z)
 }
 
-/// glam to nalgebra.
+/// Converts from glam to nalgebra.
 pub(super) fn from_vector(v: Vector) -> Vector3<f64> {
     Vector3::new(v.x, v.y, v.z)
 }

@@ -40,7 +40,7 @@ impl Simulation<'_> {
     }
 
     fn apply_tendon(&mut self, command: &Command) -> Result<(), String> {
-        // A command has room for more tendons than the tool may have; the extra entries are ignored.
+        // A command has room for more tendons than the tool has; the extra entries are ignored.
         let mine = |all: &[f64; MAX_TENDONS]| {
             core::array::from_fn(|t| if t < self.manipulator.tendon_count() { all[t] } else { 0.0 })
         };
@@ -114,7 +114,7 @@ impl Simulation<'_> {
 }
 
 impl Simulation<'_> {
-    /// Reports once, to the sender of the last arm command, why the arm abandoned a motion or stopped a joint.
+    /// Reports once, to the sender of the last arm command, why the arm aborted a motion or stopped a joint.
     pub(super) fn report_arm_fault(&mut self) {
         let fault = self.arm.state().fault;
         if fault == self.arm_fault {
@@ -123,21 +123,21 @@ impl Simulation<'_> {
         self.arm_fault = fault;
         if let Some(cause) = fault {
             let Driver { controller, sequence } = self.arm_driver;
-            let reason = format!("arm: stopped on its way: {cause}");
+            let reason = format!("arm: motion aborted: {cause}");
             self.refusals.push(Refusal { controller, sequence, reason, stopped_later: true });
         }
     }
 }
 
 impl Simulation<'_> {
-    /// Tells the sender of the last burr command what became of it.
+    /// Reports a problem to the sender of the last burr command.
     pub(super) fn tell_burr_driver(&mut self, reason: String) {
         let Driver { controller, sequence } = self.burr_driver;
         self.refusals.push(Refusal { controller, sequence, reason, stopped_later: true });
     }
 }
 
-/// A message's pose as a transform; renormalises the quaternion to remove its rounding.
+/// Returns a message's pose as a transform; renormalises the quaternion to remove its rounding.
 fn isometry(pose: &Pose) -> Isometry3<f64> {
     let [x, y, z, w] = pose.orientation_xyzw;
     let [px, py, pz] = pose.position_m;

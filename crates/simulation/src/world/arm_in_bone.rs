@@ -1,8 +1,9 @@
-//! Whether the arm, the holder or the bare shaft behind the tool's base stands in bone.
+//! Detects whether the arm, the holder or the bare shaft behind the tool base is inside bone.
 //!
-//! Nothing there collides: only the tool's spheres have contacts. The links are capsules between the origins of the arm's frames, as in
-//! a skeleton, so an upper arm that stands beside its plane is drawn into it; the wrist, which comes near to bone, is where it is. A tick
-//! looks at one piece at most, so the whole arm takes [`PERIOD_TICKS`].
+//! These parts do not collide; only the tool's spheres have contacts. The links are capsules between the
+//! origins of the arm's frames, like a skeleton: an upper arm that is offset from the arm's plane is moved
+//! into it, but the wrist, which comes closest to bone, is where it really is. A tick checks at most one
+//! part, so the whole arm takes [`PERIOD_TICKS`].
 
 use core::f64::consts::TAU;
 
@@ -15,21 +16,22 @@ use crate::arm::{ArmParameters, Joints, Redundancy};
 use crate::bone::Voxels;
 use crate::manipulator::ManipulatorModel;
 
-/// Links, holder and shaft.
+/// Number of parts: links, holder and shaft.
 const PIECES: usize = MAX_ARM_JOINTS + 2;
-/// Ticks between two looks at a piece.
+/// Ticks between checks of two parts.
 const TICKS_PER_PIECE: u64 = 8;
-/// Ticks in which every piece is looked at once.
+/// Ticks in which every part is checked once.
 const PERIOD_TICKS: u64 = TICKS_PER_PIECE * PIECES as u64;
-/// Distance of the points that are looked at on a piece: bone thinner than this may be missed, m.
+/// Spacing of the points checked on a part, m: thinner bone can be missed.
 const SPACING_M: f64 = 4e-3;
-/// Steps in which the depth is found, m.
+/// Resolution of the depth, m.
 const DEPTH_STEP_M: f64 = 1e-3;
-/// A piece has left the bone when none is within this of it, m.
+/// Clearance at which a part counts as having left the bone, m.
 const LEAVING_M: f64 = 2e-3;
 
-/// Names and radii of the links. The radii are those of the cylinders in Universal Robots' ROS description of the UR5 (`ur_description`,
-/// `ur5.urdf.xacro`: shoulder 60 mm, upper arm 54, forearm 40, wrists 45); other arms are given the same.
+/// Names and radii of the links. The radii are those of the cylinders in Universal Robots' ROS description of
+/// the UR5 (`ur_description`, `ur5.urdf.xacro`: shoulder 60 mm, upper arm 54, forearm 40, wrists 45); other
+/// arms use the same.
 const LINKS: [(&str, f64); 6] = [
     ("shoulder", 0.060),
     ("upper arm", 0.054),
@@ -39,23 +41,23 @@ const LINKS: [(&str, f64); 6] = [
     ("wrist 3", 0.045),
 ];
 
-/// Names of the links of an arm of seven joints. All are given the radius of the upper arm above, which is about that of a Franka's or a
-/// KUKA LBR's links.
+/// Names of the links of a seven-joint arm. All have the radius of the upper arm above, which is about that
+/// of the links of a Franka or a KUKA LBR.
 const SEVEN_LINKS: [&str; MAX_ARM_JOINTS] =
     ["link 1", "link 2", "link 3", "link 4", "link 5", "link 6", "link 7"];
 
-/// A capsule, or a cylinder where an end is flat.
+/// A part of the arm: a capsule, or a cylinder where an end is flat.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Piece {
     pub(super) name: &'static str,
     from_m: Vector3<f64>,
     to_m: Vector3<f64>,
     radius_m: f64,
-    /// Whether each end is half a ball.
+    /// Whether each end is a hemisphere.
     is_round: [bool; 2],
 }
 
-/// Where the arm and the tool's base are.
+/// Configuration of the arm and the tool base.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Posture {
     pub(super) q_rad: Joints,
@@ -73,20 +75,21 @@ impl Posture {
     }
 }
 
-/// What stands on the arm, beside its links.
+/// What is mounted on the arm.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Fixture {
     pub(super) holder: Holder,
     pub(super) shaft_radius_m: f64,
 }
 
-/// Name and radius, m, of a link, from 0.
+/// Returns the name and radius, m, of a link, from 0.
 fn link(index: usize, joints: usize) -> Option<(&'static str, f64)> {
     let seven = || SEVEN_LINKS.get(index).map(|name| (*name, LINKS[1].1));
     if joints == MAX_ARM_JOINTS { seven() } else { LINKS.get(index).filter(|_| index < joints).copied() }
 }
 
-/// One of the pieces: places for seven links from the base on, then the holder, then the shaft. `None` where the arm has none.
+/// Returns one of the parts: up to seven links from the base on, then the holder, then the shaft. `None` if
+/// the arm has no such part.
 pub(super) fn piece(
     index: usize,
     arm: &ArmParameters,
@@ -109,13 +112,13 @@ pub(super) fn piece(
     let frames = arm.geometry.frames(&posture.q_rad);
     let world = |at: usize| arm.t_world_arm_base.transform_point(&frames.origin_m[at].into()).coords;
     let is_last = index + 1 == joints;
-    // The tool's base may stand off the flange.
+    // The tool base may be offset from the flange.
     let to_m = if is_last { flange_m } else { world(index + 1) };
     Some(Piece { name, from_m: world(index), to_m, radius_m, is_round: [true, !is_last] })
 }
 
 impl Piece {
-    /// How far bone reaches into the piece, m, to a millimetre; `None` if there is none in it by more than a voxel.
+    /// Returns how far bone reaches into the part, m, to a millimetre; `None` if by no more than a voxel.
     pub(super) fn depth_m(&self, voxels: &Voxels) -> Option<f64> {
         let (mut deepest_m, mut below_m) = (None, voxel_m(voxels));
         while below_m <= self.radius_m {
@@ -127,7 +130,7 @@ impl Piece {
         deepest_m
     }
 
-    /// Whether bone crosses the piece's surface, moved outward by so much.
+    /// Returns whether bone crosses the part's surface after moving it outward by `outward_m`.
     fn meets_bone(&self, voxels: &Voxels, outward_m: f64) -> bool {
         let way = self.to_m - self.from_m;
         let (length_m, radius_m) = (way.norm(), (self.radius_m + outward_m).max(0.0));
@@ -147,7 +150,7 @@ impl Piece {
             let past_m = (-along_m).max(along_m - length_m).max(0.0);
             let ring_m = (radius_m * radius_m - past_m * past_m).max(0.0).sqrt();
             let centre_m = self.from_m + along_m * axis;
-            // A flat end is looked at as a disc.
+            // A flat end is checked as a disc.
             let is_end = (ring == 0 && !self.is_round[0]) || (ring == rings && !self.is_round[1]);
             let inner = if is_end { (ring_m / SPACING_M).floor() as usize } else { 0 };
             (0..=inner)
@@ -156,12 +159,13 @@ impl Piece {
     }
 }
 
-/// A voxel's longest edge: bone that reaches less far into a piece is not told, m.
+/// Returns the longest edge of a voxel, m: bone that reaches less far into a part is not reported.
 fn voxel_m(voxels: &Voxels) -> f64 {
     voxels.geometry().spacing_m.iter().copied().fold(0.0, f64::max)
 }
 
-/// Whether a point of a circle is in bone. A circle away from the volume, as most of a long link's are, is left at once.
+/// Returns whether a point of a circle is in bone. A circle outside the volume, like most of those of a long
+/// link, is skipped at once.
 fn circle_meets(
     voxels: &Voxels,
     centre_m: &Vector3<f64>,
@@ -181,14 +185,14 @@ fn circle_meets(
     })
 }
 
-/// Two unit vectors across a unit vector and each other.
+/// Returns two unit vectors perpendicular to a unit vector and to each other.
 fn perpendiculars(axis: &Vector3<f64>) -> (Vector3<f64>, Vector3<f64>) {
     let helper = if axis.x.abs() < 0.6 { Vector3::x() } else { Vector3::y() };
     let x = axis.cross(&helper).normalize();
     (x, axis.cross(&x))
 }
 
-/// Which pieces were in bone when they were last looked at, and those that have entered it in the last tick.
+/// Which parts were in bone when last checked, and the one that entered it in the last tick.
 #[derive(Debug, Default)]
 pub(super) struct ArmWatch {
     is_in: [bool; PIECES],
@@ -196,7 +200,7 @@ pub(super) struct ArmWatch {
 }
 
 impl ArmWatch {
-    /// The piece that has entered bone in the last tick.
+    /// Returns the part that entered bone in the last tick.
     pub(super) fn entry(&self) -> Option<&ArmEntry> {
         self.entry.as_ref()
     }
@@ -208,12 +212,12 @@ impl Simulation<'_> {
         Fixture { holder: self.holder, shaft_radius_m }
     }
 
-    /// A piece of the arm as it stands.
+    /// Returns a part of the arm in its present configuration.
     fn piece(&self, index: usize) -> Option<Piece> {
         piece(index, self.arm.parameters(), &self.fixture(), &Posture::of(&self.state))
     }
 
-    /// The pieces that stand in bone now, with their depths, m.
+    /// Returns the parts that are in bone now, with their depths, m.
     pub(super) fn pieces_in_bone(&self) -> impl Iterator<Item = (&'static str, f64)> {
         let voxels = self.bone.as_ref().map(|bone| bone.field.voxels());
         (0..PIECES).filter_map(move |index| {
@@ -222,8 +226,9 @@ impl Simulation<'_> {
         })
     }
 
-    /// The links and the holder that stand in bone when the tool's base is elsewhere, with their depths, m; `None` if the arm does not
-    /// reach there. The shaft is left out: it goes where the burr has drilled until then.
+    /// Returns the links and the holder that would be in bone with the tool base at another pose, with their
+    /// depths, m; `None` if the arm cannot reach it. The shaft is omitted: by then, it is where the burr has
+    /// drilled.
     pub(super) fn pieces_in_bone_at(
         &self,
         t_world_tool: &Isometry3<f64>,
@@ -245,7 +250,7 @@ impl Simulation<'_> {
         Some(pieces.filter_map(|piece| Some((piece.name, piece.depth_m(voxels)?))).collect())
     }
 
-    /// Looks at one piece of the arm, if the tick is one for it. Changes no state.
+    /// Checks one part of the arm if one is due in this tick. Changes no state.
     pub(super) fn watch_arm(&mut self) {
         self.arm_watch.entry = None;
         if self.state.tick.is_multiple_of(TICKS_PER_PIECE) {
@@ -253,7 +258,7 @@ impl Simulation<'_> {
         }
     }
 
-    /// Sets what is known of the arm to how it stands, as after a keyframe: by the state alone, whatever was known before.
+    /// Resets the detector from the present state alone, as after a keyframe.
     pub(super) fn note_arm(&mut self) {
         self.arm_watch = ArmWatch::default();
         for index in 0..PIECES {
@@ -261,7 +266,8 @@ impl Simulation<'_> {
         }
     }
 
-    /// Whether a piece is in bone, by how it was when last looked at: it is out again only when it is clear of the bone.
+    /// Returns whether a part is in bone, with hysteresis: a part that was in bone has left it only when
+    /// clear of it.
     fn is_in_bone(&self, index: usize) -> bool {
         let (Some(bone), Some(piece)) = (&self.bone, self.piece(index)) else { return false };
         let voxels = bone.field.voxels();

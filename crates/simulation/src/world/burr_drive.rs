@@ -1,14 +1,16 @@
-//! The burr's contacts and motor, and what cutting does to it and to the tool.
+//! The burr's contacts and motor, and the loads of cutting on the motor and the tool.
 //!
-//! A contact that presses with F and cuts with the coefficient mu pushes the burr along its surface with `mu F (w x n)`, w being the unit
-//! spin axis and n the contact's normal, toward the burr: nothing at the pole, mu F at the side. It also takes the torque `mu F r_eff` from
-//! the motor, through the drive shaft, which runs in the tube and does not turn it; torque times speed is the cutting power of
-//! [`crate::bone::cutting`]. Both are those of the last tick's contacts. A cutter that is longer than a ball is also turned by the side
-//! forces on the balls behind its front one.
+//! A contact with normal force F and cutting coefficient mu pushes the burr along its surface with `mu F (w x
+//! n)`, where w is the unit spin axis and n the contact normal, toward the burr: nothing at the pole, mu F at
+//! the side. It also loads the motor with the torque `mu F r_eff` through the drive shaft, which runs inside
+//! the tube without turning it; torque times speed is the cutting power of [`crate::bone::cutting`]. Both
+//! come from the last tick's contacts. On a cutter longer than a ball, the side forces on the balls behind
+//! the front one also produce a torque.
 //!
-//! A motor with a stall torque M_s turns at `(1 - M/M_s)` times the commanded speed: the line of a DC motor at a constant voltage. At M_s
-//! it stands, and its burr rubs and cuts nothing until it is pressed less. The friction of a drive shaft adds to M, and one that twists lets
-//! the burr lag behind the motor: [`super::drive_shaft`].
+//! A motor with stall torque M_s turns at `(1 - M/M_s)` times the commanded speed: the speed-torque line of a
+//! DC motor at constant voltage. At M_s it stalls, and the burr rubs without cutting until the load drops.
+//! Drive shaft friction adds to M, and a compliant shaft lets the burr lag behind the motor:
+//! [`super::drive_shaft`].
 
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
@@ -19,63 +21,64 @@ use crate::bone::cutting::lever_share;
 use crate::bone::{Ball, BurrContact};
 use crate::manipulator::{ManipulatorModel, ProxySphere, Wrench};
 
-/// What of the motor and of the side force a scene models.
+/// Model of the motor and the side force, as enabled by the scene.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct BurrDrive {
-    /// Torque at which the motor stands, N m; `None`: any torque is borne.
+    /// Stall torque of the motor, N m; `None` if it never stalls.
     pub stall_torque_nm: Option<f64>,
-    /// The key that says so.
+    /// Scene key of the stall torque.
     pub stall_key: &'static str,
-    /// Torque of the drive shaft's friction against the tube, N m.
+    /// Friction torque of the drive shaft in the tube, N m.
     pub friction_torque_nm: f64,
-    /// A drive shaft that twists.
+    /// Torsional compliance of the drive shaft.
     pub torsion: Option<Torsion>,
-    /// Whether cutting pushes the burr aside.
+    /// Whether cutting pushes the burr sideways.
     pub side_force: bool,
-    /// Cutting over normal force.
+    /// Ratio of cutting force to normal force.
     pub cutting_coefficient: f64,
     pub state: BurrDriveState,
 }
 
-/// What a tick changes of it.
+/// State of the burr drive.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub(super) struct BurrDriveState {
     /// Commanded speed, rad/s.
     pub command_rad_per_s: f64,
-    /// Torque that the last contacts ask of the motor if it turns, N m.
+    /// Torque of the last contacts on a turning motor, N m.
     pub torque_nm: f64,
-    /// Force on the burr across its contacts, world, N.
+    /// Side force on the burr, world, N.
     pub side_force_n: [f64; 3],
-    /// Torque of these forces about the burr's centre, world, N m: 0 for a ball, whose contacts push through its centre. A keyframe holds
-    /// it beside this, and only for a longer cutter.
+    /// Torque of the side forces about the burr centre, world, N m: 0 for a ball, whose contacts push through
+    /// the centre. Keyframes store it separately, and only for a longer cutter.
     #[serde(skip)]
     pub side_torque_nm: [f64; 3],
-    /// Of a shaft that twists; a keyframe holds it beside this, and only there.
+    /// State of a compliant shaft; keyframes store it separately, and only if there is one.
     #[serde(skip)]
     pub shaft: TorsionState,
 }
 
-/// At which distance from the spin axis contacts cut.
+/// Distance from the spin axis at which contacts cut.
 #[derive(Debug, Clone, Copy)]
 enum Lever {
-    /// A ball: by the direction of each contact.
+    /// For a ball: from the direction of each contact.
     Ball { radius_m: f64 },
-    /// A cutter of several balls: the mean over what it touches.
+    /// For a cutter of several balls: the mean over the touched bone.
     Mean { lever_m: f64 },
 }
 
 impl BurrDrive {
-    /// Whether there is anything to compute, and to save.
+    /// Returns whether the scene models any part of the burr drive, which then has state to save.
     pub fn is_modelled(&self) -> bool {
         self.side_force || self.stall_torque_nm.is_some() || self.torsion.is_some()
     }
 
-    /// Torque that the last tick's contacts and the shaft's friction ask of the motor, N m.
+    /// Returns the load torque on the motor from the last tick's contacts and the shaft friction, N m.
     fn brake_nm(&self) -> f64 {
         self.state.torque_nm + self.friction_torque_nm
     }
 
-    /// Speed under the last tick's torque, rad/s; of a burr on a shaft that twists, its mean over the tick.
+    /// Returns the speed under the last tick's torque, rad/s; with a compliant shaft, the burr's mean over
+    /// the tick.
     fn turn(&mut self, dt_s: f64) -> f64 {
         let command = self.state.command_rad_per_s;
         let (stall_torque_nm, brake_nm) = (self.stall_torque_nm, self.brake_nm());
@@ -89,7 +92,7 @@ impl BurrDrive {
         }
     }
 
-    /// Takes the contacts of a tick on a burr that cuts with these levers, and has this spin axis and speed.
+    /// Computes the loads from the contacts of a tick, given the cutting lever arm, spin axis and speed.
     fn take(&mut self, contacts: &[BurrContact], lever: Lever, axis: &Vector3<f64>, speed_rad_per_s: f64) {
         let (mut torque_nm, mut side_n, mut moment_nm) = (0.0, Vector3::zeros(), Vector3::zeros());
         for contact in contacts {
@@ -103,7 +106,7 @@ impl BurrDrive {
             moment_nm += (axis * -contact.behind_m).cross(&across_n);
         }
         self.state.torque_nm = torque_nm;
-        // One that stands rubs, and that is friction of the contact.
+        // A stationary burr only rubs, which is contact friction.
         let sense = if speed_rad_per_s == 0.0 { 0.0 } else { speed_rad_per_s.signum() };
         let seen = |vector: Vector3<f64>| if self.side_force { (vector * sense).into() } else { [0.0; 3] };
         let is_long = matches!(lever, Lever::Mean { .. });
@@ -113,12 +116,12 @@ impl BurrDrive {
 }
 
 impl Simulation<'_> {
-    /// Lists the burr's balls, and their contacts with bone that carry force.
+    /// Collects the burr's balls and their contacts with bone that carry force.
     pub(super) fn find_burr_contacts(&mut self) {
         self.burr_contacts.clear();
         self.balls_behind.clear();
         let spheres = self.manipulator.proxy_spheres();
-        // The burr's spheres are the last ones, from its back to its front.
+        // The burr's spheres are the last ones, from back to front.
         let balls = self.manipulator.parameters().cutter.balls();
         let behind = spheres.iter().rev().take(balls.len()).skip(1);
         let ball = |sphere: &ProxySphere| Ball { centre_m: sphere.centre_m, radius_m: sphere.radius_m };
@@ -141,12 +144,12 @@ impl Simulation<'_> {
         }
     }
 
-    /// Sets the burr's speed for the tick; a motor that comes to stand is told to whoever drives the burr.
+    /// Sets the burr's speed for the tick. Reports a stall to the controller that drives the burr.
     pub(super) fn turn_burr(&mut self) {
         let (before, stalled_before) = (self.burr_speed_rad_per_s, self.burr_drive.state.shaft.is_stalled);
         self.burr_speed_rad_per_s = self.burr_drive.turn(self.dt_s);
         let drive = &self.burr_drive;
-        // A shaft that winds up holds the burr for a while; that is no stall.
+        // A shaft that winds up holds the burr for a while, which is not a stall.
         let comes_to_stand = match drive.torsion {
             Some(_) => drive.state.shaft.is_stalled && !stalled_before,
             None => {
@@ -159,29 +162,29 @@ impl Simulation<'_> {
                 (drive.state.torque_nm * 1e3, drive.stall_torque_nm.unwrap_or(f64::INFINITY) * 1e3);
             let friction = match drive.friction_torque_nm {
                 0.0 => String::new(),
-                nm => format!(", the shaft's friction {}", nm * 1e3),
+                nm => format!(", shaft friction {} N mm", nm * 1e3),
             };
             let key = drive.stall_key;
             let reason = format!(
-                "burr: its motor stands: bone takes {torque_nmm:.3} N mm{friction}, `{key}` is {stall_nmm}"
+                "burr: motor stalled: cutting torque {torque_nmm:.3} N mm{friction}, `{key}` is {stall_nmm}"
             );
             self.tell_burr_driver(reason);
         }
         self.manipulator.set_burr_turns(self.burr_speed_rad_per_s != 0.0);
     }
 
-    /// The force of the last tick's cutting on the tool's tip.
+    /// Returns the force of the last tick's cutting on the tool's tip.
     pub(super) fn cutting_wrench(&self) -> Wrench {
         let BurrDriveState { side_force_n, side_torque_nm, .. } = self.burr_drive.state;
         Wrench { force_n: side_force_n.into(), torque_nm: side_torque_nm.into() }
     }
 
-    /// Whether a tick's side force also has a torque that the next tick needs.
+    /// Returns whether a tick's side force also has a torque that the next tick needs.
     pub(super) fn has_side_torque(&self) -> bool {
         self.burr_drive.side_force && self.manipulator.parameters().cutter.only_radius_m().is_none()
     }
 
-    /// Takes the tick's contacts of the burr; `lever_m` is that of a cutter of several balls.
+    /// Applies the tick's burr contacts to the drive; `lever_m` is for a cutter of several balls.
     pub(super) fn load_burr(&mut self, lever_m: f64) {
         if !self.burr_drive.is_modelled() {
             return;

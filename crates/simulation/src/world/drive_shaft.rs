@@ -1,65 +1,68 @@
-//! The drive shaft's twist between the motor and the burr.
+//! Twist of the drive shaft between motor and burr.
 //!
-//! The shaft is a torsion spring `k = G J / length`, whose wind-up `phi` is how far the motor is ahead of the burr; its own inertia is left
-//! out. The burr of inertia J turns at w, the motor at w_m; M is what cutting and the shaft's friction take:
+//! The shaft is a torsion spring `k = G J / length`, whose wind-up `phi` is the angle by which the motor
+//! leads the burr; its inertia is neglected. The burr of inertia J turns at w, the motor at w_m; M is the
+//! torque of cutting and shaft friction:
 //!
 //! ```text
-//! phi' = w_m - w        J w' = k phi + c phi' - M sign(w)        w_m = w_0 (1 - k phi / M_s), or w_0 without a stall torque M_s
+//! phi' = w_m - w        J w' = k phi + c phi' - M sign(w)
+//! w_m = w_0 (1 - k phi / M_s), or w_0 without a stall torque M_s
 //! ```
 //!
-//! At rest that is `phi = M / k` and `w = w_0 (1 - M / M_s)`; without a stall torque the burr oscillates about it at `sqrt(k/J)`. A motor
-//! does not turn backward. Like dry friction, M also holds a burr that stands. Both are linear between the events "stands" and "turns",
-//! and are solved there in closed form, for shafts that oscillate many times in a tick as well.
+//! In steady state, `phi = M / k` and `w = w_0 (1 - M / M_s)`; without a stall torque, the burr oscillates
+//! about it at `sqrt(k/J)`. The motor never turns backward. Like dry friction, M also holds a burr that has
+//! stopped. Between stopping and starting events the equations are linear and are solved in closed form, even
+//! for shafts that oscillate many times per tick.
 
 use nalgebra::{Matrix2, Vector2};
 use serde::{Deserialize, Serialize};
 
-/// Pieces of a tick at whose ends the burr may come to stand or turn, and the motor too.
+/// Number of substeps per tick; the burr and the motor can stop or start at their ends.
 const PIECES: usize = 16;
 
-/// A drive shaft that twists.
+/// A compliant drive shaft.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Torsion {
-    /// Torque over wind-up, N m/rad.
+    /// Torsional stiffness, N m/rad.
     pub stiffness_nm_per_rad: f64,
-    /// Torque over the wind-up's rate, N m s/rad.
+    /// Torsional damping, N m s/rad.
     pub damping_nms_per_rad: f64,
-    /// Of the burr about its axis, kg m^2.
+    /// Inertia of the burr about its axis, kg m^2.
     pub inertia_kg_m2: f64,
 }
 
-/// What a tick changes of it.
+/// State of the shaft.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub(super) struct TorsionState {
-    /// How far the motor is ahead of the burr, rad.
+    /// Angle by which the motor leads the burr, rad.
     pub wind_up_rad: f64,
     /// Speed of the burr, rad/s.
     pub speed_rad_per_s: f64,
-    /// Whether the motor stands under the load.
+    /// Whether the motor is stalled.
     pub is_stalled: bool,
 }
 
-/// What turns and brakes the shaft during a tick.
+/// Torques and commanded speed during a tick.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Load {
     /// Commanded speed of the motor, rad/s.
     pub command_rad_per_s: f64,
-    /// Torque at which the motor stands, N m.
+    /// Stall torque of the motor, N m.
     pub stall_torque_nm: Option<f64>,
     /// Torque that brakes the burr, N m.
     pub brake_nm: f64,
 }
 
-/// Where the motor is driven in a piece: its speed is `speed - slope phi`.
+/// Speed of the motor in a substep: `speed - slope phi`.
 struct Motor {
     speed_rad_per_s: f64,
     slope_per_s: f64,
 }
 
 impl Torsion {
-    /// Turns the burr for a time; returns its mean speed in it, rad/s.
+    /// Turns the burr for `time_s` and returns its mean speed, rad/s.
     pub fn turn(&self, state: &mut TorsionState, load: &Load, time_s: f64) -> f64 {
-        // The equations know one sense: that of the command.
+        // The equations assume one sense of rotation, that of the command.
         let sense = if load.command_rad_per_s < 0.0 { -1.0 } else { 1.0 };
         let mut now = Vector2::new(state.wind_up_rad, state.speed_rad_per_s) * sense;
         let piece_s = time_s / PIECES as f64;
@@ -101,8 +104,8 @@ impl Torsion {
         }
     }
 
-    /// Wind-up and speed after a time in which a constant torque brakes a burr that turns, and the angle of the burr meanwhile:
-    /// `x = x* + exp(A t) (x_0 - x*)`, `int x = x* t + A^-1 (x - x_0)`.
+    /// Returns the wind-up and speed of a turning burr after `time_s` under a constant braking torque, and
+    /// the angle it has turned: `x = x* + exp(A t) (x_0 - x*)`, `int x = x* t + A^-1 (x - x_0)`.
     fn flow(&self, now: &Vector2<f64>, motor: &Motor, brake_nm: f64, time_s: f64) -> (Vector2<f64>, f64) {
         let (k, c, j) = (self.stiffness_nm_per_rad, self.damping_nms_per_rad, self.inertia_kg_m2);
         let slope = motor.slope_per_s;
@@ -111,13 +114,13 @@ impl Torsion {
         let a = Matrix2::new(-slope, -1.0, (k - c * slope) / j, -c / j);
         let after = rest + exponential(&a, k / j, time_s) * (now - rest);
         let change = after - now;
-        // The second row of the inverse; the determinant is k / J.
+        // Second row of the inverse; the determinant is k / J.
         let angle_rad = rest.y * time_s - ((k - c * slope) / j * change.x + slope * change.y) / (k / j);
         (after, angle_rad)
     }
 }
 
-/// Wind-up after a time in which the burr stands.
+/// Returns the wind-up after `time_s` with a stationary burr.
 fn wound(wind_up_rad: f64, motor: &Motor, time_s: f64) -> f64 {
     if motor.slope_per_s == 0.0 {
         return wind_up_rad + motor.speed_rad_per_s * time_s;
@@ -126,7 +129,7 @@ fn wound(wind_up_rad: f64, motor: &Motor, time_s: f64) -> f64 {
     end_rad + (wind_up_rad - end_rad) * libm::exp(-motor.slope_per_s * time_s)
 }
 
-/// `exp(A t)` of a 2 x 2 matrix whose eigenvalues, `m +- sqrt(m^2 - det)`, are stable.
+/// Returns `exp(A t)` of a 2 x 2 matrix whose eigenvalues, `m +- sqrt(m^2 - det)`, are stable.
 fn exponential(a: &Matrix2<f64>, determinant: f64, time_s: f64) -> Matrix2<f64> {
     let mean = 0.5 * (a.m11 + a.m22);
     let squared = mean * mean - determinant;
@@ -148,7 +151,7 @@ fn exponential(a: &Matrix2<f64>, determinant: f64, time_s: f64) -> Matrix2<f64> 
 mod tests {
     use super::*;
 
-    /// A hollow steel shaft's G J over 0.2 m, and a steel ball of 4 mm.
+    /// Returns a hollow steel shaft of 0.2 m with a 4 mm steel ball.
     fn torsion(damping: f64) -> Torsion {
         let (k, j) = (2e-3 / 0.2, 4e-10);
         Torsion {
@@ -166,7 +169,7 @@ mod tests {
         TorsionState { speed_rad_per_s: 800.0, ..TorsionState::default() }
     }
 
-    /// T L / (G J), whichever way it turns, and the speed on the motor's line.
+    /// The wind-up is T L / (G J) in either direction, and the speed is on the motor's line.
     #[test]
     fn a_constant_torque_winds_the_shaft_up_by_t_l_over_gj() {
         for sense in [1.0, -1.0] {
@@ -186,7 +189,8 @@ mod tests {
         }
     }
 
-    /// `w - w_0 = -(T / sqrt(k J)) sin(sqrt(k/J) t)`: a step of torque on an undamped shaft, for ten periods; and its period.
+    /// `w - w_0 = -(T / sqrt(k J)) sin(sqrt(k/J) t)`: the response to a torque step on an undamped shaft over
+    /// ten periods, and its period.
     #[test]
     fn a_step_of_torque_makes_the_burr_oscillate_at_the_root_of_k_over_j() {
         let (torsion, mut state, brake_nm) = (torsion(0.0), turning(), 5e-4);
@@ -209,7 +213,7 @@ mod tests {
         assert!((period_s / expected_s - 1.0).abs() < 1e-4);
     }
 
-    /// The angle of a burr over a tick is that of 100 times as many ticks.
+    /// The angle turned in a tick equals that of 100 ticks of a hundredth the length.
     #[test]
     fn a_tick_is_as_good_as_a_hundred() {
         let torsion = torsion(0.05);
@@ -223,7 +227,8 @@ mod tests {
         assert!((whole.wind_up_rad - fine.wind_up_rad).abs() < 1e-9);
     }
 
-    /// Just below the stall torque the burr turns at last; from it on it stands for good, wound up by that torque.
+    /// Just below the stall torque, the burr eventually turns; at and above it, it stays stalled, wound up by
+    /// that torque.
     #[test]
     fn the_motor_stands_at_its_stall_torque_and_not_below() {
         for (share, stands) in [(0.99, false), (1.0, true), (1.5, true)] {

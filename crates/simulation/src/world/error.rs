@@ -1,4 +1,4 @@
-//! Why a simulation cannot be built or a tick cannot be computed.
+//! Errors of building a simulation and of computing a tick.
 
 use thiserror::Error;
 
@@ -8,30 +8,30 @@ use crate::bone::BoneError;
 use crate::manipulator::ManipulatorError;
 use crate::rigid::RigidError;
 
-/// Why a simulation cannot be built or a tick cannot be computed.
+/// Errors of building a simulation and of computing a tick.
 #[derive(Debug, Error)]
 pub enum SimulationError {
     /// The scene has a volume, but the simulation was not given one.
     #[error("the scene has a `[volume]`, but no volume was given")]
     VolumeMissing,
-    /// The manipulator refused its parameters or input.
+    /// The manipulator rejected its parameters or input.
     #[error("manipulator: {0}")]
     Manipulator(#[from] ManipulatorError),
-    /// The bone did.
+    /// The bone rejected its parameters or input.
     #[error("bone: {0}")]
     Bone(#[from] BoneError),
-    /// The arm did.
+    /// The arm rejected its parameters or input.
     #[error("arm: {0}")]
     Arm(#[from] ArmError),
-    /// The rigid bodies did.
+    /// The rigid bodies rejected their parameters or input.
     #[error("rigid bodies: {0}")]
     Rigid(#[from] RigidError),
-    /// The drive of a tube found no way to stop.
+    /// The tube drive could not plan a stop.
     #[error("tube: {0}")]
     Tube(#[from] TubeRefusal),
-    /// The computed state is none of the tool.
+    /// The computed state is not physically possible.
     #[error(
-        "the simulation has lost the tool: {0}; a smaller `run.dt_ms` or less extreme parameters of the tool may hold it"
+        "the simulation has lost the tool: {0}; try a smaller `run.dt_ms` or less extreme tool parameters"
     )]
     Lost(#[from] LostTool),
     /// The bytes are not a keyframe of this scene.
@@ -40,7 +40,7 @@ pub enum SimulationError {
 }
 
 impl SimulationError {
-    /// Whether it is the machine's fault: with more memory the same scene works.
+    /// Returns whether the machine is the cause: with more memory, the same scene would run.
     pub fn is_of_the_machine(&self) -> bool {
         matches!(self, SimulationError::Bone(BoneError::Memory { .. }))
     }

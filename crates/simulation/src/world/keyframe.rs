@@ -1,9 +1,10 @@
 //! The complete simulation state as bytes: the content of a log's keyframe.
 //!
-//! A keyframe holds everything that a tick changes and that a later tick depends on: the state message with its hash, the arm's motion
-//! (segment and age, from which Ruckig replans the same trajectory), joint angles, tendons, the contact solver's warm start, the strength
-//! of every touched voxel, the rigid bodies' world with its contacts, and the sensors' drift, filters and readings underway. A new process that builds the same scene and reads these bytes
-//! computes the same ticks, bit for bit.
+//! A keyframe holds everything that a tick changes and that a later tick depends on: the state message with
+//! its hash, the arm's motion (segment and age, from which Ruckig replans the same trajectory), joint angles,
+//! tendons, the contact solver's warm start, the strength of every touched voxel, the rigid bodies' world
+//! with its contacts, and the sensors' drift, filters and readings in progress. A new process that builds the
+//! same scene and reads these bytes computes the same ticks, bit for bit.
 //!
 //! The bytes are a function of the scene and of u_0 … u_k, so replay compares them too.
 
@@ -21,25 +22,25 @@ use crate::bone::BoneSnapshot;
 use crate::manipulator::{ManipulatorModel, ManipulatorState};
 use crate::rigid::{RigidScene, RigidSnapshot};
 
-/// Why a keyframe cannot be written or read.
+/// Errors of writing and reading a keyframe.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 pub enum KeyframeError {
     /// The buffer is too short because drilling has touched too many voxels.
-    #[error("it needs more than the {given} bytes given; there is none at this tick")]
+    #[error("larger than the {given} bytes available; this tick has no keyframe")]
     TooLong {
-        /// Bytes given.
+        /// Size of the buffer.
         given: usize,
     },
-    /// Not the bytes of a keyframe.
-    #[error("its bytes cannot be read ({cause}); use the build that wrote them")]
+    /// The bytes are not a keyframe.
+    #[error("malformed or written by another build ({cause}); use the build that wrote it")]
     Unreadable {
-        /// Where reading stopped.
+        /// What could not be read.
         cause: String,
     },
     /// The keyframe is from another scene.
-    #[error("{what} are not those of this scene; use the scene that it was made with")]
+    #[error("{what} do not match this scene; use the scene that it was written with")]
     OtherScene {
-        /// What does not fit.
+        /// What does not match.
         what: &'static str,
     },
 }
@@ -54,8 +55,8 @@ impl Serialize for Bytes<'_> {
 }
 
 impl Simulation<'_> {
-    /// Writes the current state into `buffer` and returns the number of bytes used. Allocates nothing; takes time in proportion to the
-    /// number of voxel blocks that drilling has touched.
+    /// Writes the current state into `buffer` and returns the number of bytes used. Allocates nothing; takes
+    /// time in proportion to the number of voxel blocks that drilling has touched.
     ///
     /// # Errors
     /// [`KeyframeError::TooLong`].
@@ -72,7 +73,7 @@ impl Simulation<'_> {
         );
         let too_long = |_| KeyframeError::TooLong { given };
         let length = postcard::to_slice(&whole, buffer).map_err(too_long)?.len();
-        // Only where a scene models it, so that the keyframes of others hold no more than before.
+        // Only if the scene models it, so that the keyframes of other scenes are unchanged.
         let mut end = length;
         if self.burr_drive.is_modelled() {
             end += postcard::to_slice(&self.burr_drive.state, &mut buffer[end..]).map_err(too_long)?.len();
@@ -95,11 +96,11 @@ impl Simulation<'_> {
         Ok(end)
     }
 
-    /// Continues from the bytes of [`Simulation::write_keyframe`], written by a simulation of the same scene and volume in this or
-    /// another process. After an error the simulation must not be used.
+    /// Restores the state from the bytes of [`Simulation::write_keyframe`], written by a simulation of the
+    /// same scene and volume in this or another process. After an error the simulation must not be used.
     ///
     /// # Errors
-    /// Not a keyframe, or from another scene.
+    /// The bytes are not a keyframe, or are from another scene.
     pub fn restore_keyframe(&mut self, bytes: &[u8]) -> Result<(), SimulationError> {
         type Whole<'b> = (
             &'b [u8],
@@ -153,10 +154,10 @@ impl Simulation<'_> {
         }
         let other = |what| Err(KeyframeError::OtherScene { what }.into());
         if bone.is_some() != self.bone.is_some() {
-            return other("volume and strength field");
+            return other("the volume and strength field");
         }
         if compliance.is_some() != self.compliance.is_some() {
-            return other("the arm's joints, rigid or elastic,");
+            return other("the arm's joints (rigid or elastic)");
         }
         if !self.manipulator.fits(&manipulator) {
             return other("the manipulator's model and links");

@@ -1,7 +1,8 @@
-//! Whether a computed state can be one of the tool.
+//! Checks whether a computed state is physically possible.
 //!
-//! Extreme parameters can drive any integrator out of its range: numbers grow until they overflow. Such a tick ends the run before its
-//! state is published, so that no log holds it and no controller answers it.
+//! Extreme parameters can drive any integrator out of its range: numbers grow until they overflow. Such a
+//! tick ends the run before its state is published, so that no log contains it and no controller responds to
+//! it.
 
 use nalgebra::Vector3;
 use thiserror::Error;
@@ -9,16 +10,16 @@ use thiserror::Error;
 use super::{Simulation, numbers};
 use crate::manipulator::{ManipulatorModel, ProxySphere};
 
-/// Fastest point of the tool, m/s: three times the speed of sound in air. The bent tool let go, at the lightest and stiffest that a scene
-/// allows, reaches a tenth of it.
+/// Speed limit for any point of the tool, m/s: three times the speed of sound in air. The lightest and
+/// stiffest tool that a scene allows, released when bent, reaches a tenth of it.
 const MAX_SPEED_M_PER_S: f64 = 1000.0;
-/// Farthest a point of the tool may be from its base, as a multiple of its straight length.
+/// Largest distance of any point of the tool from its base, as a multiple of its straight length.
 const MAX_STRETCH: f64 = 2.0;
 
-/// Why a computed state is none of the tool.
+/// Why a computed state is not physically possible.
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
 pub enum LostTool {
-    /// Infinite or not a number.
+    /// A quantity is infinite or NaN.
     #[error("{what} is {value}, not a finite number")]
     NotFinite {
         /// Which quantity.
@@ -27,14 +28,14 @@ pub enum LostTool {
         value: f64,
     },
     /// A point of the tool is too fast.
-    #[error("a point of the tool moves at {speed_m_per_s:e} m/s, more than {MAX_SPEED_M_PER_S} m/s")]
+    #[error("a point on the tool moves at {speed_m_per_s:e} m/s, faster than {MAX_SPEED_M_PER_S} m/s")]
     TooFast {
         /// Its speed.
         speed_m_per_s: f64,
     },
-    /// The tool has come apart.
+    /// The tool came apart.
     #[error(
-        "a point of the tool is {distance_m:e} m from its base, the straight tool is {length_m:.3} m long"
+        "a point on the tool is {distance_m:e} m from its base, but the straight tool is {length_m:.3} m long"
     )]
     Apart {
         /// Distance from the base.
@@ -48,7 +49,7 @@ impl Simulation<'_> {
     /// Checks the tool and the free bodies after their step.
     ///
     /// # Errors
-    /// The first quantity that is not finite or out of reach.
+    /// The first quantity that is not finite or out of bounds.
     pub(super) fn check_not_lost(&self) -> Result<(), LostTool> {
         let tool = &self.manipulator;
         let joints = tool.joint_positions_rad().iter().chain(tool.joint_velocities_rad_per_s());

@@ -11,7 +11,7 @@ use crate::arm::{ArmMode, ProtectiveStop};
 use crate::manipulator::{ManipulatorModel, SphereKind};
 
 impl Simulation<'_> {
-    /// Writes the world into the message; the caller computes the hash afterwards.
+    /// Writes the world's state to the message; the caller computes the hash afterwards.
     pub(super) fn update_state(&mut self, latched: &Latched, removed: usize) {
         self.write_tool();
         self.write_tube();
@@ -121,7 +121,7 @@ impl Simulation<'_> {
 
     fn write_arm(&mut self) {
         let arm = self.arm.state();
-        // A gantry's linear axes are no angles: the flange's pose says where they are.
+        // A gantry's linear axes are not angles; the flange pose gives their positions.
         if self.arm.parameters().geometry.turns() {
             self.state.arm_joint_position_rad = arm.q_rad;
             self.state.arm_joint_velocity_rad_per_s = arm.qd_rad_s;
@@ -156,7 +156,7 @@ impl Simulation<'_> {
     }
 }
 
-/// What the arm follows, as in commands.
+/// Returns the message code of the arm mode.
 fn mode_followed(mode: ArmMode) -> messages::ArmMode {
     match mode {
         ArmMode::Hold => messages::ArmMode::Hold,
@@ -178,7 +178,7 @@ fn part(kind: SphereKind) -> ContactPart {
     }
 }
 
-/// A pose as messages have it.
+/// Returns a transform as a message pose.
 pub fn pose(transform: &Isometry3<f64>) -> Pose {
     let rotation = transform.rotation.coords;
     let position: &Vector3<f64> = &transform.translation.vector;

@@ -3,13 +3,15 @@
 //! One tick:
 //!
 //! 1. apply the latched commands: arm goal, tendon target, burr speed;
-//! 2. move the arm along its jerk-limited path; the flange is the manipulator's base, on which a tool with an outer tube slides and turns;
+//! 2. move the arm along its jerk-limited path; the flange is the manipulator's base, on which a tool with an
+//!    outer tube slides and rolls;
 //! 3. find the contact planes between the manipulator's proxy spheres and the bone and rigid bodies;
-//! 4. step the manipulator with these planes and the tendon tensions, contact impulses inside its implicit solve; free bodies
-//!    step with it; without bodies, again from 3 if a sphere came farther than its planes were looked for, or into bone that bears more;
-//! 5. let bone that was pressed beyond its strength recede, and remove bone with the burr, whose contacts press with the normal forces
-//!    of that solve;
-//! 6. extend the hash chain with commands, state and removed voxels; let the sensors see the state.
+//! 4. step the manipulator with these planes and the tendon tensions, contact impulses inside its implicit
+//!    solve; free bodies step with it; without bodies, repeat from 3 if a sphere moved farther than its
+//!    planes were searched for, or into bone that supports more force;
+//! 5. let bone that was pressed beyond its strength recede, and remove bone with the burr, using the contact
+//!    normal forces of that solve;
+//! 6. extend the hash chain with commands, state and removed voxels; sample the sensors.
 
 mod apply;
 mod arm_in_bone;
@@ -72,7 +74,7 @@ pub struct CtView<'v> {
 }
 
 impl<'v> CtView<'v> {
-    /// The voxels of a grid.
+    /// Creates a view of a grid's voxels.
     pub fn new(grid: &VoxelGrid, hu: &'v [i16]) -> CtView<'v> {
         CtView { geometry: GridGeometry::from(grid), hu }
     }
@@ -84,7 +86,7 @@ impl<'v> From<&'v Volume> for CtView<'v> {
     }
 }
 
-/// The voxels of a CT: of a volume that outlives the simulation, or shared with others.
+/// The voxels of a CT: borrowed from a volume that outlives the simulation, or shared.
 enum Hounsfield<'v> {
     Borrowed(&'v [i16]),
     Shared(Arc<Ct>),
@@ -122,7 +124,7 @@ pub struct SimulationSnapshot {
 }
 
 impl SimulationSnapshot {
-    /// The state after the last tick before it.
+    /// Returns the state after the last tick before the snapshot.
     pub fn state(&self) -> &State {
         &self.state
     }
@@ -144,23 +146,23 @@ pub struct Simulation<'v> {
     burr_contacts: Vec<BurrContact>,
     /// Workspace: the balls of a longer cutter behind its front one.
     balls_behind: Vec<Ball>,
-    /// One per proxy sphere.
+    /// Search range of each proxy sphere.
     reach: Vec<Reach>,
     /// Workspace: the tool before the tick.
     before: ManipulatorState,
     tendon: TendonDrive,
-    /// Of a tool that slides out of an outer tube.
+    /// Drive of a tool that slides out of an outer tube.
     tube: Option<TubeDrive>,
     burr_drive: BurrDrive,
-    /// Speed at which the burr turns in this tick; the command's, but for a motor that can stall.
+    /// Burr speed in this tick; as commanded, unless the motor can stall.
     burr_speed_rad_per_s: f64,
     cutting_energy_j: f64,
     crushing_energy_j: f64,
     /// How the bone under the burr receded in the last tick.
     receding: Receding,
-    /// Voxels that the last tick could not cut for want of memory.
+    /// Voxels that the last tick could not cut: out of memory.
     uncut_voxels: usize,
-    /// Contacts that the last tick had no room for.
+    /// Contacts that exceeded the capacity in the last tick.
     left_out_contacts: usize,
     sensors: SensorArray,
     state: State,
@@ -177,7 +179,7 @@ pub struct Simulation<'v> {
     initial: Option<Box<SimulationSnapshot>>,
 }
 
-/// The sender of a command.
+/// Identifies a command by its sender and sequence number.
 #[derive(Debug, Clone, Copy, Default)]
 struct Driver {
     controller: ControllerIndex,
@@ -192,10 +194,11 @@ struct Bone<'v> {
 }
 
 impl Simulation<'static> {
-    /// The world of a scene at tick 0, with a CT that others share: the same bits as [`Simulation::new`] with a borrowed one.
+    /// Returns the world of a scene at tick 0, with a shared CT: the same bits as [`Simulation::new`] with a
+    /// borrowed one.
     ///
     /// # Errors
-    /// As [`Simulation::new`].
+    /// Same as [`Simulation::new`].
     pub fn with_shared_ct(
         scene: &Scene,
         ct: Option<&Arc<Ct>>,
@@ -206,10 +209,10 @@ impl Simulation<'static> {
 }
 
 impl<'v> Simulation<'v> {
-    /// The world of a scene at tick 0.
+    /// Creates the world of a scene at tick 0.
     ///
     /// # Errors
-    /// A component refuses its parameters; the error names them.
+    /// A component rejects its parameters; the error names them.
     pub fn new(scene: &Scene, ct: Option<CtView<'v>>) -> Result<Simulation<'v>, SimulationError> {
         Self::start(setup::build(scene, ct.map(|ct| (ct.geometry, Hounsfield::Borrowed(ct.hu))))?)
     }
@@ -221,7 +224,7 @@ impl<'v> Simulation<'v> {
         Ok(simulation)
     }
 
-    /// Stops using vector instructions: slower, same bits.
+    /// Disables vector instructions: slower, with the same bits.
     pub fn use_plain_instructions(&mut self) {
         self.manipulator.use_plain_instructions();
         if let Some(bone) = &mut self.bone {
@@ -229,35 +232,36 @@ impl<'v> Simulation<'v> {
         }
     }
 
-    /// Drops the caches of the bone. Changes no result, which tests verify by calling it.
+    /// Drops the caches of the bone. Results do not change (tested).
     pub fn rebuild_caches(&mut self) {
         if let Some(bone) = &mut self.bone {
             bone.field.rebuild_caches();
         }
     }
 
-    /// The state after the last tick.
+    /// Returns the state after the last tick.
     pub fn state(&self) -> &State {
         &self.state
     }
 
-    /// What the tool's step reported in the last tick: contacts, solver iterations and residual, forces.
+    /// Returns the report of the tool's last step: contacts, solver iterations and residual, forces.
     pub fn tool_report(&self) -> &StepReport {
         self.manipulator.last_report()
     }
 
-    /// Voxels that the last tick drilled, by linear index.
+    /// Returns the voxels that the last tick drilled, by linear index.
     pub fn removed(&self) -> &[u32] {
         let removed = self.bone.as_ref().map_or(&[][..], |bone| bone.field.voxels().removed_this_tick());
         VoxelIndex::numbers(removed)
     }
 
-    /// Voxels that the scene predrills, by linear index, ascending: gone from tick 0 on.
+    /// Returns the voxels that the scene predrills, by linear index, ascending: gone from tick 0 on.
     pub fn predrilled(&self) -> &[u32] {
         &self.predrilled
     }
 
-    /// Voxels of bone that are gone in the present state, by linear index, ascending. Visits every voxel; not for the real-time loop.
+    /// Returns the voxels of bone that are gone in the present state, by linear index, ascending. Visits
+    /// every voxel; not for the real-time loop.
     pub fn gone(&self) -> Vec<u32> {
         let Some(bone) = &self.bone else { return Vec::new() };
         let voxels = bone.field.voxels();
@@ -269,35 +273,37 @@ impl<'v> Simulation<'v> {
             .collect()
     }
 
-    /// Voxels that the last tick could not cut for want of memory.
+    /// Returns the number of voxels that the last tick could not cut because memory ran out.
     pub fn uncut_voxels(&self) -> usize {
         self.uncut_voxels
     }
 
-    /// Takes memory for what the next tick may cut, so that it allocates nothing. Changes no result, which tests verify by not calling it.
+    /// Reserves memory for the voxels that the next tick may cut, so that the tick does not allocate. Results
+    /// do not change (tested).
     pub fn make_room(&mut self) {
         if let Some(bone) = &mut self.bone {
-            // Without memory the tick counts what it cannot cut.
+            // If memory runs out, the tick counts the voxels that it cannot cut.
             bone.field.make_room();
         }
     }
 
-    /// Bytes that partly cut voxels have taken.
+    /// Returns the memory used by partly cut voxels, in bytes.
     pub fn bone_bytes(&self) -> usize {
         self.bone.as_ref().map_or(0, |bone| bone.field.voxels().pool_bytes())
     }
 
-    /// Readings of sensors that arrive with the present state.
+    /// Returns the sensor readings that arrive with the present state.
     pub fn readings(&self) -> &[SensorReading] {
         self.sensors.readings()
     }
 
-    /// Commands refused in the last tick, with reasons.
+    /// Returns the commands rejected in the last tick, with reasons.
     pub fn refusals(&self) -> &[Refusal] {
         &self.refusals
     }
 
-    /// The link of the arm, holder or shaft that was found in bone in the last tick, if it was outside when last looked at.
+    /// Returns the link of the arm, holder or shaft that was found in bone in the last tick and was outside
+    /// when last checked.
     pub fn arm_entry(&self) -> Option<&ArmEntry> {
         self.arm_watch.entry()
     }
@@ -305,8 +311,9 @@ impl<'v> Simulation<'v> {
     /// Computes tick k from its commands u_k, `latched`.
     ///
     /// # Errors
-    /// A component refuses its input, which does not happen with a valid scene and valid commands; [`SimulationError::Lost`]: parameters at
-    /// the ends of their ranges have driven the tool out of bounds. The simulation is unusable then.
+    /// A component rejects its input, which does not happen with a valid scene and valid commands; or
+    /// [`SimulationError::Lost`]: extreme parameters drove the tool out of bounds. The simulation must not be
+    /// used after an error.
     pub fn step(&mut self, latched: &Latched) -> Result<(), SimulationError> {
         if latched.reset != 0 {
             self.reset()?;
@@ -329,7 +336,8 @@ impl<'v> Simulation<'v> {
         Ok(())
     }
 
-    /// Moves the arm, or stops it if the tool pushed too hard on its flange in the last tick; returns the tool base's motion, including the deflection of elastic joints.
+    /// Moves the arm, or stops it if the tool pushed too hard on its flange in the last tick. Returns the
+    /// tool base's motion, including the deflection of elastic joints.
     fn move_arm(&mut self) -> Result<BaseMotion, SimulationError> {
         if let Some(limit_n) = self.max_flange_force_n {
             self.arm.watch_force(self.manipulator.flange_wrench().force_n.norm(), limit_n);
@@ -385,7 +393,7 @@ impl<'v> Simulation<'v> {
         self.state.hash = [hash as u64, (hash >> 64) as u64];
     }
 
-    /// Everything that a tick changes. Allocates memory; not for the real-time loop.
+    /// Returns everything that a tick changes. Allocates memory; not for the real-time loop.
     pub fn snapshot(&self) -> SimulationSnapshot {
         SimulationSnapshot {
             arm: self.arm.snapshot(),
@@ -452,7 +460,7 @@ impl<'v> Simulation<'v> {
     }
 }
 
-/// The components of a vector.
+/// Returns the components of a vector.
 fn numbers(vector: &Vector3<f64>) -> [f64; 3] {
     [vector.x, vector.y, vector.z]
 }

@@ -1,8 +1,9 @@
-//! Moves tool and free bodies against the contact planes of their whole way.
+//! Steps the tool and free bodies against the contact planes along their entire motion.
 //!
-//! Bone that yields gets its strength only where a sphere presses hard enough to matter: at least the least strength of any contact, in
-//! the last tick or in this one. A sphere that goes in far within a tick makes its own footprint: its strength is then that at the depth
-//! it comes to, or else a long step would pass through bone.
+//! The strength of yielding bone is computed only where a sphere presses hard enough to matter: with at least
+//! the minimum strength of any contact, in the last tick or in this one. A sphere that goes deep within one
+//! tick leaves its own footprint: its strength is then that at its final depth; otherwise, a long step would
+//! pass through bone.
 
 use nalgebra::Vector3;
 
@@ -14,53 +15,55 @@ use crate::contact_plane::ContactPlane;
 use crate::manipulator::{ContactResult, ManipulatorModel, SphereKind, StepInput, StepReport};
 use crate::rigid::ToolDrive;
 
-/// A contact plane of bone takes part in a tick if its gap is within the sphere's travel in the tick plus this margin, m. More of it finds
-/// more planes at a burr in its own tunnel; with less of it a tool that speeds up takes its step twice.
+/// Margin, m: a contact plane of bone takes part in a tick if its gap is within the sphere's travel plus this
+/// margin. A larger margin finds more planes around a burr in its own tunnel; with a smaller one, an
+/// accelerating tool repeats its step.
 const CONTACT_MARGIN_M: f64 = 3.0e-5;
-/// The same for free bodies, m.
+/// Margin for free bodies, m.
 const BODY_MARGIN_M: f64 = 1.0e-4;
 
-/// A contact whose force is this share of its strength yields: the solver leaves rounding.
+/// Fraction of its strength at which a contact yields, which allows for the solver's rounding.
 const AT_STRENGTH: f64 = 1.0 - 1e-9;
 
-/// A sphere that moves this far in a tick, m, also meets the planes of where it comes to: from afar it sees only four.
+/// Motion per tick, m, beyond which a sphere also uses the planes at its destination: from a distance it sees
+/// only four.
 const JUMP_M: f64 = 1.0e-3;
-/// Places that a sphere has come to and whose planes it meets. With the last one alone a sphere went to and fro between two places,
-/// each without the planes of the other, and stayed in the wall where the attempts ended.
+/// Number of destinations whose planes a sphere uses. With only the last one, a sphere alternated between two
+/// positions, each without the planes of the other, and remained in the wall when the attempts ended.
 const JUMPS: usize = 3;
-/// Planes of a sphere: those seen from where it starts and from where it comes to.
+/// Planes per sphere: those seen from its start and from its destinations.
 pub(super) const PLANES_PER_SPHERE: usize = MOST_PLANES;
-const _: () = assert!(PLANES_PER_SPHERE == (1 + JUMPS) * MAX_PLANES, "planes of every place have room");
-/// A plane of a place that an earlier attempt came to counts only if the sphere starts before it, or behind it by less than this, m: it
-/// is the back of a plate otherwise.
+const _: () = assert!(PLANES_PER_SPHERE == (1 + JUMPS) * MAX_PLANES, "the planes at every position fit");
+/// Largest distance, m, by which a sphere may start behind a plane found at an earlier destination; beyond
+/// that, the plane is the back of a plate and is ignored.
 const BEHIND_M: f64 = 1.0e-4;
-/// Cosine of two planes of a sphere of which the farther one adds nothing (5 degrees).
+/// Cosine between two planes of a sphere above which the farther one is redundant (5 degrees).
 const SAME_COSINE: f64 = 0.996;
-/// Maximum steps of the tool in a tick, each with planes from farther away or stronger ones.
+/// Maximum attempts to step the tool in a tick, each with planes from farther away or with stronger ones.
 const MAX_ATTEMPTS: usize = 16;
-/// A step is taken again if the bone at the depth it comes to bears this much more than was assumed.
+/// Factor by which the bone at the final depth must be stronger than assumed for the step to be repeated.
 const STRONGER: f64 = 1.05;
-/// Farthest that planes are looked for, m. A tool that is faster moves the length of a hip joint in a tick.
+/// Maximum search distance for planes, m. A faster tool would move the length of a hip joint in one tick.
 const MAX_REACH_M: f64 = 0.05;
 
-/// Where a sphere was before the tick, and how far its planes are looked for.
+/// Start position of a sphere in the tick, and the search distance for its planes.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Reach {
-    /// World, m.
+    /// Start position, world, m.
     from_m: Vector3<f64>,
     margin_m: f64,
-    /// Presses so hard that its planes get the strength of the bone.
+    /// Whether it presses so hard that its planes get the strength of the bone.
     presses: bool,
-    /// Motion in the tick after which the bone has that strength, m.
+    /// Motion in the tick at the end of which that strength is evaluated, m.
     expected_m: Vector3<f64>,
-    /// Motions of earlier attempts at the end of which the sphere met planes that it had not met before, m; the oldest gives way.
+    /// Motions of earlier attempts that led to new planes, m; the oldest is replaced.
     jumps_m: [Vector3<f64>; JUMPS],
-    /// Such motions so far.
+    /// Number of such motions so far.
     jump_count: usize,
 }
 
 impl Reach {
-    /// Of a sphere that has not moved yet.
+    /// Returns the state of a sphere that has not moved yet.
     pub fn none() -> Reach {
         Reach {
             from_m: Vector3::zeros(),
@@ -72,14 +75,15 @@ impl Reach {
         }
     }
 
-    /// The motions that are kept, and whether each is the last one.
+    /// Returns the stored motions, and whether each is the latest.
     fn jumps(&self) -> impl Iterator<Item = (&Vector3<f64>, bool)> {
         let last = self.jump_count.saturating_sub(1) % JUMPS;
         let kept = self.jumps_m.iter().take(self.jump_count).enumerate();
         kept.map(move |(place, jump_m)| (jump_m, place == last))
     }
 
-    /// Notes a motion that is farther than [`JUMP_M`] from the start and from those that are kept; true if it is.
+    /// Stores a motion that differs by more than [`JUMP_M`] from the start and from the stored ones; returns
+    /// whether it was stored.
     fn note_jump(&mut self, moved_m: &Vector3<f64>) -> bool {
         let is_new =
             moved_m.norm() > JUMP_M && self.jumps().all(|(jump_m, _)| (moved_m - jump_m).norm() > JUMP_M);
@@ -92,8 +96,9 @@ impl Reach {
 }
 
 impl Simulation<'_> {
-    /// Steps tool and free bodies. If a sphere comes farther than its planes were looked for, the tool steps again with those of its whole
-    /// way: otherwise a suddenly pulled tool, whose speed at the start of the tick tells nothing, passes through bone.
+    /// Steps the tool and free bodies. If a sphere moves farther than its planes were searched for, the step
+    /// is repeated with the planes of its entire motion: otherwise, a suddenly pulled tool, whose speed at
+    /// the start of the tick predicts nothing, would pass through bone.
     pub(super) fn move_tool(&mut self, drive: &ToolDrive) -> Result<StepReport, SimulationError> {
         for (reach, sphere) in self.reach.iter_mut().zip(self.manipulator.proxy_spheres()) {
             reach.from_m = sphere.centre_m;
@@ -126,8 +131,8 @@ impl Simulation<'_> {
         }
     }
 
-    /// Widens the reach of every sphere that came farther than its own, and notes where those that jumped came to; true if there is any
-    /// and there is bone.
+    /// Widens the search range of every sphere that moved beyond it, and stores the destinations of those
+    /// that jumped. Returns true if there are any and there is bone.
     fn widen_reach(&mut self) -> bool {
         let mut farther = false;
         for (reach, sphere) in self.reach.iter_mut().zip(self.manipulator.proxy_spheres()) {
@@ -144,7 +149,8 @@ impl Simulation<'_> {
         farther && self.bone.is_some()
     }
 
-    /// Notes the spheres that pressed harder in the last step than any bone bears at least; true if there are new ones.
+    /// Marks the spheres that pressed harder in the last step than the weakest bone supports. Returns true if
+    /// there are new ones.
     fn note_pressing(&mut self) -> bool {
         let Some(bone) = &self.bone else { return false };
         let voxels = bone.field.voxels();
@@ -169,7 +175,8 @@ impl Simulation<'_> {
         any
     }
 
-    /// Notes how far the spheres went that pressed beyond their strength; true if the bone there bears more than was assumed.
+    /// Updates the expected motion of the spheres that pressed beyond their strength. Returns true if the
+    /// bone at their depth supports more than was assumed.
     fn note_depth(&mut self) -> bool {
         self.find_indentations();
         let Some(bone) = &mut self.bone else { return false };
@@ -185,13 +192,14 @@ impl Simulation<'_> {
             any |= planes.iter().zip(strengths_n).any(|(plane, strength_n)| {
                 plane.normal == indentation.normal && strength_n > STRONGER * plane.strength_n
             });
-            // Half the way: the stronger the bone, the less deep the sphere goes.
+            // Move halfway: the stronger the bone, the less deep the sphere goes.
             reach.expected_m += 0.5 * (moved_m - reach.expected_m);
         }
         any
     }
 
-    /// Lists where bone was pressed beyond its strength, by how much the tool went in farther than its force explains.
+    /// Lists where bone was pressed beyond its strength, from the tool's penetration in excess of what its
+    /// force explains.
     pub(super) fn find_indentations(&mut self) {
         self.indentations.clear();
         let stiffness_n_per_m = self.manipulator.parameters().contact.stiffness_n_per_m;
@@ -277,7 +285,7 @@ impl Simulation<'_> {
     }
 }
 
-/// Strength of a sphere's planes after a motion from a centre, N.
+/// Returns the strength of a sphere's planes after a motion from its centre, N.
 fn strengths_n(
     bone: &mut Bone,
     radius_m: f64,

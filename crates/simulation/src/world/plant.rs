@@ -1,4 +1,4 @@
-//! The simulation as the hub steps it.
+//! Implements the hub's [`Plant`] for the simulation.
 
 use messages::{ArmEntry, Latched, PastStop, Plant, Refusal, SensorReading, State};
 

@@ -1,4 +1,4 @@
-//! Converts a scene's keys and units into the components' parameters.
+//! Converts a scene to the components' parameters, in SI units.
 
 use messages::State;
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
@@ -117,7 +117,8 @@ fn burr_drive(scene: &Scene, tool: &ManipulatorParameters) -> BurrDrive {
     }
 }
 
-/// The shaft as a spring `G J / length` with the burr at its end; the damping is its ratio of `2 sqrt(k J)`.
+/// Returns the shaft as a spring `G J / length` with the burr at its end; the damping is a fraction of `2
+/// sqrt(k J)`.
 fn torsion(shaft: &ToolDriveShaft, tool: &ManipulatorParameters) -> Option<Torsion> {
     let length_m = shaft.length_mm.map_or(tool.burr_centre_m(), |mm| mm * 1e-3);
     let stiffness_nm_per_rad = shaft.torsional_stiffness_nm2? / length_m;
@@ -131,13 +132,13 @@ fn torsion(shaft: &ToolDriveShaft, tool: &ManipulatorParameters) -> Option<Torsi
     })
 }
 
-/// The scene's own cutting coefficient, or that of its tool's burr.
+/// Returns the scene's cutting coefficient, or else that of its tool's burr.
 fn cutting_coefficient(scene: &Scene) -> Option<f64> {
     let of_tool = || scene.manipulator.tool.as_ref().and_then(|tool| tool.burr.cutting_coefficient);
     scene.drilling.cutting_coefficient.or_else(of_tool)
 }
 
-/// The rung that a scene names.
+/// Returns the rung for a scene's `manipulator.model`.
 pub fn rung(name: ManipulatorRung) -> Rung {
     match name {
         ManipulatorRung::ConstantCurvature => Rung::ConstantCurvature,
@@ -148,10 +149,10 @@ pub fn rung(name: ManipulatorRung) -> Rung {
     }
 }
 
-/// The scene's tool, or the standard one, with the scene's overrides.
+/// Returns the scene's tool, or the standard one, with the scene's overrides.
 ///
 /// # Errors
-/// The manipulator refuses the number of links, or a number that follows from the tool's description.
+/// The manipulator rejects the number of links, or a value derived from the tool description.
 pub fn manipulator_parameters(scene: &Scene) -> Result<ManipulatorParameters, ManipulatorError> {
     let overrides = &scene.manipulator;
     let mut parameters = overrides.tool.as_ref().map_or_else(|| standard(overrides), described);
@@ -203,7 +204,7 @@ pub fn manipulator_parameters(scene: &Scene) -> Result<ManipulatorParameters, Ma
     Ok(parameters)
 }
 
-/// The standard tool, with the notches that a scene may change.
+/// Returns the standard tool with the scene's notch overrides.
 fn standard(overrides: &scene::Manipulator) -> ManipulatorParameters {
     let mut parameters = ManipulatorParameters::jhu_27();
     parameters.set_notch(&Notch {
@@ -213,7 +214,7 @@ fn standard(overrides: &scene::Manipulator) -> ManipulatorParameters {
     parameters
 }
 
-/// Base pose of the straight tool whose burr is at the scene's start position.
+/// Returns the base pose of the straight tool whose burr is at the scene's start position.
 fn tool_base(tool: &Tool, parameters: &ManipulatorParameters) -> Isometry3<f64> {
     let along = Vector3::from(tool.direction).normalize();
     let toward = Vector3::from(tool.bend_toward);
@@ -224,7 +225,7 @@ fn tool_base(tool: &Tool, parameters: &ManipulatorParameters) -> Isometry3<f64> 
     Isometry3::from_parts(Translation3::from(origin), UnitQuaternion::from_rotation_matrix(&turn))
 }
 
-/// A body in SI units.
+/// Returns a body in SI units.
 fn body(body: &Body) -> BodyParameters {
     let shape = if let Some(cuboid) = &body.cuboid {
         BodyShape::Box { half_extents_m: Vector3::from(cuboid.half_extents_mm) * 1e-3 }
@@ -234,7 +235,7 @@ fn body(body: &Body) -> BodyParameters {
             radius_m: capsule.radius_mm * 1e-3,
         }
     } else {
-        // A scene body has exactly one shape; the rigid scene refuses a radius of 0.
+        // A scene body has exactly one shape; the rigid scene rejects a radius of 0.
         BodyShape::Ball { radius_m: body.ball.as_ref().map_or(0.0, |ball| ball.radius_mm * 1e-3) }
     };
     let turn_rad = Vector3::from(body.rotation_vector_deg) * RAD_PER_DEG;
@@ -257,7 +258,7 @@ fn arm(scene: &Scene, t_world_tool: &Isometry3<f64>) -> Result<Arm, SimulationEr
     Ok(Arm::new(parameters, &joints)?)
 }
 
-/// Number of contacts that may resist a displacement of the tool's base at once: two on either side of a tunnel.
+/// Number of contacts that may resist a displacement of the tool base at once: two on each side of a tunnel.
 const CONTACTS_AT_ONCE: f64 = 4.0;
 
 fn compliance(
@@ -265,7 +266,7 @@ fn compliance(
     arm: &ArmParameters,
     tool: &ManipulatorParameters,
 ) -> Result<Option<Compliance>, SimulationError> {
-    // A checked scene has elastic joints only in arms whose links are known.
+    // In a checked scene, only arms with known links have elastic joints.
     let (Some(given), Some(links)) = (&scene.arm.compliance, arm.links) else { return Ok(None) };
     let mount = tool.mount_stiffness_n_per_m.into_iter().fold(0.0, f64::max);
     let first_m = tool.joint_positions_m.first().copied().unwrap_or(0.0);
@@ -307,7 +308,8 @@ fn bone<'v>(
         parameters.material.edge_pressure_ref_pa = pressure * 1e6;
     }
     if let Some(force) = drilling.edge_force_n_per_mm {
-        // Over the cross-section of the hole, pi r^2, that is its diameter times the force: 2 r e / (pi r^2).
+        // Distributed over the cross-section of the hole, pi r^2, that is its diameter times the force: 2 r e
+        // / (pi r^2).
         let hole_m = max_burr_radius_m + parameters.cutting.reach_m;
         parameters.material.edge_pressure_ref_pa = 2.0 * force * 1e3 / (core::f64::consts::PI * hole_m);
     }
@@ -340,7 +342,7 @@ fn bone<'v>(
     Ok((Bone { hu, field, contacts }, predrilled))
 }
 
-/// The contact kind that a scene's `contact.voxels` selects.
+/// Returns the contact kind that a scene's `contact.voxels` selects.
 pub fn contact_kind(voxels: Option<SceneContactVoxels>) -> ContactKind {
     match voxels.unwrap_or_default() {
         SceneContactVoxels::Balls => ContactKind::VoxelBalls,

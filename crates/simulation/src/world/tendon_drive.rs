@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use crate::arm::{AxisLimits, AxisState, Goal, Planner, Segment};
 use crate::manipulator::{MAX_TENDONS, TendonCommand};
 
-/// Limits of `move_jp`, those of a lead screw of moderate speed. m/s, m/s², m/s³.
+/// Limits of `move_jp` in m/s, m/s² and m/s³: those of a lead screw of moderate speed.
 const LIMITS: AxisLimits<MAX_TENDONS> = AxisLimits {
     velocity: [0.005; MAX_TENDONS],
     acceleration: [0.05; MAX_TENDONS],
@@ -16,7 +16,7 @@ const LIMITS: AxisLimits<MAX_TENDONS> = AxisLimits {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[expect(
     clippy::large_enum_variant,
-    reason = "one a simulation; a box would stand between the tick and its state"
+    reason = "one per simulation; boxing would add an indirection to every tick"
 )]
 pub(super) enum TendonDriveState {
     /// Tension setpoints, N.
@@ -86,7 +86,7 @@ impl TendonDrive {
         Ok(())
     }
 
-    /// The tendon command for this tick.
+    /// Returns the tendon command for this tick.
     pub(super) fn step(&mut self, dt_s: f64) -> TendonCommand {
         match &mut self.state {
             TendonDriveState::Force(tension_n) => TendonCommand::EachForce(*tension_n),

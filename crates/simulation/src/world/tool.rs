@@ -1,4 +1,4 @@
-//! A tool description as a manipulator's parameters.
+//! Converts a tool description to manipulator parameters.
 
 use core::f64::consts::PI;
 
@@ -9,11 +9,13 @@ use crate::manipulator::{
     TendonReach, TendonRoute, pitch_m,
 };
 
-/// The parameters of a described tool. What the description does not say, such as the contact model, is that of the standard tool.
+/// Returns the parameters of a described tool. Anything that the description omits, such as the contact
+/// model, comes from the standard tool.
 ///
-/// The bending stiffness of a flexure is, in this order: its own; that of its notches, `E` times [`Notch::unit_stiffness`]; that of a piece
-/// of round tube, `k = E I / length` with `I = pi/4 (r_o^4 - r_i^4)`. The other freedoms follow from the notches or the tube by
-/// [`StiffnessRatios`]. A drive shaft lies beside the tube: see [`beside_shaft`].
+/// The bending stiffness of a flexure is the first available of: its own value; that of its notches, `E`
+/// times [`Notch::unit_stiffness`]; that of a section of round tube, `k = E I / length` with `I = pi/4
+/// (r_o^4 - r_i^4)`. The other freedoms follow from the notches or the tube by [`StiffnessRatios`]. A drive
+/// shaft acts in parallel with the tube: see [`beside_shaft`].
 pub(super) fn described(tool: &ToolDescription) -> ManipulatorParameters {
     let places = tool.flexures();
     let radii = tool.radii();
@@ -72,9 +74,10 @@ pub(super) fn described(tool: &ToolDescription) -> ManipulatorParameters {
     }
 }
 
-/// Adds a drive shaft to a flexure: two beams in parallel bend by the same angle, so `k = k_tube + E I / length`, in and across the plane.
-/// The shaft slides and turns in the tube, so stretch, shear and torsion stay the tube's: their ratios to the bending stiffness fall. It is
-/// straight by itself, and the two rest where their moments cancel: `q_0 = q_tube k_tube / k`.
+/// Adds a drive shaft to a flexure: two beams in parallel bend by the same angle, so `k = k_tube + E I /
+/// length`, in and across the plane. The shaft slides and turns in the tube, so stretch, shear and torsion
+/// remain those of the tube: their ratios to the bending stiffness decrease. The unloaded shaft is straight,
+/// and the two rest where their moments cancel: `q_0 = q_tube k_tube / k`.
 fn beside_shaft(
     shaft_nm_per_rad: f64,
     (stiffness, rest, ratios): (&mut f64, &mut f64, &mut StiffnessRatios),
@@ -92,7 +95,7 @@ fn beside_shaft(
     *stiffness = whole;
 }
 
-/// An outer tube in SI units; `I = pi/4 (r_o^4 - r_i^4)`.
+/// Returns an outer tube in SI units; `I = pi/4 (r_o^4 - r_i^4)`.
 fn outer_tube(tube: &ToolOuterTube) -> OuterTube {
     let [outer_radius_m, inner_radius_m] =
         [tube.outer_diameter_mm, tube.inner_diameter_mm].map(|mm| mm / 2e3);
@@ -101,7 +104,7 @@ fn outer_tube(tube: &ToolOuterTube) -> OuterTube {
     OuterTube { end_m: tube.end_mm * 1e-3, outer_radius_m, bending_nm2 }
 }
 
-/// A tendon's twist in SI units.
+/// Returns a tendon's twist in SI units.
 pub(super) fn twist_rad_per_m(twist_deg_per_mm: Option<f64>) -> f64 {
     twist_deg_per_mm.unwrap_or(0.0) * (PI / 180.0) * 1e3
 }
@@ -121,7 +124,8 @@ struct Spheres {
     span_m: [f64; 2],
 }
 
-/// As many spheres as diameters fit, so that neighbours touch; of a long shaft the ones next to the flexures.
+/// Returns as many spheres as diameters fit, so that neighbours touch; on a long shaft, those next to the
+/// flexures.
 fn shaft_spheres(tool: &ToolDescription, first_m: f64) -> Spheres {
     let diameter_m = tool.tube.outer_diameter_mm / 1e3;
     let to_m = tool.shaft.contact_to_mm.map_or(first_m, |to_mm| to_mm / 1e3);
@@ -131,7 +135,7 @@ fn shaft_spheres(tool: &ToolDescription, first_m: f64) -> Spheres {
     Spheres { count: (count as usize).min(MAX_SHAFT_SPHERES), span_m: [from_m, to_m] }
 }
 
-/// What a flexure's stiffness follows from.
+/// Material and cross-section that determine a flexure's stiffness.
 struct Material {
     tube_radii_m: [f64; 2],
     poisson_ratio: f64,
@@ -144,7 +148,7 @@ impl Material {
         Some(Notch { width_m: width_mm * 1e-3, past_axis_m: past_axis_mm * 1e-3 })
     }
 
-    /// Bending stiffness of a flexure, N m/rad, and the ratios of its other freedoms to it.
+    /// Returns the bending stiffness of a flexure, N m/rad, and the ratios of its other freedoms to it.
     fn flexure(&self, places: &[FlexurePlace], joints_m: &[f64], index: usize) -> (f64, StiffnessRatios) {
         let flexure = places[index].flexure;
         let notched = Material::notch(flexure).map(|notch| {

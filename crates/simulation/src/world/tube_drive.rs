@@ -1,4 +1,5 @@
-//! The drive of a tool that slides out of an outer tube and turns in it: jerk-limited motion of both to a goal.
+//! Drive of a tool that slides out of an outer tube and rolls in it: jerk-limited motion of both axes to a
+//! goal.
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use scene::ToolOuterTube;
@@ -9,33 +10,33 @@ use super::{Simulation, SimulationError};
 use crate::arm::{AxisLimits, AxisState, Goal, Planner, Segment, TrajectoryError};
 use crate::manipulator::{BaseMotion, ManipulatorModel, Wrench};
 
-/// Time in which the drive reaches its speed from rest, and half of which its acceleration takes to build up, s: an assumption, the size of
-/// a small lead screw's.
+/// Time in which the drive reaches its speed from rest, s; its acceleration builds up in half of it. Assumed,
+/// typical of a small lead screw.
 const SPEED_UP_S: f64 = 0.1;
 
-/// Why the tube does not take a command.
+/// Why the tube drive rejected a command.
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
 pub enum TubeRefusal {
-    /// The tool is one piece with its holder.
+    /// The tool has no outer tube.
     #[error("the tool has no `outer_tube` to slide out of")]
     NoTube,
-    /// The goal is farther than the drive goes.
-    #[error("`tube_deployed_m` is {asked_m}, allowed is 0 to {travel_m}, `outer_tube.travel_mm` of the tool")]
+    /// The goal is beyond the travel of the drive.
+    #[error("`tube_deployed_m` is {asked_m}; allowed: 0 to {travel_m} (the tool's `outer_tube.travel_mm`)")]
     BeyondTravel {
-        /// Goal, m.
+        /// Commanded goal, m.
         asked_m: f64,
-        /// Farthest, m.
+        /// Travel, m.
         travel_m: f64,
     },
-    /// The arm stands because the tool pressed too hard.
-    #[error("the arm made a protective stop; `hold` of the arm releases it")]
+    /// The arm is in a protective stop because the tool pressed too hard.
+    #[error("the arm is in a protective stop; send the arm `hold` to release it")]
     ProtectiveStop,
-    /// There is no such motion.
+    /// The motion cannot be planned.
     #[error(transparent)]
     NoMotion(#[from] TrajectoryError),
 }
 
-/// Where the tube is: how far out, m, and its roll, rad.
+/// State of the tube: deployment, m, and roll, rad.
 type Tube = AxisState<2>;
 
 /// The drive's motion as plain data.
@@ -44,7 +45,7 @@ pub(super) struct TubeDriveState {
     segment: Segment<2>,
     /// Ticks since its start.
     ticks: u64,
-    /// After the last tick.
+    /// State after the last tick.
     at: Tube,
 }
 
@@ -57,7 +58,7 @@ pub(super) struct TubeDrive {
 }
 
 impl TubeDrive {
-    /// Of a tool that is drawn back.
+    /// Creates the drive of a fully retracted tool.
     pub(super) fn new(outer: &ToolOuterTube) -> TubeDrive {
         let velocity = [outer.speed_mm_per_s * 1e-3, outer.roll_speed_deg_per_s.to_radians()];
         let acceleration = velocity.map(|speed| speed / SPEED_UP_S);
@@ -76,7 +77,7 @@ impl TubeDrive {
     }
 
     fn plan_again(&mut self) {
-        // What was planned once has a plan.
+        // A segment that was planned before can be planned again.
         if self.planner.plan(&self.state.segment).is_ok() {
             self.planner.commit();
         }
@@ -123,16 +124,16 @@ impl TubeDrive {
         Ok(self.start(Goal::Standstill, 0.0)?)
     }
 
-    /// Moves by a tick.
+    /// Advances by one tick.
     pub(super) fn step(&mut self, dt_s: f64) {
         self.state.ticks += 1;
         let mut at = self.planner.sample(self.state.ticks as f64 * dt_s);
-        // A stop on the way in may end a rounding error before the drawn-back tool.
+        // A stop while retracting may end a rounding error beyond the fully retracted position.
         at.position[0] = at.position[0].clamp(0.0, self.travel_m);
         self.state.at = at;
     }
 
-    /// Where the tube is, and how fast.
+    /// Returns the position and velocity of the tube.
     pub(super) fn at(&self) -> &Tube {
         &self.state.at
     }
@@ -141,7 +142,7 @@ impl TubeDrive {
         self.state.at.position[0]
     }
 
-    /// From the tool's base to the tube's, which slides along +z and turns about it.
+    /// Returns the transform from the tool base to the tube base, which slides along +z and rolls about it.
     pub(super) fn t_base_tube(&self) -> Isometry3<f64> {
         let [deployed_m, roll_rad] = self.state.at.position;
         Isometry3::from_parts(
@@ -150,7 +151,7 @@ impl TubeDrive {
         )
     }
 
-    /// The motion of the tube's base on a tool base that moves itself.
+    /// Returns the motion of the tube base on a moving tool base.
     pub(super) fn carried(&self, base: &BaseMotion) -> BaseMotion {
         let axis = base.t_world_base.rotation * Vector3::z();
         let [deployed_m, _] = self.state.at.position;
@@ -163,7 +164,7 @@ impl TubeDrive {
         }
     }
 
-    /// A wrench about the tube's base, whose pose is `t_world_tube`, about the tool's base.
+    /// Converts a wrench about the tube base, whose pose is `t_world_tube`, to one about the tool base.
     pub(super) fn about_base(&self, wrench: &Wrench, t_world_tube: &Isometry3<f64>) -> Wrench {
         let lever_m = t_world_tube.rotation * Vector3::new(0.0, 0.0, self.deployed_m());
         Wrench { force_n: wrench.force_n, torque_nm: wrench.torque_nm + lever_m.cross(&wrench.force_n) }
@@ -171,7 +172,8 @@ impl TubeDrive {
 }
 
 impl Simulation<'_> {
-    /// Moves the tube on the tool's base, or stops it where the arm made a protective stop; returns the motion of the tube's base.
+    /// Moves the tube on the tool base, or stops it if the arm is in a protective stop. Returns the motion of
+    /// the tube base.
     pub(super) fn slide_tube(&mut self, base: BaseMotion) -> Result<BaseMotion, SimulationError> {
         let is_stopped = self.arm.state().protective_stop.is_stopped();
         let Some(tube) = &mut self.tube else { return Ok(base) };
@@ -183,7 +185,7 @@ impl Simulation<'_> {
         Ok(tube.carried(&base))
     }
 
-    /// The wrench of the tool on the flange in the last step, about the tool's base.
+    /// Returns the wrench of the tool on the flange in the last step, about the tool's base.
     pub(super) fn flange_wrench(&self) -> Wrench {
         let (tool, wrench) = (&self.manipulator, self.manipulator.flange_wrench());
         self.tube.as_ref().map_or(wrench, |tube| tube.about_base(&wrench, &tool.base().t_world_base))

@@ -1,11 +1,11 @@
-//! Whether the tool's model holds in the present state.
+//! Checks whether the tool's model is valid in the present state.
 
 use messages::PastStop;
 
 use super::Simulation;
 use crate::manipulator::{AnyManipulator, ManipulatorModel};
 
-/// How far each flexure is past its stop, rad; below zero short of it.
+/// Returns how far each flexure is past its stop, rad; negative before the stop.
 pub(super) fn past_stops(tool: &AnyManipulator) -> impl Iterator<Item = f64> {
     let limit_rad = tool.parameters().joint_limit_rad;
     let bends = tool.joint_positions_rad().iter().enumerate();
@@ -13,7 +13,7 @@ pub(super) fn past_stops(tool: &AnyManipulator) -> impl Iterator<Item = f64> {
 }
 
 impl Simulation<'_> {
-    /// The flexure farthest past its stop, if the tool's model is not valid because of it.
+    /// Returns the flexure farthest past its stop if that makes the tool's model invalid.
     pub fn invalid_flexure(&self) -> Option<PastStop> {
         let tool = &self.manipulator;
         if tool.is_valid() {

@@ -1,6 +1,8 @@
-//! Statics of the manipulator against another engine: a Rapier multibody of 26 hinges with implicit joint springs.
+//! Statics of the manipulator against another engine: a Rapier multibody of 26 hinges with implicit joint
+//! springs.
 //!
-//! Same chain: 35 mm, 26 hinges at the middles of equal links, bending rigidity 1.3369e-3 N m^2, 0.1 g a link.
+//! The same chain: 35 mm, 26 hinges at the midpoints of equal links, bending rigidity 1.3369e-3 N m^2, 0.1 g
+//! per link.
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot build its chain has failed")]
 
@@ -66,10 +68,11 @@ fn rapier(moment_nm: f64) -> [f64; 2] {
     let stiffness = RIGIDITY_NM2 / pitch;
     for joint in &joints {
         let (multibody, id) = world.multibody_joints.get_mut(*joint).unwrap();
-        // Axis 3: the first angular one, about which a revolute joint turns.
+        // Axis 3 is the first angular one, about which a revolute joint rotates.
         multibody.link_mut(id).unwrap().joint.set_spring(3, stiffness, 0.0);
     }
-    // The fixed root has its six freedoms until the first step: only then are the dampings those of the hinges.
+    // The fixed root has its six degrees of freedom until the first step; only then do the dampings refer to
+    // the hinges.
     world.step();
     let damping = 2.0 / 380.0 * stiffness;
     world.multibody_joints.get_mut(joints[0]).unwrap().0.damping_mut().fill(damping);
@@ -95,7 +98,7 @@ fn end_moment_bends_our_chain_and_rapiers_multibody_to_the_same_place() {
             b[1] * 1e3,
             apart_m * 1e6
         );
-        // Both hold the discrete equilibrium exactly; what is left is the mount (1e9 N/m) and rounding.
+        // Both satisfy the discrete equilibrium exactly; the rest is the mount (1e9 N/m) and rounding.
         assert!(apart_m < 1e-9);
     }
 }

@@ -25,7 +25,7 @@ impl Uniform {
     }
 }
 
-/// One pose, all that we say of it, as a line of JSON; matrices by columns.
+/// One pose with all our results, as a line of JSON; matrices column by column.
 fn case(geometry: &UrGeometry, q: &Joints, reference: &Joints) -> String {
     let limits = ArmParameters::ur5(1e-3).joint_limits;
     let pose = geometry.forward(q);
@@ -56,7 +56,7 @@ fn a_thousand_random_poses_agree_with_modern_robotics() {
     while lines.len() < POSES {
         let q =
             six_joints(std::array::from_fn(|i| uniform.between(-1.0, 1.0) * if i == 2 { 3.1 } else { 6.2 }));
-        // Their Newton iteration needs some distance from singularity; ours is tested near it elsewhere.
+        // Their Newton iteration needs some distance from singularities; ours is tested near them elsewhere.
         if geometry.manipulability_m3(&q) > 5e-3 {
             lines.push(case(&geometry, &q, &q.map(|angle| if angle == 0.0 { 0.0 } else { angle + 0.01 })));
         }
@@ -73,10 +73,10 @@ fn a_thousand_random_poses_agree_with_modern_robotics() {
     assert_eq!(worst["poses"], POSES);
     assert!(worst["solutions"].as_u64().unwrap() > 4 * POSES as u64);
     for figure in ["forward", "inverse", "jacobian"] {
-        // Asked for: 1e-9 m.
+        // Requirement: 1e-9 m.
         assert!(worst[figure].as_f64().unwrap() < 1e-9, "{figure}");
     }
-    // Their matrix logarithm takes the angle from an arc cosine near 1, good to sqrt(2 eps) = 2e-8 rad, times some ten
-    // for the inverse of the Jacobian: enough to tell that it is the same branch.
+    // Their matrix logarithm takes the angle from an arc cosine near 1, good to sqrt(2 eps) = 2e-8 rad, times
+    // about ten for the inverse of the Jacobian: enough to identify the branch.
     assert!(worst["numeric"].as_f64().unwrap() < 1e-6);
 }

@@ -1,4 +1,5 @@
-//! Arms out of URDF files, and the named arms, against other libraries: Pinocchio for Python (`pin`), yourdfpy and MuJoCo.
+//! Arms from URDF files, and the named arms, against other libraries: Pinocchio for Python (`pin`), yourdfpy
+//! and MuJoCo.
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
 use std::fmt::Write as _;
@@ -18,7 +19,8 @@ const PACKAGES: [&str; 2] = ["pin==4.1.0", "example-robot-data==6.0.0"];
 const WITNESSES: [&str; 2] = ["yourdfpy==0.0.60", "mujoco==3.3.7"];
 const POSES: usize = 1_000;
 
-/// Files of `example-robot-data`: robots of their makers' or of ROS packages, with base and tip of six or seven turning joints, and how many.
+/// Files of `example-robot-data`, from manufacturers' or ROS packages: base and tip of a chain of six or
+/// seven revolute joints, and their number.
 const FILES: [([&str; 3], usize); 7] = [
     (["ur_description/urdf/ur3_robot.urdf", "base_link", "tool0"], 6),
     (["ur_description/urdf/ur5_robot.urdf", "base_link", "tool0"], 6),
@@ -29,9 +31,9 @@ const FILES: [([&str; 3], usize); 7] = [
     (["xarm_description/urdf/xarm7.urdf", "link_base", "link_eef"], 7),
 ];
 
-/// The arm of a URDF file, by way of a scene.
+/// Builds the arm of a URDF file through a scene.
 fn of_file(text: &str, base: &str, tip: &str, joints: usize) -> ArmParameters {
-    // A start within every arm's ranges is not asked for here: the ranges are opened.
+    // The ranges are widened, so that the start is within every arm's.
     let angles = |deg: f64| list(&[deg; 7][..joints]);
     let keys = format!(
         "[arm]\nurdf = \"a.urdf\"\nbase_link = \"{base}\"\ntip_link = \"{tip}\"\ninitial_joints_deg = {}\n\
@@ -51,7 +53,7 @@ fn list(numbers: &[f64]) -> String {
     format!("[{}]", texts.join(","))
 }
 
-/// Poses and Jacobians of an arm, a line each; the matrices by columns.
+/// Writes poses and Jacobians of an arm, one per line; matrices column by column.
 fn lines(out: &mut String, file: &str, [base, tip]: [&str; 2], geometry: &ArmGeometry) {
     let mut uniform = Uniform(31);
     for _ in 0..POSES {
@@ -82,13 +84,13 @@ fn ask(python: &Path, arguments: &[&str], lines: &str) -> serde_json::Value {
     serde_json::from_slice(&output.stdout).unwrap()
 }
 
-/// Where Pinocchio's environment has the files.
+/// Folder of the files in Pinocchio's environment.
 fn folder(python: &Path) -> PathBuf {
     let folder = ask(python, &["arm_pinocchio.py", "folder"], "");
     PathBuf::from(folder.as_str().unwrap())
 }
 
-/// Compares every arm with a script's libraries, whose figures must be below these.
+/// Compares every arm with a script's libraries; the reported errors must be below these.
 fn compare(folder: &Path, python: &Path, script: &[&str], figures: &[(&str, f64)]) {
     for ([name, base, tip], joints) in FILES {
         let file = folder.join(name);
@@ -119,7 +121,7 @@ fn arms_out_of_their_files_agree_with_yourdfpy_and_mujoco() {
     compare(&folder(&python), &witnesses, &["arm_witnesses.py"], &figures);
 }
 
-/// Their base is ours turned by 180° about z, and their tool0 is our flange.
+/// Their base is ours rotated by 180° about z, and their tool0 is our flange.
 #[test]
 fn the_ur3_and_the_ur5_are_those_of_the_ros_description() {
     let Some(python) = python::or_skip("pin-4.1.0", &PACKAGES, "pinocchio") else { return };
@@ -137,7 +139,7 @@ fn the_ur3_and_the_ur5_are_those_of_the_ros_description() {
             worst = worst.max((ours.geometry.forward(&q).to_homogeneous() - expected).amax());
         }
         println!("{model:?}: worst entry {worst:.1e}");
-        // Their right angles are rounded to some 1e-11.
+        // Their right angles are rounded to about 1e-11.
         assert!(worst < 1e-10, "{model:?}");
     }
 }

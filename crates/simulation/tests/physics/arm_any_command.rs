@@ -1,4 +1,5 @@
-//! Commands of every kind, given to the arm at any tick: its limits hold, it opens no socket, and a snapshot continues bit for bit.
+//! Commands of every kind at any tick: the arm's limits hold, it opens no socket, and a snapshot continues
+//! bit for bit.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
 use crate::common::arm::{
@@ -7,7 +8,7 @@ use crate::common::arm::{
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use simulation::arm::{Arm, ArmCommand, ArmMode, ArmState};
 
-/// A command of any kind; half of them near, so that many are accepted.
+/// A command of any kind; half of them are near the present pose, so that many are accepted.
 fn any_command(uniform: &mut Uniform, arm: &Arm) -> ArmCommand {
     let state = arm.state();
     let reach = if uniform.between(0.0, 1.0) < 0.5 { 0.3 } else { 3.0 };
@@ -50,17 +51,18 @@ fn any_command(uniform: &mut Uniform, arm: &Arm) -> ArmCommand {
     }
 }
 
-/// Greatest shares of the tool base's limits used on its paths: speed, acceleration, jerk; turning rate and acceleration.
+/// Largest fractions of the tool base's limits used on its paths: speed, acceleration, jerk; angular rate and
+/// acceleration.
 #[derive(Default, Debug)]
 struct UsedByTool {
-    /// The arm follows a path, and has come to rest before it if it began in joint motion.
+    /// The arm follows a path, and first came to rest if it was in joint motion.
     on_path: bool,
     shares: [f64; 5],
     ticks: usize,
 }
 
 impl UsedByTool {
-    /// A command has been accepted.
+    /// Records an accepted command.
     fn command(&mut self, state: &ArmState, was_at_rest: bool) {
         let path = matches!(state.mode, ArmMode::MoveCp | ArmMode::Insert | ArmMode::Rcm);
         self.on_path = path && (was_at_rest || self.on_path);
@@ -68,7 +70,7 @@ impl UsedByTool {
 
     fn add(&mut self, arm: &Arm, before: &ArmState) {
         let (limits, state) = (&arm.parameters().cartesian_limits, arm.state());
-        // A motion that is given up stops in the joints.
+        // An aborted motion stops in joint space.
         self.on_path &= state.fault.is_none();
         if !self.on_path {
             return;
@@ -98,7 +100,7 @@ fn three_thousand_accepted_targets_of_seven_joints_exceed_no_limit() {
     println!("seven joints: {refused} refused");
 }
 
-/// Gives an arm targets until so many are accepted; how many were refused.
+/// Sends targets to an arm until `targets` are accepted; returns the number refused.
 fn try_targets(start: impl Fn() -> Arm, targets: usize) -> usize {
     let mut uniform = Uniform(22);
     let mut used = Used::default();
@@ -110,14 +112,14 @@ fn try_targets(start: impl Fn() -> Arm, targets: usize) -> usize {
         if accepted.iter().sum::<usize>() == targets {
             break;
         }
-        // Where the arm has run into a corner that refuses most targets, another one takes over.
+        // If the arm has reached a corner where most targets are refused, another one takes over.
         if count % 500 == 0 {
             arm = start();
             tool.on_path = false;
         }
         let mut command = any_command(&mut uniform, &arm);
         if matches!(command, ArmCommand::Rcm { .. }) {
-            // From motion the arm would first stop with its axis beside the pivot.
+            // An arm in motion would first stop with its axis off the pivot.
             arm.command(ArmCommand::Hold).unwrap();
             finish_looking(&mut arm, |_| ());
             command = std::iter::repeat_with(|| any_command(&mut uniform, &arm))
@@ -147,7 +149,7 @@ fn try_targets(start: impl Fn() -> Arm, targets: usize) -> usize {
     refused
 }
 
-/// Ruckig's crate carries a cloud client for waypoints. Whatever the arm is told, this process opens no socket.
+/// Ruckig's crate includes a cloud client for waypoints. No command makes this process open a socket.
 #[test]
 #[cfg(target_os = "linux")]
 fn motion_of_every_kind_opens_no_socket() {

@@ -1,4 +1,5 @@
-//! Elastic joints of the arm: statics and vibration against closed forms, and stability of the exchange with the tool.
+//! Elastic joints of the arm: statics and vibration against closed forms, and stability of the coupling with
+//! the tool.
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
 use std::path::Path;
@@ -61,10 +62,11 @@ fn the_base_gives_way_as_the_closed_form_says() {
         let off =
             (moved - expected.fixed_rows::<3>(0)).norm().max((turned - expected.fixed_rows::<3>(3)).norm());
         worst = worst.max(off / expected.norm());
-        assert!(joints.state().rate_rad_s.iter().all(|rate| rate.abs() < 1e-9), "it has come to rest");
+        assert!(joints.state().rate_rad_s.iter().all(|rate| rate.abs() < 1e-9), "the arm is at rest");
     }
     println!("static deflection against J K^-1 J' w: worst relative difference {worst:.1e}");
-    // The closed form is linear: deflections of up to 1e-3 rad leave a part of that size in second order.
+    // The closed form is linear; deflections of up to 1e-3 rad leave a second-order error of that relative
+    // size.
     assert!(worst < 2e-3);
 }
 
@@ -93,20 +95,21 @@ fn a_soft_joint_swings_at_its_natural_frequency() {
         let period_s = (crossings[crossings.len() - 1] - crossings[0]) / (crossings.len() - 1) as f64;
         let frequency = std::f64::consts::TAU / period_s;
         println!("joint {}: {frequency:.3} rad/s, closed form 200", joint + 1);
-        // The other joints are not infinitely stiff: their share of the compliance is below 1e-4. Implicit Euler slows by
-        // (w h)²/3 = 5e-6.
+        // The other joints are not infinitely stiff: they contribute less than 1e-4 of the compliance.
+        // Implicit Euler lowers the frequency by (w h)²/3 = 5e-6.
         assert!((frequency / 200.0 - 1.0).abs() < 1e-3);
     }
-    // Wrist 3 turns about its own axis: its tabled inertia, and its centre of mass lies in the axis.
+    // Wrist 3 rotates about its own axis: its tabulated inertia applies, because its centre of mass lies on
+    // the axis.
     assert!((mass[(5, 5)] - 1.321_172e-4).abs() < 1e-12);
-    // The masses do not depend on how the whole arm is turned.
+    // The masses do not depend on the orientation of the whole arm.
     let mut turned = COMFORTABLE_Q_RAD;
     turned[0] += 1.0;
     assert!((mass - mass_matrix(&UrGeometry::ur5().into(), &ur5_links(), &turned)).amax() < 1e-12);
     assert!(mass.cholesky().is_some());
 }
 
-/// A tool that hangs sideways on the arm, and a scene text to vary.
+/// A scene with a tool that hangs sideways on the arm, with text to vary.
 fn scene(dt_ms: f64, compliance: Option<([f64; 6], f64)>, rest: &str) -> Scene {
     let list = |values: [f64; 6]| format!("{values:?}");
     let compliance = compliance.map_or(String::new(), |(stiffness, damping)| {
@@ -117,10 +120,13 @@ fn scene(dt_ms: f64, compliance: Option<([f64; 6], f64)>, rest: &str) -> Scene {
         )
     });
     let text = format!(
-        "name = \"compliance\"\n{rest}\n[run]\nmode = \"lockstep\"\nduration_s = 3.0\ndt_ms = {dt_ms:?}\n[tool]\n\
-         burr_start_mm = [0.0, 0.0, 0.0]\ndirection = [0.0, 0.0, 1.0]\nbend_toward = [1.0, 0.0, 0.0]\n{compliance}\
+        "name = \"compliance\"\n{rest}\n[run]\nmode = \"lockstep\"\nduration_s = 3.0\ndt_ms = {dt_ms:?}\n\
+         [tool]\n\
+         burr_start_mm = [0.0, 0.0, 0.0]\ndirection = [0.0, 0.0, 1.0]\nbend_toward = [1.0, 0.0, 0.0]\n\
+         {compliance}\
          [[body]]\nname = \"wall\"\ncuboid = {{ half_extents_mm = [30.0, 30.0, 10.0] }}\nmotion = \"fixed\"\n\
-         position_mm = [0.0, 0.0, 14.0]\n[[controller]]\nname = \"test\"\ndrives = [\"tendon\", \"arm\"]\nexternal = true\n"
+         position_mm = [0.0, 0.0, 14.0]\n[[controller]]\nname = \"test\"\ndrives = [\"tendon\", \"arm\"]\n\
+         external = true\n"
     );
     Scene::parse(&text, Path::new("compliance.toml")).unwrap()
 }
@@ -137,7 +143,8 @@ fn play(simulation: &mut Simulation, ticks: u64, command: Command, mut look: imp
     }
 }
 
-/// In the loop: the tool's weight on elastic joints. The deflection in the state is the one of the wrench in the state.
+/// In closed loop, with the tool's weight on elastic joints: the deflection in the state matches the wrench
+/// in the state.
 #[test]
 fn in_a_scene_the_deflection_is_that_of_the_reported_wrench() {
     let scene = scene(1.0, Some((STIFFNESS, 0.02)), "gravity_m_per_s2 = [0.0, 9.81, 0.0]");
@@ -160,7 +167,7 @@ fn in_a_scene_the_deflection_is_that_of_the_reported_wrench() {
     let wrench = &state.flange_wrench;
     let wrench = Vector6::from_iterator(wrench.force_n.into_iter().chain(wrench.torque_nm));
     let torque = arm.jacobian().transpose() * wrench;
-    assert!(wrench.norm() > 0.05, "the tool weighs something: {wrench}");
+    assert!(wrench.norm() > 0.05, "the tool has weight: {wrench}");
     let mut worst = 0.0f64;
     for i in 0..6 {
         let expected = torque[i] / STIFFNESS[i];
@@ -175,14 +182,16 @@ fn in_a_scene_the_deflection_is_that_of_the_reported_wrench() {
     assert!(worst < 1e-9 && moved.norm() > 1e-7);
 }
 
-/// The burr is pushed 0.5 mm into a wall, over stiffness and step: nothing grows, and the thrust is that of any step.
+/// The burr is pushed 0.5 mm into a wall, for several stiffnesses and steps: nothing grows, and the thrust
+/// does not depend on the step.
 #[test]
 fn pressing_on_a_wall_is_stable_over_stiffness_and_step() {
     for dt_ms in [0.2, 1.0, 5.0, 10.0] {
         for stiffness in [1e2, 1e4, 1e6] {
-            // Near critical for the joints at the base, whose inertia is about 3 kg m², so that 2 s suffice to settle.
+            // Near critical damping for the joints at the base, whose inertia is about 3 kg m², so that 2 s
+            // suffice to settle.
             let damping = 2.0 * f64::sqrt(3.0 / stiffness);
-            // Without friction, since a burr that stands still would stick where it touches.
+            // Without friction, since a stationary burr would stick where it touches.
             let smooth = "contact = { friction = 0.0 }";
             let scene = scene(dt_ms, Some(([stiffness; 6], damping)), smooth);
             let mut simulation = Simulation::new(&scene, None).unwrap();
@@ -207,12 +216,13 @@ fn pressing_on_a_wall_is_stable_over_stiffness_and_step() {
             });
             let force_n = thrust_ns / 0.2;
             println!(
-                "dt {dt_ms} ms, {stiffness:.0e} N m/rad: peak {peak:.2e} rad/s, in the end {late:.1e}, thrust {force_n:.2} N"
+                "dt {dt_ms} ms, {stiffness:.0e} N m/rad: peak {peak:.2e} rad/s, at the end {late:.1e}, \
+                 thrust {force_n:.2} N"
             );
-            // 5 mm/s of feed over lever arms of some 0.1 m; a swing that grew would pass both bounds.
+            // 5 mm/s of feed over lever arms of some 0.1 m; a growing oscillation would exceed both bounds.
             assert!(peak < 0.05 && late < 0.15 * peak, "dt {dt_ms} ms, {stiffness} N m/rad");
-            // The thrust does not depend on the step: the stabilising mass is not in the statics. At 5 ms and more it lets
-            // the softest joints move so slowly that they have not arrived after 2 s.
+            // The thrust does not depend on the step: the stabilising mass does not affect the statics. At 5
+            // ms and more it slows the softest joints so much that they have not settled after 2 s.
             if stiffness > 1e3 {
                 assert!((force_n / -1.32 - 1.0).abs() < 0.02, "{force_n} N");
             } else if dt_ms <= 1.0 {
@@ -222,7 +232,7 @@ fn pressing_on_a_wall_is_stable_over_stiffness_and_step() {
     }
 }
 
-/// Without the table nothing is computed and nothing changes; very stiff joints come near to that.
+/// Without the table nothing is computed and nothing changes; very stiff joints approach that.
 #[test]
 fn stiff_joints_approach_the_rigid_arm_and_a_snapshot_continues() {
     let command = |start: &State| {

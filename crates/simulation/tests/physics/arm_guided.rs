@@ -1,5 +1,5 @@
-//! The arm's guided motions: joint rates, insertion along an axis, remote centre of motion, and targets of every kind
-//! that change at any tick.
+//! The arm's guided motions: joint rates, insertion along an axis, remote centre of motion, and targets of
+//! every kind that change at any tick.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
 use crate::common::arm::{DT_S, Uniform, Used, about_pivot, finish_looking, guided_arm, run, t_flange_tool};
@@ -52,13 +52,13 @@ fn rates_are_reached_and_kept_and_a_joint_stops_at_the_end_of_its_range() {
     println!("elbow at {:.6} rad, braking from tick {elbow_stops_at_tick:?}; {used:?}", state.q_rad[2]);
     // 1.34 rad at 0.9 rad/s.
     assert!(elbow_stops_at_tick.is_some_and(|tick| (1_300..1_600).contains(&tick)));
-    // Not beyond, and short of the end by less than a tick's way.
+    // Not beyond the end, and short of it by less than a tick's travel.
     assert!(state.q_rad[2] <= PI && state.q_rad[2] > PI - 0.9e-3 * 1.01);
-    assert_eq!(state.qd_rad_s, six_joints([0.4, -0.3, 0.0, 0.0, -0.2, 1.1]), "the others go on");
+    assert_eq!(state.qd_rad_s, six_joints([0.4, -0.3, 0.0, 0.0, -0.2, 1.1]), "the others continue");
     assert_eq!(state.mode, ArmMode::ServoJv);
     used.check(1e-8);
 
-    // Outward again: it stays. Back: it goes. Zero: it stops and is done.
+    // Outward again: the joint stays. Back: it moves. Zero: it stops, and the motion is done.
     arm.command(ArmCommand::ServoJv { qd_rad_s: six_joints([0.0, 0.0, 0.5, 0.0, 0.0, 0.0]) }).unwrap();
     run(&mut arm, 1_000);
     assert!(arm.state().done && arm.state().q_rad[2] <= PI);
@@ -77,7 +77,8 @@ fn rates_are_reached_and_kept_and_a_joint_stops_at_the_end_of_its_range() {
     assert!(arm.command(ArmCommand::ServoJv { qd_rad_s: fast }).is_err());
 }
 
-/// `insert` at the feeds of orthopaedic drilling; the line and the orientation are kept, the time is the length by the feed.
+/// `insert` at the feeds of orthopaedic drilling: line and orientation are kept, and the time is length over
+/// feed.
 #[test]
 fn an_insertion_keeps_its_line_its_orientation_and_its_feed() {
     let (mut off_m, mut off_rad) = (0.0f64, 0.0f64);
@@ -100,7 +101,8 @@ fn an_insertion_keeps_its_line_its_orientation_and_its_feed() {
             ticks
         };
         let ticks = go(&mut arm, 0.4e-3);
-        // Jerk-limited ends: at 5 m/s³ from 0 to 0.15 mm/s takes 2 sqrt(v/j) = 11 ms, at the mean half the feed.
+        // Jerk-limited ends: reaching 0.15 mm/s at 5 m/s³ takes 2 sqrt(v/j) = 11 ms, at half the feed on
+        // average.
         let expected = 0.4e-3 / feed_m_s / DT_S;
         assert!((ticks as f64 - expected).abs() < 15.0, "{ticks} ticks, {expected} expected");
         go(&mut arm, 0.6e-3);
@@ -108,7 +110,7 @@ fn an_insertion_keeps_its_line_its_orientation_and_its_feed() {
         go(&mut arm, -0.1e-3);
     }
     println!("insertion off its line by {off_m:.1e} m, off its orientation by {off_rad:.1e} rad");
-    // Rounding of poses of 1 m; 1e-6 m was asked for.
+    // Rounding of poses of about 1 m; the requirement is 1e-6 m.
     assert!(off_m < 1e-12 && off_rad < 1e-7);
 }
 
@@ -125,7 +127,7 @@ fn an_insertion_can_be_deepened_paused_and_slowed_on_its_way() {
     arm.command(insert(8e-3, 1e-3)).unwrap();
     assert!(depth(&arm) > 1.9e-3 && !arm.state().done);
     run(&mut arm, 1_000);
-    // Smoothly: 1 s at 1 mm/s, without a stop between; the start takes about 2 mm/s times 20 ms.
+    // Smoothly: 1 s at 1 mm/s without an intermediate stop; the start takes about 2 mm/s times 20 ms.
     assert!((depth(&arm) - 3e-3).abs() < 0.1e-3, "{}", depth(&arm));
     arm.command(ArmCommand::Hold).unwrap();
     run(&mut arm, 500);
@@ -136,7 +138,8 @@ fn an_insertion_can_be_deepened_paused_and_slowed_on_its_way() {
     arm.command(insert(8e-3, 2e-3)).unwrap();
     finish_looking(&mut arm, |_| ());
     assert!((depth(&arm) - 8e-3).abs() < 1e-12);
-    // An axis that is rounded anew is the same one: it began an insertion of its own, whose depth counted from here.
+    // Regression: an axis that differs only by rounding is the same axis; it used to begin a new insertion,
+    // with the depth counted from here.
     let rounded = axis_world + Vector3::new(1e-9, -2e-9, 1e-9);
     arm.command(ArmCommand::Insert { axis_world: rounded, depth_m: 9e-3, feed_m_s: 2e-3 }).unwrap();
     finish_looking(&mut arm, |_| ());
@@ -189,12 +192,13 @@ fn the_pivot_stays_on_the_axis_of_the_tool() {
         }
     }
     println!("{accepted} of 30 motions about a pivot: off by {off_m:.1e} m, fastest {fastest:.4} m/s");
-    assert!(off_m < 1e-12, "rounding; 1e-6 m was asked for");
-    assert!(fastest <= 0.05 * (1.0 + 1e-3), "the limit is found at 33 places of the way");
+    assert!(off_m < 1e-12, "rounding; the requirement is 1e-6 m");
+    assert!(fastest <= 0.05 * (1.0 + 1e-3), "the limit is evaluated at 33 points of the path");
     assert!(accepted >= 25);
 }
 
-/// A stop on the way keeps the pivot, and so does the next goal; axes that miss the pivot are refused with the distance.
+/// A stop along the way keeps the pivot, and so does the next goal; axes that miss the pivot are refused with
+/// the distance.
 #[test]
 fn a_motion_about_a_pivot_can_be_changed_on_its_way_and_needs_the_pivot_on_the_axis() {
     let mut arm = guided_arm();

@@ -1,4 +1,4 @@
-//! A part of the arm that enters bone is told once, where it enters and how deep, and changes no state.
+//! An arm part that enters bone is reported once, with position and depth, and changes no state.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 use crate::common::{TUNNEL, bone, scene};
@@ -8,7 +8,7 @@ use simulation::{CtView, Simulation};
 /// Lower face of the block, m.
 const FACE_Z_M: f64 = -0.1;
 const VOXEL_M: f64 = 0.5e-3;
-/// Ticks in which every part is looked at.
+/// Ticks within which every part is checked.
 const PERIOD_TICKS: u64 = 72;
 
 /// 3 mm/s along +z.
@@ -27,7 +27,7 @@ fn feed(start: &State) -> Latched {
     latched
 }
 
-/// Part, depth and flange's z of each entry in so many ticks.
+/// Part, depth and flange z of each reported entry within `ticks`.
 fn entries(
     simulation: &mut Simulation<'_>,
     latched: &Latched,
@@ -46,7 +46,8 @@ fn mounted(offset_mm: f64) -> String {
     format!("{TUNNEL}[arm]\ntool_position_mm = [0.0, 0.0, {offset_mm}]\n")
 }
 
-/// The flange starts 1.5 mm before the block and goes in by 4.5 mm; the holder on it is in bone from the start.
+/// The flange starts 1.5 mm in front of the block and advances 4.5 mm into it; the holder on it is in bone
+/// from the start.
 #[test]
 fn a_wrist_that_enters_bone_is_told_once() {
     let bone = bone();
@@ -60,14 +61,14 @@ fn a_wrist_that_enters_bone_is_told_once() {
     assert_eq!(parts, ["holder", "wrist 3"]);
     let (_, _, state) = &told[0];
     assert!(state.tick <= PERIOD_TICKS, "the holder at tick {}", state.tick);
-    // Less than a voxel is not told, and the wrist is looked at once in a period.
+    // Less than a voxel is not reported, and the wrist is checked once per period.
     let (_, depth_m, state) = &told[1];
     let in_m = state.t_world_flange.position_m[2] - FACE_Z_M;
     let late_m = 3e-3 * 1e-3 * PERIOD_TICKS as f64;
     assert!((VOXEL_M - 1e-6..VOXEL_M + late_m + 1e-6).contains(&in_m), "the wrist {in_m} m in bone");
-    assert!((depth_m - in_m).abs() < 1e-3, "{depth_m}, is {in_m}");
+    assert!((depth_m - in_m).abs() < 1e-3, "{depth_m}, expected {in_m}");
 
-    // A keyframe of then knows that they are in.
+    // A keyframe taken now records that they are inside.
     let mut buffer = vec![0; 1 << 22];
     let length = simulation.write_keyframe(&mut buffer).unwrap();
     let mut other = Simulation::new(&scene(&text), Some(ct)).unwrap();
@@ -75,7 +76,7 @@ fn a_wrist_that_enters_bone_is_told_once() {
     assert!(entries(&mut other, &latched, 2 * PERIOD_TICKS).is_empty());
 }
 
-/// With a flange far behind, only the bare shaft goes in, and it has a hole.
+/// With the flange far behind, only the bare shaft enters, and it has a hole.
 #[test]
 fn an_arm_beside_the_bone_is_not_told() {
     let bone = bone();
@@ -83,7 +84,7 @@ fn an_arm_beside_the_bone_is_not_told() {
     let mut simulation = Simulation::new(&scene(&mounted(200.0)), Some(ct)).unwrap();
     let latched = feed(simulation.state());
     assert!(entries(&mut simulation, &latched, 500).is_empty());
-    // The same shaft without a hole before the tool's base.
+    // The same shaft without a hole in front of the tool's base.
     let text = mounted(200.0).replace("from_mm = [0.0, 0.0, -110.0]", "from_mm = [0.0, 0.0, -72.0]");
     let mut simulation = Simulation::new(&scene(&text), Some(ct)).unwrap();
     let told = entries(&mut simulation, &latched, PERIOD_TICKS);

@@ -25,8 +25,8 @@ impl Uniform {
     }
 }
 
-/// Product of exponentials of the UR5: Lynch and Park, "Modern Robotics" (2017), example 4.5. Its space frame is ours
-/// turned by 180° about z; its joint angles and end frame are ours.
+/// Product of exponentials of the UR5: Lynch and Park, "Modern Robotics" (2017), example 4.5. Its space frame
+/// is ours rotated by 180° about z; its joint angles and end frame are ours.
 fn product_of_exponentials(q: &Joints, lengths: [f64; 6]) -> Matrix4<f64> {
     let [l1, l2, w1, w2, h1, h2] = lengths;
     let screws = [
@@ -59,8 +59,8 @@ fn product_of_exponentials(q: &Joints, lengths: [f64; 6]) -> Matrix4<f64> {
 
 #[test]
 fn forward_kinematics_match_published_poses() {
-    // Universal Robots' URDF at zero: tool0 at (0.81725, 0.19145, -0.005491) of base_link, which is our base turned by
-    // 180° about z.
+    // Universal Robots' URDF at zero: tool0 at (0.81725, 0.19145, -0.005491) of base_link, which is our base
+    // rotated by 180° about z.
     let zero = UR5.forward(&Joints::default()).translation.vector;
     assert!((zero - Vector3::new(-0.81725, -0.19145, -0.005491)).norm() < 1e-12, "{zero}");
     // Straight up, flange at 1.001059 m.
@@ -86,7 +86,7 @@ fn forward_kinematics_match_the_product_of_exponentials() {
         worst = worst.max((ours - expected).amax());
     }
     println!("forward kinematics against product of exponentials: worst entry {worst:.1e}");
-    // Rounding of some fifty operations on numbers of size 1.
+    // Rounding of about fifty operations on numbers of order 1.
     assert!(worst < 5e-15);
 }
 
@@ -110,7 +110,8 @@ fn inverse_finds_every_pose_and_the_branch_it_came_from() {
             let turn = pose.rotation.angle_to(&back.rotation);
             worst_pose = worst_pose.max((back.translation.vector - pose.translation.vector).norm()).max(turn);
         }
-        // From a nearby reference the nearest branch is the one the pose came from, whole turns included.
+        // From a nearby reference, the nearest branch is the one that produced the pose, including whole
+        // turns.
         let reference = six_joints(std::array::from_fn(|i| q[i] + uniform.between(-1e-3, 1e-3)));
         let nearest = UR5.inverse_nearest(&pose, &reference, &limits.lower_rad, &limits.upper_rad).unwrap();
         for i in 0..6 {
@@ -120,7 +121,7 @@ fn inverse_finds_every_pose_and_the_branch_it_came_from() {
     println!(
         "inverse: worst pose {worst_pose:.1e} (m, rad), worst joint {worst_branch:.1e} rad, counts {counts:?}"
     );
-    // Poses: rounding of some fifty operations. Joints: that, times 1/|det J| <= 1e4 and lengths of 1 m.
+    // Poses: rounding of about fifty operations. Joints: that, times 1/|det J| <= 1e4 and lengths of 1 m.
     assert!(worst_pose < 1e-13);
     assert!(worst_branch < 1e-10);
     assert!(counts.iter().sum::<usize>() > 19_000 && counts[8] > 5_000 && counts[1] + counts[3] == 0);
@@ -152,7 +153,8 @@ fn jacobian_matches_finite_differences_and_its_determinant_the_closed_form() {
         worst_bias = worst_bias.max((frames.bias_acceleration(&rates) - change).amax());
     }
     println!("Jacobian against central differences: {worst:.1e}; J̇q̇: {worst_bias:.1e}");
-    // Central differences at h = 1e-6: truncation 1e-12, rounding 1e-16 / 1e-6 = 1e-10; J̇q̇ is a product of 12 of them.
+    // Central differences at h = 1e-6: truncation 1e-12, rounding 1e-16 / 1e-6 = 1e-10; J̇q̇ is a product of
+    // 12 of them.
     assert!(worst < 1e-9 && worst_bias < 1e-8);
 }
 
@@ -173,14 +175,14 @@ fn unreachable_and_singular_poses_are_told_apart() {
         Vector3::new(0.0, 0.0, 0.6) + far.rotation * Vector3::new(0.0, 0.0, UR5.d6_m);
     assert!(matches!(UR5.inverse(&over_base), Err(KinematicsError::TooCloseToBase { .. })));
 
-    // The other shoulder's solutions remain, but they are not near: no flip of the arm.
+    // The other shoulder's solutions remain, but they are far away: the arm does not flip.
     let straight = six_joints([0.3, -1.0, 1.2, -0.5, 0.0, 0.2]);
     let wrist = UR5.forward(&straight);
     assert!(UR5.inverse(&wrist).unwrap().as_slice().iter().all(|q| (q[0] - straight[0]).abs() > 0.1));
     let near = UR5.inverse_nearest(&wrist, &straight, &[-TAU; 7], &[TAU; 7]);
     assert!(matches!(near, Err(KinematicsError::WristSingular { .. })), "{near:?}");
 
-    // Stretched to the last digit: still reachable.
+    // Fully stretched to the last digit: still reachable.
     let stretched = UR5.forward(&six_joints([0.3, -1.0, 0.0, -0.5, 1.0, 0.2]));
     assert!(UR5.inverse(&stretched).is_ok());
 

@@ -1,10 +1,11 @@
-//! Straight lines of the tool's base: on the line, at the speed asked for, stopped, extended and left.
+//! Straight lines of the tool's base: on the line, at the requested speed, stopped, extended and left.
 
 use crate::common::arm::{DT_S, Uniform, Used, arm, finish, move_cp, moved, rest_to_rest_s};
 use nalgebra::{Isometry3, Vector3};
 use simulation::arm::{ArmCommand, ArmMode, ArmState, six_joints};
 
-/// Distance of the flange from the straight line `from`-`to`, and the angle by which its turn misses the fixed-axis turn.
+/// Distance of the flange from the straight line `from`-`to`, and the angle by which its rotation deviates
+/// from the fixed-axis rotation.
 fn off_line(state: &ArmState, from: &Isometry3<f64>, to: &Isometry3<f64>) -> (f64, f64) {
     let way = to.translation.vector - from.translation.vector;
     let here = state.t_world_tool.translation.vector - from.translation.vector;
@@ -50,8 +51,8 @@ fn the_flange_stays_on_its_line() {
         assert!(end.rotation.rotation_to(&to.rotation).vector().norm() < 1e-12);
     }
     println!("{accepted} of 60 lines; off the line by {off_m:.1e} m, {off_rad:.1e} rad; joints use {used:?}");
-    assert!(off_m < 1e-12 && off_rad < 1e-11, "rounding only; 1e-6 m was asked for");
-    // From the comfortable configuration nearly every direction is open.
+    assert!(off_m < 1e-12 && off_rad < 1e-11, "rounding only; the requirement is 1e-6 m");
+    // From the comfortable configuration nearly every direction is reachable.
     assert!(accepted >= 55);
     used.check(1e-9);
 }
@@ -118,8 +119,9 @@ fn the_published_velocity_is_the_derivative_of_the_published_pose() {
         "central differences differ by {:.1e} m/s, {:.1e} rad/s, {:.1e} m/s²",
         worst[0], worst[1], worst[2]
     );
-    // Truncation h²/6 times the third derivative: 2e-7 times the jerks, up to 50 rad/s³ and, at the arm's radius, m/s³.
-    // Where the jerk switches, the acceleration's quotient is off by half a tick of the jump, 2 · 50 · 0.5e-3.
+    // Truncation h²/6 times the third derivative: 2e-7 times the jerks, up to 50 rad/s³ and, at the arm's
+    // radius, m/s³. Where the jerk switches, the acceleration's difference quotient is off by half a tick of
+    // the jump, 2 · 50 · 0.5e-3.
     assert!(worst[0] < 5e-5 && worst[1] < 5e-5 && worst[2] < 5e-2);
 }
 
@@ -145,7 +147,8 @@ fn a_hold_on_a_line_stops_on_the_line() {
     assert!((rolled_m - 0.015).abs() < 1e-3, "{rolled_m}");
 }
 
-/// A goal further along the same line and a new speed: no stop, no step off the line. Any other goal: stop, then go.
+/// A goal farther along the same line or a new speed: no stop, and no deviation from the line. Any other
+/// goal: stop, then go.
 #[test]
 fn a_line_can_be_extended_and_left() {
     let mut arm = arm();

@@ -1,4 +1,5 @@
-//! Every arm that a scene can have: inverse and Jacobian as properties, masses, and arms described joint by joint.
+//! Every arm that a scene can have: property tests of inverse and Jacobian, masses, and arms described joint
+//! by joint.
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
 use nalgebra::{Isometry3, Vector3, Vector6};
@@ -29,7 +30,7 @@ fn joint(position_m: [f64; 3], roll_rad: f64, turns: bool) -> SerialJoint {
     }
 }
 
-/// A chain of Denavit-Hartenberg parameters a, d, alpha: after each joint stands `Tz(d) Tx(a) Rx(alpha)`.
+/// A chain of Denavit-Hartenberg parameters a, d, alpha: each joint is followed by `Tz(d) Tx(a) Rx(alpha)`.
 fn denavit_hartenberg<const N: usize>(rows: [[f64; 3]; N]) -> ArmGeometry {
     let after = rows.map(|[a, d, alpha]| ([a, 0.0, d], alpha));
     let mut joints = vec![joint([0.0; 3], 0.0, true)];
@@ -37,8 +38,9 @@ fn denavit_hartenberg<const N: usize>(rows: [[f64; 3]; N]) -> ArmGeometry {
     ArmGeometry::Serial(SerialGeometry::new(joints, 2))
 }
 
-/// The PUMA 560: Corke and Armstrong-Helouvry, "A search for consensus among model parameters reported for the PUMA 560 robot",
-/// IEEE ICRA 1994, table 1, with a flange 56.25 mm before the wrist. A spherical wrist and a shoulder offset: nothing like a UR.
+/// The PUMA 560: Corke and Armstrong-Helouvry, "A search for consensus among model parameters reported for
+/// the PUMA 560 robot", IEEE ICRA 1994, table 1, with a flange 56.25 mm in front of the wrist. A spherical
+/// wrist and a shoulder offset, unlike a UR.
 fn puma() -> ArmGeometry {
     denavit_hartenberg([
         [0.0, 0.0, FRAC_PI_2],
@@ -50,8 +52,8 @@ fn puma() -> ArmGeometry {
     ])
 }
 
-/// A KUKA LBR iiwa 14 R820, seven joints: shoulder, elbow and wrist 360, 420 and 400 mm apart, flange 126 mm before the wrist (KUKA, "LBR
-/// iiwa 7 R800, LBR iiwa 14 R820, Specification", main dimensions).
+/// A KUKA LBR iiwa 14 R820, seven joints: shoulder, elbow and wrist 360, 420 and 400 mm apart, flange 126 mm
+/// in front of the wrist (KUKA, "LBR iiwa 7 R800, LBR iiwa 14 R820, Specification", main dimensions).
 fn lbr_iiwa_14() -> ArmGeometry {
     denavit_hartenberg([
         [0.0, 0.36, -FRAC_PI_2],
@@ -64,10 +66,10 @@ fn lbr_iiwa_14() -> ArmGeometry {
     ])
 }
 
-/// Ranges of its joints, from the same source.
+/// Joint ranges of the LBR, from the same source.
 const LBR_RANGES_DEG: [f64; 7] = [170.0, 120.0, 170.0, 120.0, 170.0, 120.0, 175.0];
 
-/// The arms, each with its ranges.
+/// The arms with their joint ranges.
 fn arms() -> Vec<(String, ArmGeometry, [Joints; 2])> {
     let named = MODELS.map(|model| {
         let parameters = ArmParameters::named(model, DT_S);
@@ -85,7 +87,7 @@ fn arms() -> Vec<(String, ArmGeometry, [Joints; 2])> {
     arms
 }
 
-/// `|det J|` of the six joints that move on a path: of seven all but the third.
+/// `|det J|` of the six joints that move on a path: all but the third of seven.
 fn determinant_m3(geometry: &ArmGeometry, q: &Joints) -> f64 {
     let held = if geometry.joints() == 7 { 2 } else { 6 };
     geometry.frames(q).jacobian().remove_column(held).determinant().abs()
@@ -111,7 +113,7 @@ fn every_arm_comes_back_to_the_joints_that_its_pose_is_of() {
             let pose = geometry.forward(&q);
             let mut near: Joints = std::array::from_fn(|i| q[i] + uniform.between(-1e-3, 1e-3));
             if geometry.joints() == 7 {
-                // Which of the many solutions is meant.
+                // Selects one of the many solutions.
                 near[2] = q[2];
             }
             let found = geometry.inverse_nearest(&pose, &near, &lower, &upper, Redundancy::Held).unwrap();
@@ -120,7 +122,8 @@ fn every_arm_comes_back_to_the_joints_that_its_pose_is_of() {
                 (0..geometry.joints()).fold(worst_joint, |worst, i| worst.max((found[i] - q[i]).abs()));
         }
         println!("{name}: worst pose {worst_pose:.1e} (m, rad), worst joint {worst_joint:.1e} rad");
-        // What the numeric inverse promises, and the joints off by that over the least singular value of J at |det J| >= 1e-3 m³.
+        // The accuracy that the numeric inverse guarantees; for the joints, that divided by the least
+        // singular value of J at |det J| >= 1e-3 m³.
         assert!(worst_pose < 2e-12 && worst_joint < 1e-9, "{name}");
     }
 }
@@ -146,7 +149,7 @@ fn every_jacobian_is_the_derivative_of_the_pose_and_its_determinant_the_manipula
                     / (2.0 * step);
                 worst = worst.max((jacobian.column(i) - expected).amax());
             }
-            // Of seven joints the root of the sum of the squares over all six of them (Cauchy and Binet).
+            // For seven joints, the root of the sum of squares over all choices of six (Cauchy-Binet).
             let minors = (0..7).map(|held| jacobian.remove_column(held).determinant().powi(2));
             worst_det = worst_det.max((minors.sum::<f64>().sqrt() - geometry.manipulability_m3(&q)).abs());
         }
@@ -156,7 +159,8 @@ fn every_jacobian_is_the_derivative_of_the_pose_and_its_determinant_the_manipula
     }
 }
 
-/// From the standard start the tool can move 100 mm in every direction, as the scenes that name no start need.
+/// From the standard start the tool can move 100 mm in every direction, as scenes without an explicit start
+/// need.
 #[test]
 fn every_named_arm_starts_comfortably() {
     for model in MODELS {
@@ -174,10 +178,11 @@ fn every_named_arm_starts_comfortably() {
     }
 }
 
-/// A mass matrix is symmetric and positive definite, and the energy of the base's turn is that of the links about its axis.
+/// A mass matrix is symmetric and positive definite, and the energy of a rotation of the base is that of the
+/// links about its axis.
 #[test]
 fn every_named_arm_has_masses() {
-    // Sums of Universal Robots' table.
+    // Sums over Universal Robots' table.
     let sums_kg = [8.63, 8.7985, 17.0489, 17.7, 29.104, 27.26, 60.96];
     for (model, sum_kg) in MODELS.into_iter().zip(sums_kg) {
         let parameters = ArmParameters::named(model, DT_S);
@@ -192,7 +197,7 @@ fn every_named_arm_has_masses() {
     }
 }
 
-/// A UR5e described joint by joint is the named one.
+/// A UR5e described joint by joint equals the named one.
 #[test]
 fn an_arm_described_joint_by_joint_is_the_named_one() {
     let described = denavit_hartenberg([
@@ -212,11 +217,12 @@ fn an_arm_described_joint_by_joint_is_the_named_one() {
             worst.max((named.forward(&q).to_homogeneous() - described.forward(&q).to_homogeneous()).amax());
     }
     println!("worst entry {worst:.1e}");
-    // Rounding, and pi/2 that is no right angle by 6e-17.
+    // Rounding, and pi/2 as f64, which deviates from a right angle by 6e-17.
     assert!(worst < 1e-14);
 }
 
-/// Far goals, from a start that has nothing to do with them: the numeric inverse finds most, within the ranges, and always the same.
+/// Distant goals from an unrelated start: the numeric inverse finds most of them, within the ranges, and
+/// always the same solution.
 #[test]
 fn the_numeric_inverse_finds_far_goals_within_the_ranges() {
     let (_, geometry, [lower, upper]) = arms().pop().unwrap();

@@ -23,7 +23,8 @@ fn ruckig_takes_the_closed_form_time_from_rest_to_rest() {
         worst = worst.max((duration_s / rest_to_rest_s(distance, v, a, j) - 1.0).abs());
     }
     println!("Ruckig's duration against the closed form: worst relative difference {worst:.1e}");
-    // Ruckig accepts 1e-8 of the end position; of the smallest distance 1e-3 the third root is 3e-6, seldom reached.
+    // Ruckig accepts an error of 1e-8 in the end position; for the smallest distance, 1e-3, the cube root
+    // amounts to 3e-6, rarely reached.
     assert!(worst < 3e-6);
 }
 
@@ -45,7 +46,7 @@ fn joint_moves_keep_their_limits_end_exactly_and_in_proportion() {
             let share = (state.q_rad[0] - start[0]) / (goal[0] - start[0]);
             for i in 0..6 {
                 let expected = start[i] + share * (goal[i] - start[i]);
-                assert!((state.q_rad[i] - expected).abs() < 1e-9, "joints go in proportion");
+                assert!((state.q_rad[i] - expected).abs() < 1e-9, "joints move in proportion");
                 assert!(state.qd_rad_s[i].abs() <= speed_fraction * std::f64::consts::PI * (1.0 + 1e-9));
             }
         }
@@ -58,7 +59,7 @@ fn joint_moves_keep_their_limits_end_exactly_and_in_proportion() {
     used.check(1e-9);
 }
 
-/// A target that jumps about, also at the limits of the joints, at random ticks, with holds and speed changes.
+/// A target that jumps randomly, also at the joint limits, at random ticks, with holds and speed changes.
 #[test]
 fn a_hostile_servo_never_leaves_the_limits() {
     let mut uniform = Uniform(6);
@@ -103,7 +104,7 @@ fn a_servo_follows_a_slow_sine_closely() {
         arm.step();
         worst = worst.max((arm.state().q_rad[0] - q_rad[0]).abs());
     }
-    // The target comes without its velocity, and each plan can stop on it: the lag is the stopping distance's, 0.11 s at
+    // The target has no velocity, and each plan can stop at it: the lag is the stopping distance, 0.11 s at
     // 0.63 rad/s and 5 rad/s².
     println!("servo_jp behind a 0.5 Hz, 0.2 rad sine by at most {worst:.3} rad");
     assert!(worst < 0.12);
@@ -161,7 +162,7 @@ fn refused_commands_leave_the_motion_as_it_was() {
     }
     let outside = arm.command(ArmCommand::MoveJp { q_rad: wide_q, speed_fraction });
     assert!(matches!(outside, Err(ArmError::JointOutsideLimits { joint: 3, .. })));
-    // 5 m away: the line is refused where it leaves the reach or at the stretched arm just before.
+    // 5 m away: the line is refused where it leaves the reach, or just before, where the arm is stretched.
     let error = arm.command(move_cp(beyond));
     assert!(matches!(
         error,
@@ -169,7 +170,7 @@ fn refused_commands_leave_the_motion_as_it_was() {
     ));
 }
 
-/// A latched command that is given again every tick moves the arm as if it had been given once.
+/// A latched command that is repeated every tick moves the arm as if it had been sent once.
 #[test]
 fn a_repeated_command_changes_nothing() {
     let goal =
@@ -194,7 +195,7 @@ fn a_repeated_command_changes_nothing() {
 #[test]
 fn a_line_through_a_singularity_is_refused() {
     let parameters = ArmParameters::ur5(DT_S);
-    // Wrist 2 near straight; the goal is the mirrored wrist: the flange turns through q5 = 0.
+    // Wrist 2 nearly straight; the goal is the mirrored wrist, so the flange rotates through q5 = 0.
     let q = six_joints([0.0, -1.2, 1.8, -2.2, 0.3, 0.0]);
     let mut arm = Arm::new(parameters, &q).unwrap();
     let goal = parameters.geometry.forward(&six_joints([0.0, -1.2, 1.8, -2.2, -0.3, 0.0]));
@@ -207,7 +208,7 @@ fn a_line_through_a_singularity_is_refused() {
     assert!(arm.state().done);
 }
 
-/// Every test of this refusal took two other kinds for right, too.
+/// Regression: earlier tests of this refusal also accepted two other kinds.
 #[test]
 fn a_line_on_which_the_joints_would_jump_is_refused_as_such_and_where() {
     let parameters = ArmParameters::ur5(DT_S);
@@ -215,7 +216,7 @@ fn a_line_on_which_the_joints_would_jump_is_refused_as_such_and_where() {
     for (from_rad, to_rad) in [(0.3, -0.25), (0.2, -0.1), (-0.3, 0.25), (0.02, -0.5)] {
         let mut arm = Arm::new(parameters, &posture(from_rad)).unwrap();
         let goal = parameters.geometry.forward(&posture(to_rad));
-        // The wrist would be straight here. A line is looked at in 32 intervals.
+        // The wrist would be straight here. A line is checked in 32 intervals.
         let straight = from_rad / (from_rad - to_rad);
         match arm.command(move_cp(goal)) {
             Err(ArmError::PathJumps { fraction }) => {
@@ -225,17 +226,14 @@ fn a_line_on_which_the_joints_would_jump_is_refused_as_such_and_where() {
         }
         assert!(arm.state().done && arm.state().q_rad == posture(from_rad));
     }
-    // Up to just before it is straight, the same line is none that jumps.
+    // Up to just before the wrist is straight, the same line does not jump.
     let mut arm = Arm::new(parameters, &posture(0.3)).unwrap();
     arm.command(move_cp(parameters.geometry.forward(&posture(0.05)))).unwrap();
     let text = ArmError::PathJumps { fraction: 0.53125 }.to_string();
-    assert!(
-        text.starts_with("at 0.5312 of the path the joints would have to jump, as beside a singularity"),
-        "{text}"
-    );
+    assert!(text.starts_with("joint jump at 0.5312 of the path, as near a singularity"), "{text}");
 }
 
-/// Broken parameters are refused by name.
+/// Invalid parameters are refused by name.
 #[test]
 fn parameters_are_checked() {
     let good = ArmParameters::ur5(DT_S);
@@ -278,7 +276,8 @@ fn random_command(uniform: &mut Uniform, state: &ArmState) -> ArmCommand {
     }
 }
 
-/// Snapshot at random ticks into an arm with another past: both continue bit for bit, through later commands too.
+/// Snapshots at random ticks, restored into an arm with a different history: both continue bit for bit,
+/// through later commands too.
 #[test]
 fn a_restored_arm_continues_bit_for_bit() {
     let mut uniform = Uniform(9);

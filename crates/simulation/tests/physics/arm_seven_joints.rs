@@ -1,4 +1,4 @@
-//! An arm of seven joints: what the redundant one does on a path, in pursuit of a pose and by itself.
+//! A seven-joint arm: the redundant joint on a path, when pursuing a pose, and moved alone.
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
 use nalgebra::{Isometry3, SVector, Vector3};
@@ -74,15 +74,16 @@ fn on_a_path_the_redundant_joint_stands_and_the_tool_is_where_the_path_says() {
             used.check(1e-8);
         }
         println!(
-            "joint {} stands: off line and pivot by {off:.1e} m, derivatives off by {worst:.1e}",
+            "joint {} fixed: off line and pivot by {off:.1e} m, derivatives off by {worst:.1e}",
             redundant + 1
         );
-        // The numeric inverse promises 1e-12; a mean of rates is off by jerk dt²/12, 50e-6/12 rad/s.
+        // The numeric inverse guarantees 1e-12; a mean of rates is off by jerk dt²/12, 50e-6/12 rad/s.
         assert!(off < 5e-12 && worst < 5e-6);
     }
 }
 
-/// Goals anywhere in the ranges: those that the hand cannot reach with the third joint where it is are reached by moving it.
+/// Goals anywhere in the ranges: those that the hand cannot reach with the third joint in place are reached
+/// by moving it.
 #[test]
 fn a_pose_that_needs_the_redundant_joint_is_pursued_with_it() {
     let mut arm = seven_joint_arm("");
@@ -107,15 +108,16 @@ fn a_pose_that_needs_the_redundant_joint_is_pursued_with_it() {
         }
     }
     println!("{reached} of 100 poses reached, {freed} of them by moving the third joint");
-    // All came from joint angles; some of them have no solution with the third joint where it starts.
+    // All goals were generated from joint angles; some have no solution with the third joint at its start.
     assert!(reached == 100 && freed >= 10);
-    // Unreachable with any elbow.
+    // Unreachable at any elbow angle.
     let far = Isometry3::translation(3.0, 0.0, 0.0) * arm.state().t_world_tool;
     let refused = arm.command(ArmCommand::ServoCp { t_world_tool: far, speed_fraction: 1.0 });
     assert!(matches!(refused, Err(ArmError::Goal(_))), "{refused:?}");
 }
 
-/// The elbow turns about the line from shoulder to wrist by joint rates from the Jacobian's null space, and the tool stands.
+/// The elbow rotates about the line from shoulder to wrist by joint rates from the Jacobian's null space,
+/// while the tool stays in place.
 #[test]
 fn the_elbow_moves_by_joint_rates_while_the_tool_stands() {
     let mut arm = seven_joint_arm("");
@@ -134,11 +136,12 @@ fn the_elbow_moves_by_joint_rates_while_the_tool_stands() {
     }
     let turned = arm.state().q_rad[2] - start.q_rad[2];
     println!("third joint turned by {turned:.3} rad, the tool off by {worst:.1e} m");
-    // The rates lag by the ticks in which the jerk limits bring them about.
+    // The rates lag by the ticks that the jerk limits need to reach them.
     assert!(turned.abs() > 0.05 && worst < 1e-3);
 }
 
-/// Joint commands reach all seven; a snapshot continues bit for bit; an arm of six refuses an angle for a seventh.
+/// Joint commands reach all seven joints; a snapshot continues bit for bit; a six-joint arm refuses a seventh
+/// angle.
 #[test]
 fn all_seven_joints_are_commanded_and_six_refuse_a_seventh() {
     let mut arm = seven_joint_arm("");

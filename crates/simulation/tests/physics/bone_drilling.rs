@@ -1,5 +1,5 @@
-//! Drilling against the energy balance: rate independent of voxel size and time step, energy conserved, skiving at a
-//! density boundary, reset and snapshots.
+//! Drilling against the energy balance: rate independent of voxel size and time step, energy conserved,
+//! skiving at a density boundary, reset and snapshots.
 
 #![allow(clippy::unwrap_used, reason = "a helper that cannot build its block fails the test")]
 
@@ -15,7 +15,8 @@ use simulation::bone::{
 const SPEED_RAD_S: f64 = 235.6;
 const ENERGY_J_M3: f64 = 1.0e7;
 
-/// Moves the burr along `wish` as far as the contact planes allow: the nearest point of the half-spaces' intersection.
+/// Moves the burr by `wish` as far as the contact planes allow: the nearest point of the half-spaces'
+/// intersection.
 fn move_burr(field: &BoneField, position: Vector3<f64>, wish: Vector3<f64>) -> Vector3<f64> {
     let mut buffer = ContactBuffer::with_capacity(16);
     field.voxels().contact_planes(0, &position, RADIUS_M, 0.3e-3, &mut buffer);
@@ -67,8 +68,8 @@ fn drill(
     Ok(run)
 }
 
-/// Depth of a ball pressed into a flat face when the removed volume is known: the cap pi d^2 (3R - d)/3 to d = R, then a
-/// cylinder.
+/// Depth of a ball pressed into a flat face, from the removed volume: the cap pi d^2 (3R - d)/3 up to d = R,
+/// then a cylinder.
 fn depth_of_volume(volume_m3: f64, radius_m: f64) -> f64 {
     let pi = core::f64::consts::PI;
     let half_ball = 2.0 / 3.0 * pi * radius_m * radius_m * radius_m;
@@ -83,7 +84,8 @@ fn depth_of_volume(volume_m3: f64, radius_m: f64) -> f64 {
     low
 }
 
-/// The requirement is 5 %; the closed form neglects the reach in the shape of the bottom and the voxels' roundness.
+/// The requirement is 5 %; the closed form neglects the reach's effect on the shape of the bottom, and the
+/// voxels' roundness.
 #[test]
 fn depth_depends_neither_on_voxel_size_nor_on_time_step() {
     let force_n = 2.0;
@@ -94,7 +96,7 @@ fn depth_depends_neither_on_voxel_size_nor_on_time_step() {
             let run_for = |time_s: f64| {
                 let mut block =
                     block([9e-3, 9e-3, 14e-3], voxel_m, MaterialLaw::uniform(ENERGY_J_M3), |_| 1000).unwrap();
-                // Off the grid's planes of symmetry.
+                // Off the grid's symmetry planes.
                 let start = Vector3::new(4.53e-3, 4.41e-3, block.top_m + RADIUS_M);
                 drill(&mut block, start, force_n, dt_s, time_s).unwrap()
             };
@@ -127,8 +129,9 @@ fn depth_depends_neither_on_voxel_size_nor_on_time_step() {
     }
 }
 
-/// The burr runs along a 1:10 boundary: it must drift to the soft side, and in homogeneous bone it must not. Prototype
-/// figures with 0.3 mm voxels, 5 N, 8 mm: -0.6 to -1.9 mm at 1:10, at most 0.33 mm without (physics notes, section 4).
+/// The burr runs along a 1:10 boundary: it must drift to the soft side, and in homogeneous bone it must not.
+/// Prototype results with 0.3 mm voxels, 5 N, 8 mm: -0.6 to -1.9 mm at 1:10, at most 0.33 mm without (physics
+/// notes, section 4).
 #[test]
 fn burr_skives_to_the_soft_side_only_at_a_boundary() {
     let middle = 6.0e-3;
@@ -153,7 +156,7 @@ fn burr_skives_to_the_soft_side_only_at_a_boundary() {
         run.drift_m
     };
     for hu in [200, 632, 2000] {
-        // Off the grid's planes of symmetry, so that the voxels have their chance to push sideways.
+        // Off the grid's symmetry planes, so that the voxels could push sideways.
         assert!(skive(hu, hu, 0.07e-3).xy().norm() < 0.33e-3, "drift in homogeneous bone");
     }
     let (to_left, to_right) = (skive(200, 2000, 0.0), skive(2000, 200, 0.0));
@@ -161,7 +164,7 @@ fn burr_skives_to_the_soft_side_only_at_a_boundary() {
     assert!(to_left.y.abs() < 0.33e-3 && to_right.y.abs() < 0.33e-3);
 }
 
-/// What is booked in the voxels is what the burr gave. Tolerance 1e-9: rounding of 1e5 sums.
+/// The energy absorbed by the voxels equals the energy from the burr. Tolerance 1e-9: rounding of 1e5 sums.
 #[test]
 fn energy_is_conserved() {
     let mut block =
@@ -171,14 +174,14 @@ fn energy_is_conserved() {
     let booked = block.field.voxels().absorbed_energy_j(&block.hu).unwrap();
     let given = run.used_j;
     println!(
-        "booked {booked:.12} J, given {given:.12} J, {} voxels removed",
+        "absorbed {booked:.12} J, supplied {given:.12} J, {} voxels removed",
         block.field.voxels().removed_total()
     );
     assert!(block.field.voxels().removed_total() > 200);
     assert!((booked - given).abs() < 1e-9 * given);
 }
 
-/// Below the force of its edges a burr cuts nothing, above it what exceeds that force cuts.
+/// Below its edge force a burr cuts nothing; above it, the excess force cuts.
 #[test]
 fn a_burr_whose_edges_only_plough_cuts_nothing() {
     let material = MaterialLaw { edge_pressure_ref_pa: 2.0e6, ..MaterialLaw::default() };
@@ -214,8 +217,8 @@ fn a_burr_whose_edges_only_plough_cuts_nothing() {
     assert!(above.energy_used_j > 0.0);
 }
 
-/// In bone too weak to use the burr's energy the feed is limited by the teeth, not by the tick. Where two layers of voxels lie
-/// within the reach both recede, so the limit is met within reach / voxel (20 % here).
+/// In bone too weak to absorb the burr's energy, the feed is limited by the teeth, not by the tick. Where two
+/// layers of voxels lie within the reach both recede, so the limit is met within reach / voxel (20 % here).
 #[test]
 fn feed_limit_does_not_depend_on_the_time_step() {
     let feed = |dt_s: f64| {
@@ -231,7 +234,7 @@ fn feed_limit_does_not_depend_on_the_time_step() {
     }
 }
 
-/// State that a run can see: occupancy, strength left, counts.
+/// State visible to a run: occupancy, remaining strength, counts.
 fn fingerprint(field: &BoneField) -> Vec<u64> {
     let [nx, ny, nz] = field.voxels().geometry().dims;
     let mut all = vec![
@@ -247,7 +250,8 @@ fn fingerprint(field: &BoneField) -> Vec<u64> {
     all
 }
 
-/// Seed defect S6: a reset must bring back the strength as well as the voxels; the pilot hole is the scene's and stays.
+/// Seeded defect S6: a reset must restore the strength as well as the voxels; the pilot hole belongs to the
+/// scene and stays.
 #[test]
 fn reset_restores_voxels_and_strength_and_a_second_run_is_the_same() {
     let mut block = block([9e-3, 9e-3, 9e-3], 0.5e-3, proportional(), |_| 400).unwrap();
@@ -333,7 +337,7 @@ fn limits_are_bounded_and_reported() {
         speed_rad_s: 3000.0,
         normal_force_n: 100.0,
     };
-    // A list of 10 voxels a tick: the rest waits, none is lost or doubled.
+    // A list of 10 voxels per tick: the rest waits; none is lost or duplicated.
     let mut field = BoneField::new(
         geometry,
         &hu,
@@ -359,7 +363,7 @@ fn limits_are_bounded_and_reported() {
     let solid = voxels.filter(|index| field.voxels().is_solid_index(*index)).count();
     assert_eq!(removed.len() + solid, geometry.voxel_count());
 
-    // One pool block: cutting goes on inside it, the rest is counted.
+    // One pool block: cutting continues inside it, the rest is counted.
     let mut field =
         BoneField::new(geometry, &hu, BoneParameters { pool_blocks: 1, material, ..Default::default() })
             .unwrap();
@@ -377,7 +381,7 @@ fn limits_are_bounded_and_reported() {
         assert!(matches!(field.grind(&hu, &bad, 1.0e-3), Err(BoneError::Burr { .. })));
         assert!(fingerprint(&field) == before);
     }
-    // Away from bone nothing is cut and all energy is unused.
+    // Away from bone, nothing is cut and all energy is unused.
     let far = BurrState { centre_m: Vector3::repeat(1.0), ..burr };
     let report = field.grind(&hu, &far, 1.0e-3).unwrap();
     assert_eq!((report.cut_count, report.energy_used_j), (0, 0.0));

@@ -9,7 +9,7 @@ use voxel_grid::GridError;
 const RADIUS_M: f64 = 3.0e-3;
 const MARGIN_M: f64 = 0.5e-3;
 
-/// A field whose bone is where `solid` (voxel indices) says.
+/// A field with bone where `solid` (voxel indices) is true.
 fn field(geometry: GridGeometry, solid: impl Fn(usize, usize, usize) -> bool) -> BoneField {
     field_of(ContactKind::Planes, geometry, solid)
 }
@@ -45,7 +45,7 @@ fn rotated(dims: [usize; 3], spacing_m: [f64; 3], origin_world_m: Vector3<f64>) 
     GridGeometry { dims, spacing_m, direction_world_grid, origin_world_m }
 }
 
-/// Tolerance 1e-9 m: the gap on a flat wall is exact but for rounding (1e-15 m at 10 m).
+/// Tolerance 1e-9 m: the gap on a flat wall is exact apart from rounding (1e-15 m at 10 m).
 #[test]
 fn flat_wall_is_exact_anisotropic_rotated_and_far_away() {
     let spacing = [0.4e-3, 0.5e-3, 0.7e-3];
@@ -80,8 +80,8 @@ fn flat_wall_is_exact_anisotropic_rotated_and_far_away() {
     }
 }
 
-/// A bed of balls, the published contact: the distance to the nearest of them, and its direction. A sphere that slides over a
-/// flat wall is rocked, where planes are not: the figures are printed.
+/// A bed of balls, the published contact model: distance and direction to the nearest ball. A sphere sliding
+/// over a flat wall is rocked by balls but not by planes; the test prints by how much.
 #[test]
 fn voxels_as_balls_give_the_distance_to_the_nearest_ball() {
     let h = 0.5e-3;
@@ -93,12 +93,12 @@ fn voxels_as_balls_give_the_distance_to_the_nearest_ball() {
     for n in 0..200 {
         let x = (f64::from(n) + 0.5) / 200.0 * h;
         let local = Vector3::new(10e-3 + x, 10e-3 + 0.7 * x, 19.5 * h + RADIUS_M);
-        // Offset from the nearest voxel's middle.
+        // Offset from the nearest voxel centre.
         let near = |x: f64| x - (x / h).round() * h;
         let offset = Vector3::new(near(local.x), near(local.y), local.z - 19.0 * h);
         let found = planes(&balls, geometry.point_to_world(&local), RADIUS_M)[0];
         let direction = geometry.direction_world_grid * offset.normalize();
-        // Tolerance: rounding at tenths of a metre.
+        // Tolerance: rounding at coordinates of tenths of a metre.
         assert!((found.gap_m - (offset.norm() - 0.5 * h - RADIUS_M)).abs() < 1e-12);
         assert!((found.normal.into_inner() - direction).norm() < 1e-9);
         let smooth = planes(&flat, geometry.point_to_world(&local), RADIUS_M)[0];
@@ -111,7 +111,7 @@ fn voxels_as_balls_give_the_distance_to_the_nearest_ball() {
     assert!(rocking[0] > 3.0 && rocking[1] < 1e-5 && sinking[1] < 1e-6);
 }
 
-/// Seed defect S1: contact must not depend on where the anatomy stands.
+/// Seeded defect S1: contact must not depend on the anatomy's position.
 #[test]
 fn translation_by_ten_metres_changes_nothing() {
     let ball = |i: usize, j: usize, k: usize| {
@@ -168,12 +168,14 @@ fn tunnel_holds_from_opposite_sides() {
         }
     }
     println!(
-        "tunnel: every plane has one opposed by at least {least:.2} (cosine), tilt along the axis <= {steepest:.2}"
+        "tunnel: every plane has one opposed by at least {least:.2} (cosine), tilt along the axis <= \
+         {steepest:.2}"
     );
-    assert!(least > 0.3, "a plane without one on the other side");
+    assert!(least > 0.3, "a plane has no counterpart on the other side");
 }
 
-/// A slanted wall: the staircase's corners stand out from the plane; normal and gap must stay near the plane's.
+/// A slanted wall: the staircase's corners protrude from the plane; normal and gap must stay near the
+/// plane's.
 #[test]
 fn slanted_wall_has_little_staircase_noise() {
     let geometry = GridGeometry::axis_aligned([64; 3], [0.5e-3; 3], Vector3::zeros());
@@ -195,13 +197,13 @@ fn slanted_wall_has_little_staircase_noise() {
             high = high.max(found[0].gap_m);
         }
         println!("slope {slope}: tilt <= {tilt:.1} deg, gap {:.3} to {:.3} mm", low * 1e3, high * 1e3);
-        // On a slope of 0.1 the steps are ten voxels long, farther than the normal is smoothed over.
+        // On a slope of 0.1 the steps are ten voxels long, beyond the smoothing range of the normal.
         let (most_tilt, most_gap) = if slope < 0.2 { (13.0, 0.35e-3) } else { (4.0, 0.15e-3) };
         assert!(tilt < most_tilt && low > -most_gap && high < most_gap);
     }
 }
 
-/// The defect of the engine's voxel shape: a ball centred on a voxel boundary fell through.
+/// Regression test for a defect of the engine's voxel shape: a ball centred on a voxel boundary fell through.
 #[test]
 fn sphere_centred_on_a_voxel_boundary_is_held() {
     let h = 0.5e-3;
@@ -248,7 +250,7 @@ fn what_does_not_fit_is_refused_or_counted() {
     assert_eq!((buffer.planes().len(), buffer.dropped()), (0, 1));
 }
 
-/// Distance from a point to the nearest solid voxel box, by trying all of them.
+/// Distance from a point to the nearest solid voxel box, by brute force.
 fn brute_force_distance(field: &BoneField, point: &Vector3<f64>) -> f64 {
     let geometry = field.voxels().geometry();
     let [nx, ny, nz] = geometry.dims;
@@ -272,8 +274,9 @@ fn brute_force_distance(field: &BoneField, point: &Vector3<f64>) -> f64 {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(400))]
 
-    /// Random bone (scattered to nearly full), random anisotropic rotated grid, random sphere: a sphere in reach of bone
-    /// has a plane, one out of reach has none, and the nearest gap is the brute-force one, widened by at most half a voxel.
+    /// Random bone (scattered to nearly full), random anisotropic rotated grid, random sphere: a sphere in
+    /// reach of bone has a plane, one out of reach has none, and the nearest gap is the brute-force one,
+    /// widened by at most half a voxel.
     #[test]
     fn no_sphere_in_bone_lacks_a_contact(
         bits in prop::collection::vec(any::<u8>(), 14 * 13 * 12),

@@ -1,4 +1,4 @@
-//! The published rules of removal beside the energy rule.
+//! The published removal rules next to the energy rule.
 
 #![allow(clippy::unwrap_used, reason = "a helper that cannot build its block fails the test")]
 
@@ -7,7 +7,7 @@ use nalgebra::Vector3;
 use simulation::bone::removal::RULE_SPEED_RAD_S;
 use simulation::bone::{BoneField, BoneParameters, BurrState, ContactBuffer, Removal};
 
-/// Presses a burr for `ticks` with one of the rules; removed voxels of each tick.
+/// Presses a burr for `ticks` with one of the rules; returns the voxels removed in each tick.
 fn removed_by(removal: Removal, voxel_m: f64, hu: i16, ticks: usize, speed: f64) -> Vec<usize> {
     let mut block = block([9e-3, 9e-3, 9e-3], voxel_m, proportional(), |_| hu).unwrap();
     let parameters = BoneParameters { removal, material: proportional(), ..BoneParameters::default() };
@@ -27,22 +27,23 @@ fn published_rules_of_removal_do_what_they_say() {
     for hu in [200, 2000] {
         let naive = removed_by(Removal::Naive, 0.3e-3, hu, 3, RULE_SPEED_RAD_S);
         assert!(naive[0] > 20 && naive[1..] == [0, 0], "{naive:?}");
-        // Capped: ten a tick, half of them at half the speed.
+        // Capped: ten per tick, half as many at half the speed.
         let capped = removed_by(Removal::Capped, 0.3e-3, hu, 2, RULE_SPEED_RAD_S);
         assert_eq!(capped, [10, 10]);
         assert_eq!(removed_by(Removal::Capped, 0.3e-3, hu, 2, 0.5 * RULE_SPEED_RAD_S), [5, 5]);
     }
-    // Decrement: 150 ticks at the reference density (2000), a tenth of them at a tenth of it; half the speed, twice the time.
+    // Decrement: 150 ticks at the reference density (2000), a tenth of that at a tenth of the density; half
+    // the speed takes twice the time.
     let ends = |hu, speed: f64| {
         removed_by(Removal::Decrement, 0.3e-3, hu, 400, speed).iter().position(|count| *count > 0).unwrap()
             + 1
     };
     assert_eq!([ends(2000, RULE_SPEED_RAD_S), ends(200, RULE_SPEED_RAD_S)], [150, 15]);
     assert_eq!(ends(2000, 0.5 * RULE_SPEED_RAD_S), 300);
-    // Whatever a voxel's size: the rule knows no volume.
+    // Independent of voxel size: the rule does not use the volume.
     let coarse = removed_by(Removal::Decrement, 0.5e-3, 2000, 200, RULE_SPEED_RAD_S);
     assert_eq!(coarse.iter().position(|count| *count > 0), Some(149));
-    // And the energy rule does.
+    // The energy rule does.
     let energy = |voxel_m| removed_by(Removal::Energy, voxel_m, 200, 1, RULE_SPEED_RAD_S)[0];
     assert_eq!(energy(0.3e-3), 0, "a tick's energy is less than a voxel's");
 }

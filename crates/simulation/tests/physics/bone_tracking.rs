@@ -1,4 +1,4 @@
-//! The caches of contact and drilling change no bit, whatever moves and whatever is drilled.
+//! The caches of contact and drilling do not change a bit, whatever moves and whatever is drilled.
 
 #![allow(clippy::unwrap_used, reason = "a world that cannot be built or stepped fails the test")]
 
@@ -16,27 +16,28 @@ use crate::common;
 
 const DIMS: [usize; 3] = [26, 24, 22];
 const MARGIN_M: f64 = 0.2e-3;
-/// Most steps of a sphere that drifts to a wall.
+/// Maximum steps of a sphere drifting to a wall.
 const DRIFT_STEPS: usize = 400;
 /// Ticks of [`hash_chain`]: enough that the burr removes voxels.
 const TICKS: usize = 800;
-/// Ticks that begin with a reset: the burr has cut a little by then, and has not moved far enough to be searched for again.
+/// Ticks that begin with a reset: the burr has cut a little by then, but has not moved far enough to trigger
+/// a new search.
 const RESETS: [usize; 3] = [8, 20, 45];
-/// The chain of a simulation that keeps its caches.
+/// Hash chain of a simulation that keeps its caches.
 static KEPT: OnceLock<Vec<[u64; 2]>> = OnceLock::new();
 
-/// What happens in a tick.
+/// An event in a tick.
 #[derive(Debug, Clone, Copy)]
 enum Event {
     /// The spheres move by this, m.
     Move([f64; 3]),
-    /// A burr cuts where sphere 0 is, for some ticks without a query between them, and then does not press for some.
+    /// A burr cuts at sphere 0 for some ticks without a query in between, and then does not press for some.
     Drill {
         force_n: f64,
         ticks: usize,
         idle_ticks: usize,
     },
-    /// The caches are made afresh.
+    /// The caches are rebuilt.
     Rebuild,
     Save,
     Restore,
@@ -45,7 +46,7 @@ enum Event {
 }
 
 fn event() -> impl Strategy<Value = Event> {
-    // From the motion of a fed tool to jumps over voxels.
+    // From the motion of a fed tool to jumps across voxels.
     let size = prop_oneof![Just(2.0e-6), Just(2.0e-5), Just(2.0e-4), Just(2.0e-3)];
     let step =
         (size, prop::array::uniform3(-1.0..1.0f64)).prop_map(|(size, d)| Event::Move(d.map(|x| x * size)));
@@ -82,7 +83,7 @@ fn scattered(spacing_m: [f64; 3], scatter: u64) -> (GridGeometry, Vec<i16>) {
     (geometry, hu)
 }
 
-/// What happens; the voxels' size, the burr's radius, how scattered the bone is (0: solid), where in the grid it begins.
+/// Events; voxel size, burr radius, scatter of the bone (0: solid), and start position in the grid.
 fn drilled() -> impl Strategy<Value = (Vec<Event>, [f64; 3], f64, u64, [f64; 3])> {
     (
         prop::collection::vec(event(), 1..60),
@@ -93,8 +94,8 @@ fn drilled() -> impl Strategy<Value = (Vec<Event>, [f64; 3], f64, u64, [f64; 3])
     )
 }
 
-/// A sphere in a hole that is a quarter of a millimetre wider drifts to the wall by 2 um a step, while a burr at its end cuts: it meets each
-/// plane in the step in which a new search finds it.
+/// A sphere in a hole a quarter of a millimetre wider drifts to the wall by 2 um per step, while a burr at
+/// the hole's end cuts: it meets each plane in the same step as a new search does.
 #[test]
 fn a_sphere_that_drifts_to_a_wall_meets_it_in_the_same_step_as_a_new_search() {
     let (radius_m, margin_m) = (3.0e-3, 3.0e-5);
@@ -134,8 +135,8 @@ fn a_sphere_that_drifts_to_a_wall_meets_it_in_the_same_step_as_a_new_search() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(150))]
 
-    /// Solid bone with a hole, or scattered voxels (more than a track holds), in a rotated anisotropic grid with wide and
-    /// narrow tents; three spheres of one size near the hole's end.
+    /// Solid bone with a hole, or scattered voxels (more than a track holds), in a rotated anisotropic grid
+    /// with wide and narrow tents; three spheres of one size near the hole's end.
     #[test]
     fn tracked_planes_are_the_fresh_ones_bit_for_bit(
         (events, spacing, radius_m, scatter, place) in drilled(),
@@ -158,8 +159,13 @@ proptest! {
             match event {
                 Event::Move(step) => centre += Vector3::from(step),
                 Event::Drill { force_n, ticks, idle_ticks } => {
-                    let mut burr = BurrState { centre_m: centre, radius_m, speed_rad_s: 800.0, normal_force_n: force_n };
-                    // A tenth of a second in one tick: voxels go within a few events.
+                    let mut burr = BurrState {
+                        centre_m: centre,
+                        radius_m,
+                        speed_rad_s: 800.0,
+                        normal_force_n: force_n,
+                    };
+                    // A tenth of a second per tick, so that voxels are removed within a few events.
                     for _ in 0..ticks {
                         field.grind(&hu, &burr, 0.1).unwrap();
                     }
@@ -171,7 +177,7 @@ proptest! {
                 Event::Rebuild => field.rebuild_caches(),
                 Event::Save => saved = field.voxels().snapshot(),
                 Event::Restore => {
-                    // Refused after another pilot hole; nothing has changed then.
+                    // Refused after another pilot hole; nothing changes then.
                     let _ = field.restore(&saved);
                 }
                 Event::Reset => field.reset(),
@@ -191,14 +197,18 @@ proptest! {
         }
     }
 
-    /// Two fields drilled alike; one of them is saved and restored before every tick, after which it remembers nothing.
+    /// Two fields drilled alike; one is saved and restored before every tick, which empties its caches.
     #[test]
     fn a_burr_that_was_searched_before_cuts_what_a_fresh_one_cuts_bit_for_bit(
         (events, spacing, radius_m, scatter, place) in drilled(),
-        rule in prop_oneof![4 => Just(Removal::Energy), 1 => Just(Removal::Capped), 1 => Just(Removal::Decrement)],
+        rule in prop_oneof![
+            4 => Just(Removal::Energy),
+            1 => Just(Removal::Capped),
+            1 => Just(Removal::Decrement)
+        ],
     ) {
         let (geometry, hu) = scattered(spacing, scatter);
-        // Few blocks, so that the pool runs out now and then.
+        // Few blocks, so that the pool runs out occasionally.
         let parameters = BoneParameters { removal: rule, pool_blocks: 12, ..BoneParameters::default() };
         let mut fields = [0, 1].map(|_| BoneField::new(geometry, &hu, parameters).unwrap());
         let mut centre = geometry.point_to_world(
@@ -231,7 +241,8 @@ proptest! {
                     continue;
                 }
                 Event::Predrill => {
-                    let holes = fields.each_mut().map(|field| field.predrill_capsule(&centre, &centre, 0.8e-3));
+                    let holes =
+                        fields.each_mut().map(|field| field.predrill_capsule(&centre, &centre, 0.8e-3));
                     prop_assert_eq!(&holes[0], &holes[1]);
                     speed_rad_s = -speed_rad_s;
                     continue;
@@ -248,8 +259,8 @@ proptest! {
     }
 }
 
-/// 3 mm/s along +z with the burr on and 3 N on tendon 0; the state's hash after every tick. `rebuilds` says for each tick whether the
-/// caches are made afresh before it.
+/// 3 mm/s along +z with the burr on and 3 N on tendon 0; the state's hash after every tick. `rebuilds`
+/// selects the ticks before which the caches are rebuilt.
 fn hash_chain(bone: &(GridGeometry, Vec<i16>), ticks: usize, rebuilds: &[bool]) -> Vec<[u64; 2]> {
     let ct = CtView { geometry: bone.0, hu: &bone.1 };
     let mut simulation = Simulation::new(&common::scene(common::TUNNEL), Some(ct)).unwrap();
@@ -277,7 +288,8 @@ proptest! {
     /// Caches that are dropped at random ticks, from nearly never to nearly always.
     #[test]
     fn a_simulation_without_its_caches_has_the_same_hash_chain(
-        rebuilds in (0.01..0.99f64).prop_flat_map(|share| prop::collection::vec(prop::bool::weighted(share), TICKS)),
+        rebuilds in (0.01..0.99f64)
+            .prop_flat_map(|share| prop::collection::vec(prop::bool::weighted(share), TICKS)),
     ) {
         let bone = common::bone();
         let kept = KEPT.get_or_init(|| hash_chain(&bone, TICKS, &[]));

@@ -1,4 +1,4 @@
-//! What cutting does to the tool and to the burr's motor: closed forms.
+//! Reaction of cutting on the tool and on the burr's motor, against closed forms.
 
 #![allow(clippy::unwrap_used, reason = "a scene that cannot be built fails the test")]
 
@@ -27,9 +27,12 @@ fn scene(keys: &str, tool: &str) -> Scene {
 fn scene_text(keys: &str, tool: &str) -> String {
     format!(
         "name = \"side\"\n[run]\nmode = \"lockstep\"\nduration_s = 60.0\n[volume]\nphantom = \"block\"\n\
-         [manipulator]\nmodel = \"spatial\"\nlateral_stiffness_ratio = 1.0\ntorsion_stiffness_ratio = 1.0\ndamping_ratio = 1.0\n{tool}\
-         [drilling]\nspecific_energy_j_per_mm3 = 10.0\ndensity_exponent = 0.0\ncutting_coefficient = {COEFFICIENT:?}\n{keys}\
-         [tool]\nburr_start_mm = [0.0, 0.0, 0.0]\ndirection = [0.0, 0.0, 1.0]\nbend_toward = [1.0, 0.0, 0.0]\n\
+         [manipulator]\nmodel = \"spatial\"\nlateral_stiffness_ratio = 1.0\ntorsion_stiffness_ratio = 1.0\n\
+         damping_ratio = 1.0\n{tool}\
+         [drilling]\nspecific_energy_j_per_mm3 = 10.0\ndensity_exponent = 0.0\n\
+         cutting_coefficient = {COEFFICIENT:?}\n{keys}\
+         [tool]\nburr_start_mm = [0.0, 0.0, 0.0]\ndirection = [0.0, 0.0, 1.0]\n\
+         bend_toward = [1.0, 0.0, 0.0]\n\
          [[controller]]\nname = \"feed\"\ndrives = [\"tendon\", \"arm\", \"burr\"]\nexternal = true\n"
     )
 }
@@ -49,7 +52,7 @@ fn latched(tick: u64, tension_n: f64, speed_rad_per_s: f64) -> Latched {
     latched
 }
 
-/// A wall whose face lies across +x, 1.5 mm beside the straight tool's burr.
+/// A wall with its face normal to x, 1.5 mm from the straight tool's burr on the +x side.
 fn wall() -> (GridGeometry, Vec<i16>) {
     let dims = [16, 64, 48];
     let origin = Vector3::new(RADIUS_M + 1.5e-3, -16.0e-3, -16.0e-3).add_scalar(0.5 * VOXEL_M);
@@ -76,7 +79,8 @@ fn burr_contacts(state: &State) -> (f64, Vector3<f64>, f64) {
     (force_n, push, lever_nm)
 }
 
-/// `mu F / k` across contact and axis, on the side that the burr's spin says, and none without the key. k is measured on the tool alone.
+/// The deflection is `mu F / k` across contact and axis, on the side given by the burr's spin, and zero
+/// without the key. k is measured on the tool alone.
 #[test]
 fn cutting_with_the_side_pushes_an_isotropic_tool_across_by_its_force_over_its_stiffness() {
     let (geometry, hu) = wall();
@@ -116,7 +120,8 @@ fn cutting_with_the_side_pushes_an_isotropic_tool_across_by_its_force_over_its_s
         let expected_m = speed.signum() * COEFFICIENT * push.y / stiffness_n_per_m;
         let y = with.t_world_burr.position_m[1];
         println!(
-            "{speed} rad/s: {force_n:.3} N, across {:.4} mm, mu F / k {:.4} mm (k {stiffness_n_per_m:.1} N/m)",
+            "{speed} rad/s: {force_n:.3} N, across {:.4} mm, mu F / k {:.4} mm (k {stiffness_n_per_m:.1} \
+             N/m)",
             y * 1e3,
             expected_m * 1e3
         );
@@ -125,8 +130,9 @@ fn cutting_with_the_side_pushes_an_isotropic_tool_across_by_its_force_over_its_s
     }
 }
 
-/// The motor's speed falls in a line with the torque that the contacts take, which is the cutting power over the speed; beyond the stall
-/// torque it stands, cuts nothing, says so once, and turns again when it is released. A keyframe continues bit for bit.
+/// The motor's speed falls linearly with the contact torque, which is the cutting power over the speed.
+/// Beyond the stall torque it stops, cuts nothing, reports the stall once, and turns again when released. A
+/// keyframe continues bit for bit.
 #[test]
 fn a_motor_slows_stands_and_turns_again() {
     let (geometry, hu) = wall();
@@ -137,7 +143,7 @@ fn a_motor_slows_stands_and_turns_again() {
     let (mut told, mut slowed) = (Vec::new(), false);
     let mut torque_nm = 0.0;
     for tick in 0..4000 {
-        // Pressed more and more, then released.
+        // Pressed with increasing force, then released.
         let tension_n = if tick < 3000 { tension_n + 4.0 * tick as f64 / 1000.0 } else { 0.5 };
         let before_j = simulation.state().cutting_energy_j;
         simulation.step(&latched(tick, tension_n, SPEED_RAD_S)).unwrap();
@@ -147,7 +153,7 @@ fn a_motor_slows_stands_and_turns_again() {
         let lever_nm = burr_contacts(&state).2;
         torque_nm = COEFFICIENT * lever_nm;
         let cut_j = state.cutting_energy_j - before_j;
-        // What no voxel can absorb is not used.
+        // Energy that no voxel can absorb is not used.
         assert!(cut_j <= torque_nm * state.burr_speed_rad_per_s * 1e-3 * (1.0 + 1e-9), "{tick}: {cut_j} J");
         slowed |= (0.2..0.8).contains(&(expected / SPEED_RAD_S));
         told.extend(simulation.refusals().iter().map(|refusal| refusal.reason.clone()));
@@ -156,8 +162,8 @@ fn a_motor_slows_stands_and_turns_again() {
         }
     }
     assert!(slowed && simulation.state().burr_speed_rad_per_s > 0.9 * SPEED_RAD_S, "it turns again");
-    assert!(told.iter().all(|told| told.contains("its motor stands")), "{told:?}");
-    // Its friction pushes the bent tool about where it just stands, so that it may turn for a tick again.
+    assert!(told.iter().all(|told| told.contains("motor stalled")), "{told:?}");
+    // At the limit of stalling, its friction moves the bent tool, so that it may turn again for a tick.
     assert!((1..30).contains(&told.len()), "{} times", told.len());
 
     let mut bytes = vec![0; 1 << 20];
@@ -182,8 +188,8 @@ fn scene_with_shaft(keys: &str) -> Scene {
     Scene::parse_with(&text, Path::new("side.toml"), &read).unwrap()
 }
 
-/// A shaft winds up by `M L / (G J)` under what bone and friction take; its burr stands from the stall torque on, is told so once, and the
-/// event names the key; a keyframe continues bit for bit.
+/// A shaft winds up by `M L / (G J)` under the torque of bone and friction. Its burr stops at the stall
+/// torque, the stall is reported once, and the event names the key. A keyframe continues bit for bit.
 #[test]
 fn a_burr_on_a_shaft_lags_stands_and_continues() {
     let (geometry, hu) = wall();
@@ -195,11 +201,11 @@ fn a_burr_on_a_shaft_lags_stands_and_continues() {
     ));
     let new = || Simulation::new(&scene, Some(CtView { geometry, hu: &hu })).unwrap();
     let (mut simulation, mut told) = (new(), Vec::new());
-    // Pressed steadily, for the wind-up; then more and more.
+    // Pressed steadily, for the wind-up; then with increasing force.
     let mut pressed = 0.0;
     for tick in 0..5000 {
         let tension_n = 3.0 + (tick as f64 - 1500.0).max(0.0) / 500.0;
-        // What the burr's contacts of the tick before ask of this one.
+        // Torque of the previous tick's burr contacts, which loads this tick.
         let brake_nm = COEFFICIENT * burr_contacts(simulation.state()).2 + friction_nmm * 1e-3;
         simulation.step(&latched(tick, tension_n, SPEED_RAD_S)).unwrap();
         let stalls = brake_nm >= stall_nmm * 1e-3;
@@ -223,12 +229,12 @@ fn a_burr_on_a_shaft_lags_stands_and_continues() {
     }
     assert_eq!(simulation.state().burr_speed_rad_per_s, 0.0);
     assert!(pressed > 100.0 && !told.is_empty(), "{pressed} ticks");
-    // Told in the very tick that asks for the stall torque.
+    // Reported in the very tick that demands the stall torque.
     for (tick, stalls, reason) in &told {
         assert!(*stalls, "{tick}: {reason}");
         assert!(reason.contains("`drive_shaft.stall_torque_nmm` is 0.9"), "{reason}");
     }
-    println!("told in tick {}: {}", told[0].0, told[0].2);
+    println!("reported in tick {}: {}", told[0].0, told[0].2);
 
     let mut bytes = vec![0; 1 << 20];
     let (mut whole, mut other) = (new(), new());

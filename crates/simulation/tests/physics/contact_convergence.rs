@@ -1,11 +1,12 @@
-//! The contact solver in the four tunnels of the published experiment, with its step and finer ones, and in every model.
+//! The contact solver in the four tunnels of the published experiment, at the standard and finer steps, and
+//! in every model.
 
 #![allow(clippy::unwrap_used, reason = "a scene that cannot be built is a failed test")]
 
 use crate::common::tunnel::{RUN_S, foam, latched, tunnel};
 use simulation::{CtView, Simulation};
 
-/// Ticks with contact, those whose residual is above 1e-6 m/s, and the mean number of iterations.
+/// Number of ticks with contact, and of those with a residual above 1e-6 m/s.
 fn run(model: &str, tension_n: f64, dt_ms: f64) -> (usize, usize) {
     let (geometry, hu) = foam();
     let mut simulation = Simulation::new(&tunnel(model, dt_ms), Some(CtView { geometry, hu: &hu })).unwrap();
@@ -24,7 +25,8 @@ fn run(model: &str, tension_n: f64, dt_ms: f64) -> (usize, usize) {
         }
     }
     println!(
-        "{model} {tension_n} N, {dt_ms} ms: {missed} of {touching} ticks above 1e-6 m/s, {worst:.1e} at most, {:.1} iterations, {most} at most; {} voxels, bend {:.1} degrees",
+        "{model} {tension_n} N, {dt_ms} ms: {missed} of {touching} ticks above 1e-6 m/s, {worst:.1e} at \
+         most, {:.1} iterations, {most} at most; {} voxels, bend {:.1} degrees",
         iterations as f64 / touching.max(1) as f64,
         simulation.state().removed_total,
         simulation.state().bend_rad.to_degrees()

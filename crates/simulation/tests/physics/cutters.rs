@@ -1,10 +1,11 @@
-//! Cutters that are longer than a ball, against closed forms: the volume that they sweep, and the force at which they are fed.
+//! Cutters longer than a ball, against closed forms: the volume that they sweep and the feed force.
 //!
-//! A cutter fed at v in bone of the specific energy u needs the power `u A v`, A being the cross-section of what it sweeps, and has
-//! `mu w L N`, N being the sum of its normal forces. A cylinder pressed sideways has L = R, since all of its surface is R from the axis, and
-//! N is the force against the feed. A bit's point that bores its hole has L = 2R/3 under an even pressure, the mean distance of a disc's
-//! points from its centre, and without friction along the flanks, half the point's angle a from the axis, a thrust of `N sin a`. Both cut
-//! `reach` beyond their surface.
+//! A cutter fed at speed v into bone of specific energy u needs the power `u A v`, where A is the swept
+//! cross-section. It delivers `mu w L N`, where N is the sum of its normal forces. For a cylinder pressed
+//! sideways L = R, since its whole surface is R from the axis, and N is the force against the feed. For a
+//! drill bit boring its hole, L = 2R/3 under even pressure (the mean distance of a disc's points from its
+//! centre), and without friction along the flanks, at the half point angle a from the axis, the thrust is `N
+//! sin a`. Both cut `reach` beyond their surface.
 
 #![allow(clippy::unwrap_used, reason = "a scene that cannot be built fails the test")]
 
@@ -23,15 +24,18 @@ const ENERGY_J_PER_M3: f64 = 5.0e7;
 const SPEED_RAD_S: f64 = 800.0;
 const RADIUS_M: f64 = 2.0e-3;
 
-/// A steel rod of 3 mm with this cutter; `more` are keys of a scene.
+/// A 3 mm steel rod with this cutter; `more` holds further keys of the scene.
 fn scene(burr: &str, more: &str) -> Scene {
     let text = format!(
         "name = \"cutter\"\n[run]\nmode = \"lockstep\"\nduration_s = 60.0\n[volume]\nphantom = \"block\"\n\
-         [drilling]\nspecific_energy_j_per_mm3 = {:?}\ndensity_exponent = 0.0\ncutting_coefficient = {COEFFICIENT:?}\n{more}\
-         [tool]\nburr_start_mm = [0.0, 0.0, 0.0]\ndirection = [0.0, 0.0, 1.0]\nbend_toward = [1.0, 0.0, 0.0]\n\
+         [drilling]\nspecific_energy_j_per_mm3 = {:?}\ndensity_exponent = 0.0\n\
+         cutting_coefficient = {COEFFICIENT:?}\n{more}\
+         [tool]\nburr_start_mm = [0.0, 0.0, 0.0]\ndirection = [0.0, 0.0, 1.0]\n\
+         bend_toward = [1.0, 0.0, 0.0]\n\
          [[controller]]\nname = \"feed\"\ndrives = [\"tendon\", \"arm\", \"burr\"]\nexternal = true\n\
          [manipulator]\nmodel = \"spatial\"\n[manipulator.tool]\nname = \"rod\"\n\
-         [manipulator.tool.tube]\nouter_diameter_mm = 3.0\ninner_diameter_mm = 0.0\nlinear_density_kg_per_m = 0.056\nyoungs_modulus_gpa = 200.0\n\
+         [manipulator.tool.tube]\nouter_diameter_mm = 3.0\ninner_diameter_mm = 0.0\n\
+         linear_density_kg_per_m = 0.056\nyoungs_modulus_gpa = 200.0\n\
          [[manipulator.tool.flexure]]\nat_mm = 40.0\ncount = 3\npitch_mm = 5.0\n\
          [manipulator.tool.burr]\n{burr}mass_g = 1.0\n",
         ENERGY_J_PER_M3 * 1e-9,
@@ -39,13 +43,15 @@ fn scene(burr: &str, more: &str) -> Scene {
     Scene::parse(&text, Path::new("cutter.toml")).unwrap()
 }
 
-/// Half the angle of the bit's point.
+/// Half the point angle of the bit.
 const FLANK_DEG: f64 = 59.0;
-const BIT: &str = "shape = \"bit\"\ndiameter_mm = 4.0\nlength_mm = 8.0\ntip_diameter_mm = 0.6\npoint_deg = 118.0\noffset_mm = 12.0\n";
+const BIT: &str = "shape = \"bit\"\ndiameter_mm = 4.0\nlength_mm = 8.0\ntip_diameter_mm = 0.6\n\
+                   point_deg = 118.0\noffset_mm = 12.0\n";
 
 fn cylinder(scallop_mm: f64) -> String {
     format!(
-        "shape = \"cylinder\"\ndiameter_mm = 4.0\nlength_mm = 12.0\nscallop_mm = {scallop_mm:?}\noffset_mm = 14.0\n"
+        "shape = \"cylinder\"\ndiameter_mm = 4.0\nlength_mm = 12.0\nscallop_mm = {scallop_mm:?}\n\
+         offset_mm = 14.0\n"
     )
 }
 
@@ -74,18 +80,18 @@ fn feed(axis: [f64; 3], length_m: f64, feed_m_per_s: f64) -> Latched {
     latched
 }
 
-/// What a feed comes to.
+/// Result of a feed.
 struct Fed {
-    /// Mean force against the feed between 60 and 95 % of its way, N.
+    /// Mean force against the feed between 60 and 95 % of its length, N.
     force_n: f64,
-    /// Volume of the voxels that are gone, m^3.
+    /// Volume of the removed voxels, m^3.
     removed_m3: f64,
-    /// The same from the energy that bone took, voxels that are cut in part among it.
+    /// The same from the energy absorbed by bone, including partly cut voxels.
     cut_m3: f64,
     end: State,
 }
 
-/// Feeds along a world axis, the tool's own for `[0, 0, 1]`.
+/// Feeds along a world axis; `[0, 0, 1]` is the tool's own axis.
 fn fed(
     scene: &Scene,
     bone: &(GridGeometry, Vec<i16>),
@@ -128,10 +134,11 @@ fn is_within(measured: f64, exact: f64, share: f64) -> bool {
     (measured / exact - 1.0).abs() < share
 }
 
-/// The force and the two volumes of a feed are those of closed forms, within 5 %.
+/// Asserts that the force and the two volumes of a feed match closed forms within 5 %.
 fn assert_closed_form(what: &str, fed: &Fed, force_n: f64, swept_m3: f64) {
     println!(
-        "{what}: force {:.3} N, closed form {force_n:.3} N; {:.2} mm^3 gone, {:.2} mm^3 cut, closed form {:.2} mm^3",
+        "{what}: force {:.3} N, closed form {force_n:.3} N; {:.2} mm^3 removed, {:.2} mm^3 cut, closed form \
+         {:.2} mm^3",
         fed.force_n,
         1e9 * fed.removed_m3,
         1e9 * fed.cut_m3,
@@ -142,21 +149,21 @@ fn assert_closed_form(what: &str, fed: &Fed, force_n: f64, swept_m3: f64) {
     assert!(is_within(fed.cut_m3, swept_m3, 0.05), "{} mm^3", 1e9 * fed.cut_m3);
 }
 
-/// The tip's round front, whose normal lies along the axis, takes part of the thrust from the flanks, and the grid's phase moves the wall of
-/// whole voxels: 4 and 3 % were measured. 5 % each.
+/// The tip's round front, whose normal lies along the axis, takes part of the thrust from the flanks, and the
+/// grid's phase moves the wall of whole voxels: 4 and 3 % measured, 5 % allowed for each.
 #[test]
 fn a_bit_bores_its_hole_with_the_thrust_of_the_closed_form() {
     let (feed_m_per_s, length_m) = (1.0e-3, 12.0e-3);
     let hole_m = RADIUS_M + reach_m();
     for voxel_m in [0.2e-3, 0.3e-3] {
-        // Off the grid's planes of symmetry, where the walls would lie in the middle of voxels on both sides.
+        // Off the grid's symmetry planes, where the walls would pass through voxel centres on both sides.
         let bone = block([-3.57e-3, -3.55e-3, 0.6e-3], [3.63e-3, 3.65e-3, 15.0e-3], voxel_m);
         let fed = fed(&scene(BIT, ""), &bone, [0.0, 0.0, 1.0], length_m, feed_m_per_s);
         let area_m2 = PI * hole_m * hole_m;
         let normal_n =
             ENERGY_J_PER_M3 * area_m2 * feed_m_per_s / (COEFFICIENT * SPEED_RAD_S * RADIUS_M * 2.0 / 3.0);
         let thrust_n = normal_n * FLANK_DEG.to_radians().sin();
-        // The hole's cylinder, and the cone before it; the tip is round.
+        // The hole's cylinder and the cone in front of it; the tip is round.
         let cutter = scene(BIT, "").manipulator.radii().cutter;
         let depth_m = fed.end.t_world_burr.position_m[2] - 0.6e-3;
         let swept_m3 = bored_m3(&cutter, depth_m, reach_m());
@@ -164,13 +171,15 @@ fn a_bit_bores_its_hole_with_the_thrust_of_the_closed_form() {
     }
 }
 
-/// Volume below a plane that a cutter, grown by its reach, has bored, its front ball's centre being `depth_m` below the plane: by slices of
-/// the envelope of its corners, the cone tangent to the tip and the cylinder.
+/// Volume bored below a plane by a cutter grown by its reach, with its front ball's centre `depth_m` below
+/// the plane: integrates slices of the envelope of its corners, the cone tangent to the tip, and the
+/// cylinder.
 fn bored_m3(cutter: &Cutter, depth_m: f64, reach_m: f64) -> f64 {
     let (tip_m, wide_m) = (cutter.front_radius_m() + reach_m, cutter.widest_radius_m() + reach_m);
     let flank = FLANK_DEG.to_radians();
     let radius_m = |back_m: f64| {
-        // Back from the tip's centre. The cone of half angle a is tangent to the tip at -r sin a.
+        // Measured backward from the tip's centre. The cone of half angle a is tangent to the tip at -r sin
+        // a.
         let cone_m = tip_m / flank.cos() + back_m * flank.tan();
         let ball_m = (tip_m * tip_m - back_m * back_m).max(0.0).sqrt();
         if back_m < -tip_m * flank.sin() { ball_m } else { cone_m.min(wide_m) }
@@ -183,7 +192,7 @@ fn bored_m3(cutter: &Cutter, depth_m: f64, reach_m: f64) -> f64 {
         .sum()
 }
 
-/// A plate through which a cylinder mills a slot with its side: both ends of the cylinder stand out of the plate.
+/// A cylinder mills a slot through a plate with its side; both of its ends protrude from the plate.
 #[test]
 fn a_cylinder_mills_a_slot_with_the_force_of_the_closed_form_whatever_its_number_of_balls() {
     let (feed_m_per_s, length_m, thick_m) = (0.5e-3, 8.0e-3, 4.0e-3);
@@ -212,7 +221,8 @@ fn a_longer_cutter_has_its_balls_behind_the_tip_and_its_mass_at_its_own_centre()
     let long = parameters(&cylinder(0.05));
     assert_eq!(long.burr_centre_m(), 50.0e-3 + 14.0e-3);
     let solid = long.cutter.solid();
-    // The cylinder's middle is 4 mm behind its front ball's centre. A union of balls is symmetric as the cylinder is.
+    // The cylinder's midpoint is 4 mm behind its front ball's centre. A union of balls has the cylinder's
+    // symmetry.
     assert!((solid.behind_m - 4.0e-3).abs() < 1e-12, "{}", solid.behind_m);
     let mass = |p: &ManipulatorParameters| p.burr_mass_kg;
     assert_eq!(mass(&long), 1.0e-3);
@@ -232,7 +242,7 @@ fn a_longer_cutter_has_its_balls_behind_the_tip_and_its_mass_at_its_own_centre()
     assert!((state.t_world_tip.position_m[2] - RADIUS_M).abs() < 1e-12);
 }
 
-/// A run goes on bit for bit from a keyframe in the middle of a cut, with the side force's torque in it.
+/// A run continues bit for bit from a keyframe in the middle of a cut, including the side force's torque.
 #[test]
 fn a_keyframe_in_the_cut_of_a_long_cutter_continues_bit_for_bit() {
     let (geometry, hu) = block([2.5e-3, -3.6e-3, -6.0e-3], [8.0e-3, 3.6e-3, 0.0], 0.5e-3);
@@ -266,6 +276,6 @@ fn a_tip_thinner_than_two_voxels_is_called_unlikely() {
     };
     assert_eq!(told(0.3e-3), None);
     let said =
-        "is 0.6: a tip thinner than two voxels, 0.80 mm, catches on them, and its force comes in bursts";
+        "is 0.6: a tip thinner than two voxels (0.80 mm) catches on them, and its force comes in bursts";
     assert_eq!(told(0.4e-3).as_deref(), Some(said));
 }

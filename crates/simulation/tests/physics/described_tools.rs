@@ -20,7 +20,8 @@ fn folder() -> PathBuf {
 /// A scene with this text in its `[manipulator]`.
 fn scene(manipulator: &str) -> Scene {
     let text = format!(
-        "name = \"tools\"\nrun = {{ mode = \"lockstep\", duration_s = 1.0 }}\n[manipulator]\n{manipulator}\n{TOOL}"
+        "name = \"tools\"\nrun = {{ mode = \"lockstep\", duration_s = 1.0 }}\n[manipulator]\n{manipulator}\n\
+         {TOOL}"
     );
     Scene::parse_with(&text, &folder().join("scene.toml"), &|file| std::fs::read_to_string(file)).unwrap()
 }
@@ -32,7 +33,8 @@ fn described(file: &str) -> ManipulatorParameters {
 /// The tool of a file with more keys at its end.
 fn described_with(file: &str, keys: &str) -> ManipulatorParameters {
     let text = format!(
-        "name = \"tools\"\nrun = {{ mode = \"lockstep\", duration_s = 1.0 }}\n[manipulator]\nfile = \"{file}\"\n{TOOL}"
+        "name = \"tools\"\nrun = {{ mode = \"lockstep\", duration_s = 1.0 }}\n[manipulator]\n\
+         file = \"{file}\"\n{TOOL}"
     );
     let read = |file: &Path| Ok(std::fs::read_to_string(file)? + keys);
     let scene = Scene::parse_with(&text, &folder().join("scene.toml"), &read).unwrap();
@@ -44,7 +46,7 @@ fn the_standard_tool_and_its_file_are_one() {
     for overrides in ["", "links = 9", "stiffness_scale = 0.7\nmass_scale = 2.0\nburr_diameter_mm = 6.0"] {
         let [standard, mut file] = [overrides.to_owned(), format!("file = \"jhu_27.toml\"\n{overrides}")]
             .map(|text| manipulator_parameters(&scene(&text)).unwrap());
-        // The antagonist pair, once as such and once as two tendons.
+        // The antagonist pair, once as a pair and once as two tendons.
         let channels = file.tendon_routes.take().unwrap();
         file.tendon.offset_m = channels[0].channel_m[0];
         assert_eq!(channels[1].channel_m, [-file.tendon.offset_m, 0.0]);
@@ -57,7 +59,7 @@ fn the_standard_tool_and_its_file_are_one() {
     );
 }
 
-/// Hash after 600 ticks with both tendons pulled in turn.
+/// Hash after 600 ticks with the two tendons pulled alternately.
 fn hash(scene: &Scene) -> [u64; 2] {
     let mut simulation = Simulation::new(scene, None).unwrap();
     for tick in 0..600 {
@@ -85,7 +87,7 @@ fn the_standard_tool_has_the_same_hash_with_and_without_its_file() {
             .map(|file| hash(&scene(&format!("{file}model = \"{rung}\"\ntendon_friction = 0.1"))));
         assert_eq!(standard, file, "{rung}");
         let changed = hash(&scene(&format!("model = \"{rung}\"\ntendon_friction = 0.11")));
-        assert_ne!(standard, changed, "{rung}: a hash that nothing changes");
+        assert_ne!(standard, changed, "{rung}: the hash does not depend on the friction");
     }
 }
 
@@ -94,7 +96,7 @@ fn settled(rung: Rung, mut p: ManipulatorParameters, tension_n: [f64; 4]) -> Any
     p.mount_stiffness_n_per_m = [1e9; 3];
     let base = BaseMotion::at_rest(Isometry3::identity());
     let mut tool = AnyManipulator::new(rung, p, &base).unwrap();
-    // A pre-curved tool comes to its shape from a straight one.
+    // A pre-curved tool relaxes to its shape from a straight one.
     tool.straighten();
     let tendon = TendonCommand::EachForce(tension_n);
     let input = StepInput { base, tendon, tip_wrench: Wrench::zero(), contacts: &[] };
@@ -104,7 +106,8 @@ fn settled(rung: Rung, mut p: ManipulatorParameters, tension_n: [f64; 4]) -> Any
     tool
 }
 
-/// Ends of arcs in series behind a straight piece, then a straight piece: (x, z). Each arc is its length and its bend.
+/// End (x, z) of a straight section, arcs in series and another straight section. Each arc is a length and a
+/// bend.
 fn arcs(straight_m: f64, arcs: &[[f64; 2]], behind_m: f64) -> [f64; 2] {
     let (mut angle, mut x, mut z) = (0.0_f64, 0.0, straight_m);
     for [length_m, bend] in arcs {
@@ -124,7 +127,7 @@ fn distance_m(tool: &AnyManipulator, [x, z]: [f64; 2]) -> f64 {
     (tool.t_world_tip().translation.vector - Vector3::new(x, 0.0, z)).norm()
 }
 
-/// A circle in closed form; the published radii, and the one of the file.
+/// A circle in closed form, for the published radii and the file's own.
 #[test]
 fn a_pre_curved_tool_comes_to_its_arc_within_10_um() {
     for radius_mm in [35.0, 50.0, 80.0] {
@@ -143,7 +146,8 @@ fn a_pre_curved_tool_comes_to_its_arc_within_10_um() {
     }
 }
 
-/// Two arcs: in front every tendon bends, behind only those to the tip. A flexure settles where `k q = d T cos(q/2)`.
+/// Two arcs: every tendon bends the proximal one, only those to the tip the distal one. A flexure settles
+/// where `k q = d T cos(q/2)`.
 #[test]
 fn two_segments_come_to_two_arcs() {
     let p = described("two_segments.toml");
@@ -163,14 +167,15 @@ fn two_segments_come_to_two_arcs() {
         let tip_m = arcs(start_m, &two, p.tip_offset_m - 0.5 * pitch_m);
         for rung in [Rung::Planar, Rung::Spatial, Rung::Full] {
             let mut p = p.clone();
-            // Every flexure alike, which the first and the last are not quite; nothing is compressed or sheared.
+            // All flexures alike, which is not quite true for the first and the last; no compression or
+            // shear.
             p.joint_stiffness_nm_per_rad = vec![k; 24];
             p.section = simulation::manipulator::Section::Tube;
             p.tube_radii_m = [1e-5, 0.0];
             let tool = settled(rung, p, tension_n);
             let off_m = distance_m(&tool, tip_m);
             println!("{tension_n:?}, {}: {:.2} µm", rung.name(), off_m * 1e6);
-            // A chain of 24 hinges against arcs: its error is the bend squared over 24 n squared of the length.
+            // A chain of 24 hinges against arcs: its error, relative to the length, is bend² / (24 n²).
             assert!(off_m < 10e-6, "{tension_n:?}, {rung:?}: {off_m}");
         }
     }
@@ -188,7 +193,7 @@ fn a_drive_shaft_stiffens_each_flexure_by_ei_over_its_length() {
         assert!((whole / (own + bending_nm2 / pitch_m) - 1.0).abs() < 1e-12, "{flexure}");
         let across = own * without[flexure].lateral + bending_nm2 / pitch_m;
         assert!((whole * with[flexure].lateral / across - 1.0).abs() < 1e-12, "{flexure}");
-        // It turns and slides in the tube.
+        // It rotates and slides in the tube.
         assert!((whole * with[flexure].torsion / (own * without[flexure].torsion) - 1.0).abs() < 1e-12);
         let [a, b] = [own * without[flexure].axial_per_m2, whole * with[flexure].axial_per_m2];
         assert!((a / b - 1.0).abs() < 1e-12);
@@ -198,11 +203,11 @@ fn a_drive_shaft_stiffens_each_flexure_by_ei_over_its_length() {
         let bend = (0..50).fold(0.0_f64, |q, _| d * tension_n / k * (0.5 * q).cos());
         let tip_m =
             arcs(36.0e-3 - 0.5 * pitch_m, &[[24.0 * pitch_m, 24.0 * bend]], p.tip_offset_m - 0.5 * pitch_m);
-        // Both take no tendons that end on the way.
+        // Neither supports tendons that end partway.
         let refuse = |rung: &Rung| matches!(rung, Rung::ConstantCurvature | Rung::Modal);
         for rung in Rung::ALL.into_iter().filter(|rung| !refuse(rung)) {
             let mut p = p.clone();
-            // As in `two_segments_come_to_two_arcs`; the flexures keep what the shaft gave them.
+            // As in `two_segments_come_to_two_arcs`; the flexures keep the shaft's stiffness.
             p.joint_stiffness_nm_per_rad = vec![p.joint_stiffness_nm_per_rad[11]; 24];
             p.section = Section::Tube;
             p.tube_radii_m = [1e-5, 0.0];
@@ -214,7 +219,7 @@ fn a_drive_shaft_stiffens_each_flexure_by_ei_over_its_length() {
     }
 }
 
-/// A straight shaft in a pre-curved tube: they rest where their moments cancel, on a wider circle.
+/// A straight shaft in a pre-curved tube: they settle on a wider circle, where their moments cancel.
 #[test]
 fn a_drive_shaft_straightens_a_pre_curved_tool() {
     let (bending_nm2, length_m) = (2e-2, 1.25e-3);
@@ -271,7 +276,7 @@ fn links_share_the_rest_angles() {
     }
 }
 
-/// What is pulled is measured from the tool's own shape: nothing pulls on a slack pre-curved tool.
+/// Pulled lengths are measured from the tool's rest shape: nothing pulls on a slack pre-curved tool.
 #[test]
 fn a_pulled_length_is_measured_from_the_rest_shape() {
     let mut p = described("steerable_drill.toml");
@@ -315,12 +320,15 @@ fn every_shipped_tool_stands() {
     }
 }
 
-/// Two tendons; `own` are further keys of each, `cable` those of both.
+/// Two tendons; `own` holds further keys of each, `cable` those of both.
 fn two_tendons(own: [&str; 2], cable: &str) -> ManipulatorParameters {
     let text = format!(
-        "name = \"two\"\ntube = {{ outer_diameter_mm = 6.0, inner_diameter_mm = 4.0, linear_density_kg_per_m = 0.1 }}\n\
-         burr = {{ diameter_mm = 6.5, offset_mm = 4.0, mass_g = 1.0 }}\n[tendon_cable]\n{cable}\n[[tendon]]\ntoward_mm = 2.5\n{}\n\
-         [[tendon]]\ntoward_mm = -2.0\n{}\n[[flexure]]\nat_mm = 36.0\ncount = 12\npitch_mm = 2.5\nstiffness_nm_per_deg = 0.01\n",
+        "name = \"two\"\ntube = {{ outer_diameter_mm = 6.0, inner_diameter_mm = 4.0, linear_density_kg_per_m \
+         = 0.1 }}\n\
+         burr = {{ diameter_mm = 6.5, offset_mm = 4.0, mass_g = 1.0 }}\n[tendon_cable]\n{cable}\n[[tendon]]\n\
+         toward_mm = 2.5\n{}\n\
+         [[tendon]]\ntoward_mm = -2.0\n{}\n[[flexure]]\nat_mm = 36.0\ncount = 12\npitch_mm = 2.5\n\
+         stiffness_nm_per_deg = 0.01\n",
         own[0], own[1]
     );
     let mut scene = scene("");
@@ -335,7 +343,7 @@ fn pulled(rung: Rung, p: &ManipulatorParameters, tendon: usize, is_length: bool)
         let mut each = [0.0; 4];
         each[tendon] = if tick < 150 { 5.0 } else { 3.0 };
         let tendon = if is_length {
-            // The other one is let out, so that it stays slack.
+            // The other tendon is let out, so that it stays slack.
             TendonCommand::EachDisplacement(each.map(|pull| if pull > 0.0 { pull * 4e-4 } else { -5e-3 }))
         } else {
             TendonCommand::EachForce(each)
@@ -346,7 +354,8 @@ fn pulled(rung: Rung, p: &ManipulatorParameters, tendon: usize, is_length: bool)
     (tool.joint_positions_rad().to_vec(), tool.last_report().tendon_displacement_m)
 }
 
-/// A tendon of its own friction and stiffness moves the tool bit for bit as if all had them; what it stretches is tension over stiffness.
+/// A tendon with its own friction and stiffness moves the tool bit for bit as if all tendons had them; it
+/// stretches by tension over stiffness.
 #[test]
 fn a_tendon_with_friction_and_stiffness_of_its_own_pulls_as_if_all_had_them() {
     let mixed = two_tendons(["friction = 0.3\nstiffness_n_per_m = 2e4", "stiffness_n_per_m = 5e4"], "");
@@ -363,18 +372,20 @@ fn a_tendon_with_friction_and_stiffness_of_its_own_pulls_as_if_all_had_them() {
                 assert_eq!(own.1[tendon], all.1[tendon], "{rung:?}, tendon {tendon}");
             }
         }
-        // The same shape on a tendon that does not stretch by more than 3 nm: the lengths differ by the stretch.
+        // The same shape with a tendon that stretches by at most 3 nm: the lengths differ by the stretch.
         let stiff = two_tendons(["", ""], "stiffness_n_per_m = 1e9");
         let stretch_m = pulled(rung, &mixed, 1, false).1[1] - pulled(rung, &stiff, 1, false).1[1];
         assert!((stretch_m - 3.0 / 5e4).abs() < 4e-9, "{rung:?}: {stretch_m}");
-        // Of what friction leaves.
+        // Based on the tension that remains after friction.
         let (rough, smooth) = (pulled(rung, &mixed, 0, false).0, pulled(rung, &alone[1], 0, false).0);
         assert_ne!(rough, smooth, "{rung:?}: the friction does nothing");
     }
-    // A scene's friction is that of every tendon.
+    // A scene's friction applies to every tendon.
     let mut over = scene("tendon_friction = 0.1");
-    let text = "name = \"t\"\ntube = { outer_diameter_mm = 6.0, inner_diameter_mm = 4.0, linear_density_kg_per_m = 0.1 }\n\
-                burr = { diameter_mm = 6.5, offset_mm = 4.0, mass_g = 1.0 }\ntendon = [{ toward_mm = 2.0, friction = 0.5 }]\n\
+    let text = "name = \"t\"\ntube = { outer_diameter_mm = 6.0, inner_diameter_mm = 4.0, \
+                linear_density_kg_per_m = 0.1 }\n\
+                burr = { diameter_mm = 6.5, offset_mm = 4.0, mass_g = 1.0 }\n\
+                tendon = [{ toward_mm = 2.0, friction = 0.5 }]\n\
                 [[flexure]]\nat_mm = 36.0\nstiffness_nm_per_deg = 0.01\n";
     over.manipulator.tool = Some(ToolDescription::parse(text, Path::new("t.toml")).unwrap());
     let over = manipulator_parameters(&over).unwrap();

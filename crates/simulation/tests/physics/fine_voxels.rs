@@ -1,4 +1,4 @@
-//! Fine voxels: the same path whatever their size, and memory that grows with what is drilled.
+//! Fine voxels: the path does not depend on their size, and memory grows with the drilled volume.
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
@@ -20,8 +20,9 @@ fn fed(voxel_mm: f64, insertion_m: f64) -> (feed::Fed, f64) {
     (fed, drilled_mm3)
 }
 
-/// Bug: at 0.061 mm the burr was thrown 28 mm aside: its 256 nearest voxels were all those of one patch of the wall around it, so it had
-/// one contact plane, and the memory for partly cut voxels ended. The whole feed at 0.06 and 0.03 mm is in `lab/physics/examples/fine_voxels.rs`.
+/// Regression: at 0.061 mm the burr was thrown 28 mm aside. Its 256 nearest voxels all belonged to one patch
+/// of the wall around it, so it had one contact plane, and the memory for partly cut voxels ran out. The
+/// whole feed at 0.06 and 0.03 mm is in `lab/physics/examples/fine_voxels.rs`.
 #[test]
 fn a_straight_feed_has_the_same_path_and_depth_at_every_voxel_size() {
     for (voxel_mm, insertion_m) in [(0.12, 36.0e-3), (0.06, 20.0e-3)] {
@@ -34,7 +35,7 @@ fn a_straight_feed_has_the_same_path_and_depth_at_every_voxel_size() {
             apart_m * 1e3,
             fine.mean_force_n
         );
-        // 2 % of the depth, and of the feed's length for the path.
+        // 2 % of the depth, and for the path, 2 % of the feed's length.
         assert!((depth(&fine) / depth(&coarse) - 1.0).abs() < 0.02, "{voxel_mm} mm");
         assert!(apart_m < 0.02 * insertion_m, "{voxel_mm} mm: {apart_m} m");
         // The hole is rough by half a voxel of 0.25 mm on a radius of 3.35 mm: 7 % of its volume at most.
@@ -42,14 +43,14 @@ fn a_straight_feed_has_the_same_path_and_depth_at_every_voxel_size() {
     }
 }
 
-/// A field of voxels of 0.06 mm with a hole in which the burr begins, and its CT.
+/// A field of 0.06 mm voxels with a hole in which the burr starts, and its CT.
 fn fine_field() -> (BoneField, Vec<i16>) {
     let geometry = GridGeometry::axis_aligned([120, 120, 620], [6.0e-5; 3], Vector3::zeros());
     let hu = vec![600; geometry.voxel_count()];
     (BoneField::new(geometry, &hu, BoneParameters::default()).unwrap(), hu)
 }
 
-/// The burr on its way along z, 0.1 mm a tick of 10 ms, with more energy than the bone takes.
+/// The burr moving along z by 0.1 mm per tick of 10 ms, with more energy than the bone absorbs.
 fn burr(tick: usize) -> BurrState {
     BurrState {
         centre_m: Vector3::new(3.6e-3, 3.6e-3, tick as f64 * 1.0e-4),
@@ -59,7 +60,7 @@ fn burr(tick: usize) -> BurrState {
     }
 }
 
-/// Bug: after 4096 blocks of 8 x 8 x 8 voxels, the burr cut nothing more, and nothing said so.
+/// Regression: after 4096 blocks of 8 x 8 x 8 voxels, the burr silently stopped cutting.
 #[test]
 fn a_burr_cuts_as_long_as_there_is_bone() {
     let (mut field, hu) = fine_field();
@@ -89,11 +90,11 @@ fn memory_taken_between_ticks_or_within_them_gives_the_same_bits() {
         assert_eq!(between.voxels().removed_this_tick(), within.voxels().removed_this_tick(), "tick {tick}");
     }
     assert!(between.voxels().pool_usage().0 > 4096, "{:?}", between.voxels().pool_usage());
-    assert!(between.voxels().pool_bytes() > within.voxels().pool_bytes(), "only one of them kept a reserve");
+    assert!(between.voxels().pool_bytes() > within.voxels().pool_bytes(), "only one of them has a reserve");
     assert_eq!(between.voxels().snapshot(), within.voxels().snapshot());
 }
 
-/// A keyframe of many wholly spent blocks, restored into a field that has taken no memory yet.
+/// A keyframe of many fully used blocks, restored into a field that has not allocated memory yet.
 #[test]
 fn a_keyframe_of_fine_voxels_restores_to_the_same_bits() {
     let block = feed::Block::new(0.12e-3);

@@ -1,12 +1,12 @@
-//! The stiffness of a flexure from the shape of its notches.
+//! The stiffness of a flexure computed from the shape of its notches.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 use simulation::manipulator::{ManipulatorParameters, Notch, Section, StiffnessRatios};
 
 const RADII_M: [f64; 2] = [3.0e-3, 2.0e-3];
 
-/// For 1 Pa, from `trabecula-lab chart flexure` (scikit-fem, the middle one of three, 0.15 mm), at the pitch of the first, the middle and the
-/// last flexure.
+/// For 1 Pa, from `trabecula-lab chart flexure` (scikit-fem, the middle one of three, 0.15 mm), at the pitch
+/// of the first, the middle and the last flexure.
 #[test]
 fn the_formulas_are_within_a_tenth_of_finite_elements() {
     for (pitch_m, elements) in [
@@ -24,12 +24,16 @@ fn the_formulas_are_within_a_tenth_of_finite_elements() {
             own.torsion_nm_per_rad,
         ];
         for (own, elements) in own.into_iter().zip(elements) {
-            assert!((own / elements - 1.0).abs() < 0.1, "pitch {pitch_m} m: {own} beside {elements}");
+            assert!(
+                (own / elements - 1.0).abs() < 0.1,
+                "pitch {pitch_m} m: {own}, finite elements {elements}"
+            );
         }
     }
 }
 
-/// The table of bending stiffnesses is published, the geometry is the CAD's: one modulus of nitinol joins them. It is not used.
+/// The table of bending stiffnesses is published, and the geometry is from CAD; a single nitinol modulus
+/// reconciles them. The simulation does not use it.
 #[test]
 fn one_modulus_gives_the_published_bending_stiffness_of_every_flexure() {
     let tool = ManipulatorParameters::jhu_27();

@@ -13,7 +13,7 @@ use simulation::arm::{
 
 const TRAVEL_MM: [f64; 3] = [120.0, 80.0, 200.0];
 
-/// A gantry that holds its tool beside its flange and turned against it, somewhere in the patient frame.
+/// A gantry whose tool is offset from the flange and rotated relative to it, somewhere in the patient frame.
 fn gantry() -> Arm {
     let tool = t_flange_tool();
     let scene = scene::Arm {
@@ -31,7 +31,7 @@ fn gantry() -> Arm {
     Arm::new(parameters, &Joints::default()).unwrap()
 }
 
-/// Where the flange is along the gantry's axes, from the start.
+/// Position of the flange along the gantry's axes, from the start.
 fn travelled_m(arm: &Arm) -> Vector3<f64> {
     arm.parameters()
         .t_world_arm_base
@@ -58,7 +58,8 @@ fn an_insertion_takes_the_time_of_its_double_s_and_keeps_line_and_orientation() 
         let missed_m = (end - start.translation.vector - axis_world * depth_m).norm();
         let closed_s = rest_to_rest_s(depth_m.abs(), feed_m_s, 0.3, 4.0);
         println!(
-            "{:.4} mm at {:.0} mm/s: {ticks} ticks, closed form {:.2}; {off_m:.1e} m off the line, ends {missed_m:.1e} m away",
+            "{:.4} mm at {:.0} mm/s: {ticks} ticks, closed form {:.2}; {off_m:.1e} m off the line, ends \
+             {missed_m:.1e} m away",
             1e3 * depth_m,
             1e3 * feed_m_s,
             closed_s / DT_S
@@ -89,7 +90,8 @@ fn any_command(uniform: &mut Uniform, arm: &Arm) -> ArmCommand {
     }
 }
 
-/// The state holds the pose's exact derivatives: central differences over a tick agree to their own error, a sixth of the jerk's change.
+/// The state holds the pose's exact derivatives: central differences over a tick agree to their own error, a
+/// sixth of the jerk's change.
 fn derivatives_agree(three: &[ArmState; 3], jerk_m_s3: f64) -> bool {
     let [before, now, after] = three.map(|state| state.t_world_tool.translation.vector);
     let [velocity, acceleration] =
@@ -113,7 +115,7 @@ fn any_commands_keep_travel_limits_orientation_and_derivatives_and_a_snapshot_co
                 | ArmError::PathUnreachable { reason: KinematicsError::BeyondTravel { .. }, .. }
                 | ArmError::TravelEnds { .. },
             ) => refused += 1,
-            // It would stop beside the pivot.
+            // It would stop off the pivot.
             Err(ArmError::PivotMissed { end: "start", .. }) => {}
             Err(other) => panic!("{other}"),
         }
@@ -160,7 +162,7 @@ fn what_a_gantry_cannot_do_is_refused_with_what_it_can_and_changes_nothing() {
     let turned = moved(&start, Vector3::zeros(), Vector3::new(0.0, 0.01, 0.0));
     for command in [move_cp(turned), ArmCommand::ServoCp { t_world_tool: turned, speed_fraction: 1.0 }] {
         let error = arm.command(command).unwrap_err().to_string();
-        assert!(error.contains("turned by 0.01") && error.contains("arm.model"), "{error}");
+        assert!(error.contains("rotated by 0.01") && error.contains("arm.model"), "{error}");
     }
     let pivot_world_m = start.translation.vector + start.rotation * Vector3::z() * 0.05;
     let about = about_pivot(&start, &pivot_world_m, Vector3::new(0.05, 0.0, 0.0), 0.05);
@@ -171,7 +173,7 @@ fn what_a_gantry_cannot_do_is_refused_with_what_it_can_and_changes_nothing() {
     let error = arm.command(ArmCommand::Insert { axis_world, depth_m: 0.081, feed_m_s: 0.01 }).unwrap_err();
     assert!(error.to_string().contains("axis y") && error.to_string().contains("-0.08 to 0.08"), "{error}");
     assert!(arm.state().done && arm.state().t_world_tool == start);
-    // An orientation as a client sends it that rounds to single precision.
+    // An orientation as sent by a client that rounds to single precision.
     let mut rounded = moved(&start, Vector3::new(0.0, 0.0, 0.01), Vector3::zeros());
     let xyzw = rounded.rotation.coords.map(|x| f64::from(x as f32)).normalize();
     rounded.rotation = nalgebra::Unit::new_normalize(nalgebra::Quaternion::from(xyzw));

@@ -1,7 +1,8 @@
-//! The gap between a sphere and bone changes about as fast as the sphere moves, wherever it is.
+//! The gap between a sphere and bone changes about as fast as the sphere moves, everywhere.
 //!
-//! Bug: the gap was the distance to the nearest voxel, widened afterwards by how far its corner stands out, and a voxel that was cut hid
-//! others behind it. It jumped by 0.08 mm within 0.02 mm of motion at the edge between a pilot hole and a tunnel.
+//! Regression: the gap was the distance to the nearest voxel, then widened by how far the voxel's corner
+//! protrudes, and a cut voxel hid others behind it. The gap jumped by 0.08 mm within 0.02 mm of motion at the
+//! edge between a pilot hole and a tunnel.
 
 #![allow(clippy::unwrap_used, reason = "a field that cannot be built is a failed test")]
 
@@ -11,10 +12,11 @@ use simulation::bone::{BoneField, BoneParameters, BurrState, ContactBuffer, Grid
 const VOXEL_M: f64 = 0.5e-3;
 /// Radius of the drilled path, m.
 const BEND_M: f64 = 20e-3;
-/// A walk: length in m, and its steps.
+/// Length of a walk, m, and its number of steps.
 const WALK_M: f64 = 0.02e-3;
 const STEPS: usize = 20;
-/// Most that the gap may change in a walk, m. Half again of the way, because the widening changes with the place too.
+/// Largest allowed change of the gap in a walk, m: 1.5 times its length, because the widening also changes
+/// with position.
 const CHANGE_M: f64 = 0.03e-3;
 
 /// A linear congruential generator with 64 bits (Steele and Vigna 2021), 0 to 1.
@@ -31,7 +33,8 @@ impl Draw {
     }
 }
 
-/// Where the burr's centre is after `way_m` along a path that bends toward +x from the origin, and `beside_m` off it.
+/// Position of the burr's centre after `way_m` along a path that bends toward +x from the origin, and
+/// `beside_m` off the path.
 fn on_path(way_m: f64, beside_m: f64) -> Vector3<f64> {
     if way_m < 0.0 {
         return Vector3::new(beside_m, 0.0, way_m);
@@ -41,7 +44,7 @@ fn on_path(way_m: f64, beside_m: f64) -> Vector3<f64> {
     Vector3::new(BEND_M - radius_m * angle.cos(), 0.0, radius_m * angle.sin())
 }
 
-/// A grid about the origin, turned about y, its voxels shifted by a part of one.
+/// A grid about the origin, rotated about y and shifted by a fraction of a voxel.
 fn grid(turn_rad: f64, shift: f64) -> GridGeometry {
     let dims = [56, 40, 64];
     let direction_world_grid = Rotation3::from_axis_angle(&Vector3::y_axis(), turn_rad).into_inner();
@@ -72,7 +75,7 @@ fn tunnel(turn_rad: f64, shift: f64) -> BoneField {
     field
 }
 
-/// Bone where `solid` says.
+/// Bone where `solid` is true.
 fn bone(geometry: GridGeometry, solid: impl Fn(&Vector3<f64>) -> bool) -> BoneField {
     let [nx, ny, nz] = geometry.dims;
     let mut hu = vec![-1000; geometry.voxel_count()];
@@ -93,7 +96,8 @@ fn gap_m(field: &BoneField, centre_m: &Vector3<f64>, radius_m: f64) -> Option<f6
     buffer.planes().iter().map(|plane| plane.gap_m).min_by(f64::total_cmp)
 }
 
-/// Walks of spheres that nearly touch, from places that `place` draws: how many, the largest change of the gap in one and in a step, m.
+/// Walks of spheres that nearly touch, from positions drawn by `place`. Returns their number, and the largest
+/// change of the gap in a walk and in a step, m.
 fn walk(field: &BoneField, draw: &mut Draw, place: impl Fn(&mut Draw) -> Vector3<f64>) -> (usize, f64, f64) {
     let (mut walks, mut most_m, mut step_m) = (0, 0.0f64, 0.0f64);
     for number in 0..1500 {

@@ -1,5 +1,5 @@
-//! Tendons that wind about the tool. The statics of one are solved in SciPy, by
-//! `clients/python/tests/test_helical_tendons.py`; here is what needs no solver.
+//! Helical tendons. `clients/python/tests/test_helical_tendons.py` solves the statics of one in SciPy; these
+//! tests need no solver.
 
 #![allow(clippy::unwrap_used, reason = "a helper that fails is a failed test")]
 
@@ -39,8 +39,8 @@ fn settled(rung: Rung, p: &ManipulatorParameters, command: TendonCommand) -> Any
     m
 }
 
-/// Three equal pulls balance in bending, and wind a straight tool by `3 T r sin b` over its torsional stiffness: `GJ`, by Poisson's ratio
-/// `EI / (1 + nu)`, along its whole length. b is the angle of the helix.
+/// Three equal tensions balance in bending, and twist a straight tool by `3 T r sin b` over its torsional
+/// stiffness: `GJ`, by Poisson's ratio `EI / (1 + nu)`, along its whole length. b is the angle of the helix.
 #[test]
 fn three_helical_tendons_wind_a_straight_tool_as_the_closed_form_says() {
     for twist in [-60.0, 60.0] {
@@ -56,7 +56,7 @@ fn three_helical_tendons_wind_a_straight_tool_as_the_closed_form_says() {
             tip.rotation.scaled_axis().z
         };
         let ratio = beam(8, 3, twist).stiffness_ratios(0).torsion;
-        // The winding turns the helix itself; at equilibrium its twist is less or more by the angle per length.
+        // The twist rotates the helix itself; at equilibrium its twist rate differs by the angle per length.
         let exact = {
             let mut wound = 0.0;
             for _ in 0..50 {
@@ -68,16 +68,17 @@ fn three_helical_tendons_wind_a_straight_tool_as_the_closed_form_says() {
         for rung in [Rung::Spatial, Rung::Full] {
             let (coarse, fine) = (angle(rung, 16), angle(rung, 32));
             println!(
-                "{rung:?}, {twist} rad/m: {coarse:.6} rad at 16 links, {fine:.6} at 32, closed form {exact:.6}"
+                "{rung:?}, {twist} rad/m: {coarse:.6} rad at 16 links, {fine:.6} at 32, closed form \
+                 {exact:.6}"
             );
-            // Second order: the chords' arm r cos(f/2), f = 0.075 rad a flexure, is 7e-4 short.
+            // Second order: the chords' arm r cos(f/2), with f = 0.075 rad per flexure, is 7e-4 too short.
             assert!((fine / exact - 1.0).abs() < 2e-3, "{fine} {exact}");
             assert!((fine - exact).abs() < 0.3 * (coarse - exact).abs(), "{coarse} {fine} {exact}");
         }
     }
 }
 
-/// A tendon whose twist is next to nothing is the parallel one.
+/// A tendon with negligible twist behaves like a parallel one.
 #[test]
 fn a_tendon_that_hardly_winds_bends_as_a_parallel_one() {
     for rung in [Rung::Spatial, Rung::Full] {
@@ -87,7 +88,8 @@ fn a_tendon_that_hardly_winds_bends_as_a_parallel_one() {
         };
         let (parallel_m, wound_m) = (tip_m(0.0), tip_m(1e-6));
         println!("{rung:?}: {:.2e} m apart", (parallel_m - wound_m).norm());
-        // Hole to hole over a pitch of 1.25 mm in place of none: the chord of an arc of 0.25 rad over 40 mm.
+        // Straight from hole to hole over a pitch of 1.25 mm instead of continuous: the chord of an arc of
+        // 0.25 rad over 40 mm.
         assert!((parallel_m - wound_m).norm() < 10e-6, "{parallel_m} {wound_m}");
     }
 }

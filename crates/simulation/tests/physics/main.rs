@@ -1,4 +1,5 @@
-//! The step from outside, in one program: it is linked once, and its tests share both cores.
+//! Integration tests of the simulation step, in one program: it is linked once, and its tests run on all
+//! cores.
 
 mod against_rapier_multibody;
 mod arm_against_modern_robotics;

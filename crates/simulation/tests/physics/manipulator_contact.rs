@@ -55,7 +55,7 @@ fn stiff_wall_holds_without_jitter_and_transmits_the_force() {
     for tension in [3.0, 8.0] {
         let mut m = tool(|p| p.contact.friction_coefficient = 0.0);
         let mut planes = Vec::new();
-        let wall = -0.008; // normal -x: the surface stands at x = +8 mm
+        let wall = -0.008; // normal -x: the surface is at x = +8 mm
         let mut tips = Vec::new();
         for _ in 0..1200 {
             planes.clear();
@@ -70,7 +70,8 @@ fn stiff_wall_holds_without_jitter_and_transmits_the_force() {
         let expected: f64 = m.contact_results().iter().map(|c| c.normal_force_n).fold(0.0, f64::max)
             / m.parameters().contact.stiffness_n_per_m;
         println!(
-            "wall {tension} N: {} of {} contacts, overlap {:.4} um (force/stiffness {:.4}), jitter {jitter:.1e} m, wall force {:.4} N, flange {:.4} N, iterations {}, residual {:.1e}",
+            "wall {tension} N: {} of {} contacts, overlap {:.4} um (force/stiffness {:.4}), jitter \
+             {jitter:.1e} m, wall force {:.4} N, flange {:.4} N, iterations {}, residual {:.1e}",
             report.active_contact_count,
             report.contact_count,
             report.max_overlap_m * 1e6,
@@ -81,12 +82,13 @@ fn stiff_wall_holds_without_jitter_and_transmits_the_force() {
             report.contact_residual_m_per_s
         );
         assert!(report.active_contact_count >= 1);
-        // Overlap is the contact's compliance and nothing else.
+        // The overlap is the contact's compliance and nothing else.
         assert!((report.max_overlap_m - expected).abs() < 1e-9);
         assert!(jitter < 1e-9);
         // At rest the flange feels exactly the wall.
         assert!((report.flange_wrench.force_n - force).norm() < 1e-5 * force.norm());
-        // Virtual work of one free flexure: tendon torque = spring + wall moment, for each flexure within its stop.
+        // Virtual work of one free flexure: tendon torque = spring + wall moment, for each flexure within its
+        // stop.
         for (i, &q) in m.joint_positions_rad().iter().enumerate() {
             if q.abs() > 0.95 * m.parameters().joint_limit_rad {
                 continue;
@@ -171,7 +173,8 @@ fn tight_tunnel_with_opposing_walls_stays_finite() {
         }
         let r = m.last_report();
         println!(
-            "tunnel {:+.1} mm: {} contacts, worst overlap {:.2} um, after 0.3 s {:.2} um, last iterations {}, residual {:.1e}",
+            "tunnel {:+.1} mm: {} contacts, worst overlap {:.2} um, after 0.3 s {:.2} um, last iterations \
+             {}, residual {:.1e}",
             clearance * 1e3,
             r.contact_count,
             worst * 1e6,
@@ -179,8 +182,8 @@ fn tight_tunnel_with_opposing_walls_stays_finite() {
             r.contact_iterations,
             r.contact_residual_m_per_s
         );
-        // Beyond what a tunnel that is too narrow imposes on both sides: some newtons on 1e6 N/m each, and a transient
-        // while a 0.3 mm overlap on 34 spheres is pushed out from both sides at once.
+        // Beyond what a too narrow tunnel imposes on both sides: a few newtons on 1e6 N/m each, and a
+        // transient while a 0.3 mm overlap on 34 spheres is pushed out from both sides at once.
         let imposed = (-clearance).max(0.0);
         assert!(late - imposed < 20e-6 && worst - imposed < 0.3e-3, "{worst} {late}");
     }
@@ -205,12 +208,13 @@ fn deep_first_overlap_is_pushed_out_at_a_bounded_speed() {
         "5 mm overlap: fastest sphere {fastest:.4} m/s, overlap left {:.2} um",
         m.last_report().max_overlap_m * 1e6
     );
-    // 0.05 m/s at the pushed spheres; the rest of the chain may swing a little faster.
+    // 0.05 m/s at the pushed spheres; the rest of the chain can swing a little faster.
     assert!(fastest < 0.15);
     assert!(m.last_report().max_overlap_m < 20e-6);
 }
 
-/// Bug: the bound was a speed, so a step of 5 ms threw a tool that overlapped a wall out by a quarter of a millimetre.
+/// Regression: the bound was a speed, so a step of 5 ms threw an overlapping tool out of the wall by a
+/// quarter of a millimetre.
 #[test]
 fn a_long_step_pushes_no_more_overlap_out_than_a_short_one() {
     for dt_s in [1e-3, 5e-3, 1e-2] {
@@ -303,7 +307,7 @@ fn joint_stops_hold() {
     }
     let p = m.parameters();
     let most = m.joint_positions_rad().iter().fold(0.0f64, |a, q| a.max(q.abs()));
-    // Tendon torque less the spring's at the stop, on the stop's stiffness.
+    // Tendon torque minus the spring's at the stop, divided by the stop's stiffness.
     let worst = (30.0 * 2.5e-3 - p.joint_stiffness_nm_per_rad[26] * p.joint_limit_rad)
         / p.joint_stop_stiffness_nm_per_rad;
     println!(
@@ -348,7 +352,8 @@ fn hybrid_meets_a_wall_like_euler_and_keeps_its_accuracy_before() {
     let (euler, hybrid, fine) =
         (run(Integrator::LinearlyImplicitEuler, 1), run(Integrator::Hybrid, 1), run(Integrator::Hybrid, 20));
     println!(
-        "before the wall (6 ms): Euler off {:.1} um, hybrid off {:.2} um; at rest they differ by {:.1e} m; {} ROS2 steps; deepest {:.2} / {:.2} um",
+        "before the wall (6 ms): Euler off {:.1} um, hybrid off {:.2} um; at rest they differ by {:.1e} m; \
+         {} ROS2 steps; deepest {:.2} / {:.2} um",
         (euler.1 - fine.1).norm() * 1e6,
         (hybrid.1 - fine.1).norm() * 1e6,
         (euler.0 - hybrid.0).norm(),
@@ -366,7 +371,7 @@ fn winding_tunnel_rests_in_equilibrium() {
     for mu in [0.0, 0.2] {
         let mut m = tool(|p| {
             p.contact.friction_coefficient = mu;
-            // The tunnel bends single flexures past 5 degrees; a stop's torque would enter the balance.
+            // The tunnel bends individual flexures past 5 degrees; a stop's torque would enter the balance.
             p.joint_limit_rad = 1.0;
             p.contact.burr_friction_coefficient = mu;
         });
@@ -406,14 +411,15 @@ fn winding_tunnel_rests_in_equilibrium() {
         let r = m.last_report();
         let off = (r.flange_wrench.force_n - total).norm();
         println!(
-            "winding tunnel mu={mu}: {} of {} contacts active, worst unbalanced flexure {worst:.1e} N m of {:.1e}, flange off by {off:.1e} N, iterations {}",
+            "winding tunnel mu={mu}: {} of {} contacts active, worst unbalanced flexure {worst:.1e} N m of \
+             {:.1e}, flange off by {off:.1e} N, iterations {}",
             r.active_contact_count,
             r.contact_count,
             8.0 * 2.5e-3,
             r.contact_iterations
         );
         assert!(r.active_contact_count >= 12);
-        // The solver stops at 1e-6 m/s a row; 1e-4 of the tendon's torque.
+        // The solver stops at 1e-6 m/s per row; 1e-4 of the tendon's torque.
         assert!(worst < 2e-6 && off < 1e-3, "{worst} {off}");
     }
 }

@@ -1,4 +1,5 @@
-//! Dynamics of the manipulator: modes, order of accuracy, moving base, bit-exactness, stability where methods fail.
+//! Dynamics of the manipulator: modes, order of accuracy, moving base, bit-exactness, and stability where
+//! other methods fail.
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot build its tool has failed")]
 
@@ -43,8 +44,9 @@ fn first_mode_is_the_cantilevers() {
             "n={joints}: first mode {hz:.3} Hz, cantilever {exact:.3} Hz, {:+.3} %",
             (hz / exact - 1.0) * 100.0
         );
-        // Euler-Bernoulli cantilever, w = 1.87510407^2 sqrt(EI / (rho A L^4)). The eigenvalues of a chain with its flexures in the
-        // middle of its pieces, without rotary inertia, are 0.28 % off at n = 9 and 0.03 % at n = 27.
+        // Euler-Bernoulli cantilever, w = 1.87510407^2 sqrt(EI / (rho A L^4)). The eigenvalues of a chain
+        // with flexures at the midpoints of its links, without rotary inertia, are off by 0.28 % at n = 9 and
+        // 0.03 % at n = 27.
         assert!((hz / exact - 1.0).abs() < if joints == 9 { 3.1e-3 } else { 4e-4 });
     }
     // The stepped chain rings at that frequency: release from a small bend, count zero crossings of the tip.
@@ -76,7 +78,7 @@ fn first_mode_is_the_cantilevers() {
         crossings.len() - 1,
         (hz / exact - 1.0) * 100.0
     );
-    // Higher modes shift single crossings; over the whole window 0.2 % is a tenth of a period.
+    // Higher modes shift individual crossings; over the whole window, 0.2 % is a tenth of a period.
     assert!((hz / exact - 1.0).abs() < 2e-3);
 }
 
@@ -117,9 +119,10 @@ fn hybrid_is_second_order_and_euler_first() {
         println!("{integrator:?} dt={:.3} ms: RMS tip error {:.1} um", 1.0 / per_ms as f64, error * 1e6);
         errors.push(error);
     }
-    // The second-order Rosenbrock method is ROS2 of Verwer, Spee, Blom and Hundsdorfer 1999 (SIAM J. Sci. Comput. 20, 1456). A
-    // prototype (0 -> 15 N, 0.3 s, against RK4 at 0.5 us) was off by 170 / 12 / 2 um at 1 / 0.25 / 0.1 ms with ROS2 and by 1887 um at
-    // 1 ms with linearly implicit Euler. Its chain had other rotary inertias, so the order of magnitude is asserted.
+    // The second-order Rosenbrock method is ROS2 of Verwer, Spee, Blom and Hundsdorfer 1999 (SIAM J. Sci.
+    // Comput. 20, 1456). A prototype (0 -> 15 N, 0.3 s, against RK4 at 0.5 us) was off by 170 / 12 / 2 um at
+    // 1 / 0.25 / 0.1 ms with ROS2 and by 1887 um at 1 ms with linearly implicit Euler. Its chain had other
+    // rotary inertias, so only the order of magnitude is asserted.
     assert!(errors[0] < 400e-6 && errors[1] < 30e-6 && errors[2] < 6e-6, "{errors:?}");
     assert!(errors[1] < errors[0] / 8.0 && errors[2] < errors[1] / 4.0, "second order: {errors:?}");
     assert!(errors[5] < errors[4] && errors[4] < errors[3] && errors[3] < 4e-3, "{errors:?}");
@@ -127,7 +130,7 @@ fn hybrid_is_second_order_and_euler_first() {
 
 #[test]
 fn moving_base_exerts_inertia() {
-    // Constant acceleration along z from rest; and steady rotation about the world's z at 20 rad/s.
+    // Constant acceleration along z from rest, and steady rotation about the world's z axis at 20 rad/s.
     let p = ManipulatorParameters { damping_ratio: 1.0, ..ManipulatorParameters::jhu_27() };
     let mass =
         p.shaft_mass_kg + p.burr_mass_kg + p.linear_density_kg_per_m * (0.06747028 + 4e-3 - 0.03602972);
@@ -168,7 +171,7 @@ fn moving_base_exerts_inertia() {
         + p.burr_mass_kg * (0.06747028 + 4e-3);
     let outward = m.base().t_world_base.rotation.inverse() * m.flange_wrench().force_n;
     println!("20 rad/s: outward force {:.6} N, m r omega^2 {:.6} N", outward.z, moment * omega * omega);
-    // The bend that the centrifugal field keeps is zero; the mount gives by micrometres.
+    // The centrifugal field keeps the bend at zero; the mount yields by micrometres.
     assert!((outward.z / (moment * omega * omega) - 1.0).abs() < 1e-4);
     let speed = m.proxy_spheres().last().unwrap().velocity_m_per_s.norm();
     assert!((speed / (omega * (0.06747028 + 4e-3)) - 1.0).abs() < 1e-3);
@@ -237,7 +240,8 @@ fn steps_are_bit_reproducible_and_snapshots_continue_identically() {
 
 #[test]
 fn violent_tension_never_blows_up() {
-    // (stiffness factor, mass factor, dt): of 14 such cases a prototype with ROS2 alone blew up in five, with linearly implicit Euler in none.
+    // (stiffness factor, mass factor, dt): in 14 such cases, a prototype diverged five times with ROS2 alone,
+    // and never with linearly implicit Euler.
     let cases: [(f64, f64, f64); 14] = [
         (1.0, 1.0, 0.5e-3),
         (1.0, 1.0, 1e-3),
@@ -279,7 +283,7 @@ fn violent_tension_never_blows_up() {
                     steps += 1;
                     fallback += usize::from(r.integrator != integrator);
                     let worst = m.joint_positions_rad().iter().fold(0.0f64, |w, q| w.max(q.abs()));
-                    // 30 N bends the weakest flexure by 0.25 rad; the stops stand at 1 rad.
+                    // 30 N bends the weakest flexure by 0.25 rad; the stops are at 1 rad.
                     assert!(
                         worst < 1.2,
                         "{integrator:?} {friction} {stiffness} {mass} {dt} step {k}: {worst}"
@@ -289,7 +293,7 @@ fn violent_tension_never_blows_up() {
                 for _ in 0..(2.0 / dt) as usize {
                     m.step(dt, &free(TendonCommand::Force([0.0; 2]))).unwrap();
                 }
-                // Without load it swings out at least as fast as half its first mode's damping ratio says.
+                // Without load it decays at least as fast as half the first mode's damping ratio implies.
                 let decay = 0.5 * 0.02 * 2.0 * std::f64::consts::PI * m.first_natural_frequency_hz() * 2.0;
                 let left = m.joint_positions_rad().iter().fold(0.0f64, |w, q| w.max(q.abs()));
                 let bound = 1e-6 + (-decay).exp();
@@ -299,7 +303,7 @@ fn violent_tension_never_blows_up() {
                 );
             }
             println!(
-                "{integrator:?}, tendon friction {friction}: 0 blow-ups of {}, fallback in {:.2} % of steps",
+                "{integrator:?}, tendon friction {friction}: 0 of {} diverged, fallback in {:.2} % of steps",
                 cases.len(),
                 100.0 * fallback as f64 / steps as f64
             );
@@ -327,7 +331,8 @@ fn displacement_steps_with_stiff_tendons_stay_bounded() {
                 most.to_degrees(),
                 m.tendon_tensions_n()
             );
-            // Geometry: take-up 3 mm at 2.5 mm offset is 68.8 deg, some overshoot allowed by the stops at 135.
+            // Geometry: 3 mm of take-up at 2.5 mm offset is 68.8 deg; the stops at 135 deg allow some
+            // overshoot.
             assert!(most.to_degrees() < 140.0);
         }
     }
@@ -350,7 +355,7 @@ fn bad_input_is_refused_by_name_and_changes_nothing() {
     let jump = BaseMotion::at_rest(Isometry3::translation(1.0, 0.0, 0.0));
     assert!(m.step(1e-3, &StepInput { base: jump, ..free(TendonCommand::Force([0.0; 2])) }).is_err());
     assert_eq!(before, m.snapshot());
-    // Single bad contacts are left out and counted.
+    // Individual invalid contacts are skipped and counted.
     let normal = Unit::new_unchecked(Vector3::x());
     let plane = |sphere_index, gap_m| ContactPlane::hard(sphere_index, Vector3::zeros(), normal, gap_m);
     let planes = [plane(1000, 0.0), plane(3, f64::NAN), plane(3, 1e-3)];

@@ -21,7 +21,7 @@ fn beam(links: usize) -> ManipulatorParameters {
     let mut p = ManipulatorParameters::uniform_beam(links, LENGTH_M, RIGIDITY_NM2);
     p.damping_ratio = 1.0;
     p.mount_stiffness_n_per_m = [1e9; 3];
-    // Thin: the axial and shear stiffnesses of the full rung, EI 4 / r^2, are then out of the way.
+    // Thin, so that the axial and shear stiffnesses of the full rung, EI 4 / r^2, do not matter.
     p.tube_radii_m = [1e-5, 0.0];
     p
 }
@@ -49,7 +49,7 @@ fn pure_end_moment_bends_every_rung_to_the_arc() {
         let mut last = f64::MAX;
         for links in [8, 16, 32, 64] {
             if matches!(rung, Rung::Modal | Rung::Planar) && links > 32 {
-                // As many as these rungs take.
+                // The maximum for these rungs.
                 continue;
             }
             let mut m = new(rung, beam(links));
@@ -57,10 +57,10 @@ fn pure_end_moment_bends_every_rung_to_the_arc() {
             let error = (tip(&m) - arc).norm();
             println!("{} n={links}: arc error {:.3} um", rung.name(), error * 1e6);
             if rung == Rung::ConstantCurvature {
-                // Exact; what is left is the mount and rounding.
+                // Exact; the rest is the mount and rounding.
                 assert!(error < 1e-9, "{error}");
             } else {
-                // Second order: a factor 4 each time, 3.5 leaves room for the next order.
+                // Second order: a factor of 4 each time; 3.5 leaves room for the next order.
                 assert!(error < last / 3.5, "{} n={links}: {error} after {last}", rung.name());
             }
             last = error;
@@ -69,11 +69,12 @@ fn pure_end_moment_bends_every_rung_to_the_arc() {
     }
 }
 
-/// (P L^2 / EI, lateral / L, axial / L): the elastica by an independent Runge-Kutta shooting, see `elastica` below.
+/// (P L^2 / EI, lateral / L, axial / L): the elastica by independent Runge-Kutta shooting, see `elastica`
+/// below.
 const LOADS: [f64; 7] = [0.25, 0.5, 1.0, 2.0, 4.0, 6.0, 10.0];
 
-/// Tip of the elastica under a dead tip force across, over L: theta'' = -a cos theta, theta(0) = 0, theta'(1) = 0, by
-/// shooting with RK4 in 4000 steps.
+/// Tip of the elastica under a transverse dead force at the tip, divided by L: theta'' = -a cos theta,
+/// theta(0) = 0, theta'(1) = 0, by shooting with RK4 in 4000 steps.
 fn elastica(a: f64) -> [f64; 2] {
     let shoot = |k0: f64| {
         let n = 4000;
@@ -101,8 +102,9 @@ fn elastica(a: f64) -> [f64; 2] {
 
 #[test]
 fn tip_force_follows_the_elastica() {
-    // Mattiasson 1981 (Numerical results from large deflection beam and frame problems analysed by means of elliptic integrals,
-    // Int. J. Numer. Methods Eng. 17, 145), cantilever with an end load: checks the shooting itself.
+    // Mattiasson 1981 (Numerical results from large deflection beam and frame problems analysed by means of
+    // elliptic integrals, Int. J. Numer. Methods Eng. 17, 145), cantilever with an end load: checks the
+    // shooting itself.
     for (a, lateral, shortening) in
         [(1.0, 0.30172, 0.05643), (5.0, 0.71379, 0.38763), (10.0, 0.81061, 0.55500)]
     {
@@ -114,7 +116,7 @@ fn tip_force_follows_the_elastica() {
         let exact = Vector3::new(x, 0.0, z) * LENGTH_M;
         let force_n = Vector3::x() * (a * RIGIDITY_NM2 / (LENGTH_M * LENGTH_M));
         for rung in [Rung::Planar, Rung::Spatial, Rung::Full] {
-            // The planar rung takes 32 links.
+            // The planar rung supports up to 32 links.
             let coarser = if rung == Rung::Planar { 2 } else { 1 };
             let errors = [16, 32, 64].map(|links| links / coarser).map(|links| {
                 let mut m = new(rung, beam(links));
@@ -137,7 +139,7 @@ fn loads_out_of_the_plane_follow_euler_bernoulli_and_saint_venant() {
         let mut p = beam(links);
         p.lateral_stiffness_ratio = Some(3.0);
         p.torsion_stiffness_ratio = Some(0.7);
-        // Small: 1e-4 of the length; the next order of the elastica is the square of that.
+        // Small: 1e-4 of the length, so the elastica's next order is the square of that.
         let force = 3e-4 * 3.0 * RIGIDITY_NM2 / (LENGTH_M * LENGTH_M);
         let mut m = new(rung, p.clone());
         settle(&mut m, SLACK, Wrench { force_n: Vector3::y() * force, ..Wrench::zero() }, 500);
@@ -176,7 +178,7 @@ fn full_rung_shears_and_stretches_as_a_timoshenko_beam() {
         100.0 * shear / bending
     );
     assert!(shear > 5e-3 * bending && off.abs() < 4e-4);
-    // The mount's 1e9 N/m beside the tool's EA / L.
+    // Accounts for the mount's 1e9 N/m in series with the tool's EA / L.
     assert!(stretch.abs() < 1.5 * axial_n / LENGTH_M / 1e9);
 }
 
@@ -198,11 +200,12 @@ fn isotropic_load_at_any_angle_gives_the_planar_answer() {
         let [coarse, fine] = [16, 32].map(|links| off(links, degrees));
         println!("{degrees} deg: {:.4}, {:.4} um from the planar answer", coarse * 1e6, fine * 1e6);
         if degrees == 0.0 || degrees == 90.0 {
-            // In the plane of one freedom: the planar answer, to rounding of the mount's 1e9 N/m.
+            // In the plane of one degree of freedom: the planar result, to within rounding of the mount's 1e9
+            // N/m.
             assert!(fine < 1e-9, "{fine}");
         } else {
-            // A flexure's turns about two axes differ from one turn by the square of its angle: second order in the links,
-            // and below the chain's own error against the elastica.
+            // Two successive rotations of a flexure differ from a single one by the square of its angle:
+            // second order in the links, and below the chain's own error against the elastica.
             assert!(fine < coarse / 3.0 && fine < 6e-6, "{coarse} {fine}");
         }
     }
@@ -232,11 +235,12 @@ fn one_freedom_a_flexure_is_the_planar_rung() {
             touched += usize::from(planar.last_report().active_contact_count > 0);
         }
         println!(
-            "{integrator:?}: tips at most {worst:.1e} m apart, spatial {worst_spatial:.1e} m, {touched} steps in contact"
+            "{integrator:?}: tips at most {worst:.1e} m apart, spatial {worst_spatial:.1e} m, {touched} \
+             steps in contact"
         );
         assert!(touched > 50);
-        // Two solvers of the same contact problem, each to 1e-6 m/s a row and step of 1 ms: a nanometre a step, which the
-        // restoring springs do not let add up beyond a few dozen steps.
+        // Two solvers of the same contact problem, each to 1e-6 m/s per row and 1 ms step: a nanometre per
+        // step, which the restoring springs keep from accumulating over more than a few dozen steps.
         assert!(worst < 1e-7 && worst_spatial < 1e-7, "{worst} {worst_spatial}");
     }
 }
@@ -259,14 +263,14 @@ fn wall<M: ManipulatorModel>(m: &M) -> Vec<ContactPlane> {
 
 #[test]
 fn natural_frequencies_are_the_cantilevers() {
-    // Roots of cos x cosh x = -1, and the period of each mode from the free decay of its own shape.
+    // Roots of cos x cosh x = -1; the period of each mode comes from the free decay of its own shape.
     const ROOTS: [f64; 3] = [1.875_104_068_711_961, 4.694_091_132_974_175, 7.854_757_438_237_613];
     let density = 0.101;
     for rung in [Rung::Planar, Rung::Spatial, Rung::Full] {
         for (mode, root) in ROOTS.iter().enumerate() {
             let exact = root * root / (2.0 * std::f64::consts::PI) * (RIGIDITY_NM2 / density).sqrt()
                 / (LENGTH_M * LENGTH_M);
-            // The planar rung takes 32 links.
+            // The planar rung supports up to 32 links.
             let mut p = beam(if rung == Rung::Planar { 32 } else { 40 });
             p.damping_ratio = 0.0;
             p.tube_radii_m = [1e-5, 0.0];
@@ -276,19 +280,20 @@ fn natural_frequencies_are_the_cantilevers() {
                 rung.name(),
                 (hz / exact - 1.0) * 100.0
             );
-            // The discrete modes are off by O(mode^2 / n^2): the eigenvalues of 27 links without rotary inertia by 0.03, 0.11, 0.18 %.
+            // The discrete modes are off by O(mode^2 / n^2): the eigenvalues of 27 links without rotary
+            // inertia by 0.03, 0.11, 0.18 %.
             assert!((hz / exact - 1.0).abs() < [1e-3, 4e-3, 1.2e-2][mode], "{hz} {exact}");
         }
     }
 }
 
-/// Hybrid integration for a swing that nothing damps.
+/// Hybrid integration for an undamped swing.
 fn static_shape_load(p: ManipulatorParameters) -> ManipulatorParameters {
     ManipulatorParameters { integrator: Integrator::Hybrid, ..p }
 }
 
-/// Drives the straight tool at its tip by a small force at the frequency that the beam should have and around it; the
-/// frequency of the largest answer, refined by a parabola through the logarithms around it.
+/// Drives the straight tool at its tip with a small force at and around the beam's expected frequency.
+/// Returns the frequency of the largest response, refined by a parabola through the neighbouring logarithms.
 fn ringing_hz(m: AnyManipulator, mode: usize, expected_hz: f64) -> f64 {
     let start = m.snapshot();
     let mut m = m;
@@ -298,7 +303,8 @@ fn ringing_hz(m: AnyManipulator, mode: usize, expected_hz: f64) -> f64 {
         m.restore(&start);
         let steps = (cycles / hz / dt) as usize;
         for k in 0..steps {
-            // A burst of a Hann window: its spectrum is narrow, so the energy left is a smooth bell over hz.
+            // A Hann-windowed burst: its spectrum is narrow, so the remaining energy is a smooth peak over
+            // hz.
             let t = k as f64 * dt;
             let window = (std::f64::consts::PI * t * hz / cycles).sin().powi(2);
             let force = 1e-5 * window * (2.0 * std::f64::consts::PI * hz * t).sin();
@@ -323,7 +329,7 @@ fn unpulled_manipulator_buckles_at_eulers_load() {
             settle(&mut m, SLACK, Wrench { force_n, ..Wrench::zero() }, 4000);
             tip(&m).x.abs()
         };
-        // Below: the amplified deflection F L^3 / (3 EI) / (1 - share); above: it has gone over.
+        // Below: the amplified deflection F L^3 / (3 EI) / (1 - share); above: it has buckled.
         let (below, above) = (deflection(0.98), deflection(1.02));
         println!(
             "{}: {:.2} um at 0.98, {:.2} mm at 1.02 of Euler's load",
@@ -357,11 +363,13 @@ fn free_swing_never_gains_energy() {
                 last = m.energy_j();
             }
             println!(
-                "{} {integrator:?}: {start:.2e} J to {last:.2e} J, largest gain of a step {:.1e} of the start",
+                "{} {integrator:?}: {start:.2e} J to {last:.2e} J, largest gain of a step {:.1e} of the \
+                 start",
                 rung.name(),
                 gained / start
             );
-            // Second order may give back within a swing what its error took: below a thousandth of the energy.
+            // The second-order method can return within a swing what its error took: below a thousandth of
+            // the energy.
             assert!(gained < 2e-3 * start && last < 0.9 * start, "{gained} {start} {last}");
         }
     }
@@ -406,7 +414,7 @@ fn resampled_tool_keeps_its_compliance() {
     let reference = pulled(&tool.with_links(64).unwrap());
     for links in [1, 2, 4, 8, 16, 32, 64] {
         let p = tool.with_links(links).unwrap();
-        // The same end angle under a moment, whatever the number of links.
+        // The same end angle under a moment, for any number of links.
         assert!((compliance(&p) / exact - 1.0).abs() < 1e-12);
         let reach = |p: &ManipulatorParameters| p.joint_positions_m.last().unwrap() + p.tip_offset_m;
         assert!((reach(&p) - reach(&tool)).abs() < 1e-15);

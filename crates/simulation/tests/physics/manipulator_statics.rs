@@ -18,7 +18,7 @@ fn input(tendon: TendonCommand, tip_wrench: Wrench) -> StepInput<'static> {
     StepInput { base: rest(), tendon, tip_wrench, contacts: &[] }
 }
 
-/// A beam on a mount so stiff that it does not show, damped so that it settles.
+/// A beam on a mount stiff enough to be negligible, damped so that it settles.
 fn beam(joints: usize) -> ManipulatorParameters {
     let mut p = ManipulatorParameters::uniform_beam(joints, LENGTH_M, RIGIDITY_NM2);
     p.damping_ratio = 1.0;
@@ -63,18 +63,18 @@ fn end_moment_bends_to_a_circle() {
         let to_chain = (t.x - chain[0]).hypot(t.z - chain[1]);
         let to_arc = (t.x - arc[0]).hypot(t.z - arc[1]);
         println!("moment n={joints}: chain error {:.6} um, arc error {:.3} um", to_chain * 1e6, to_arc * 1e6);
-        // The mount's give is far below this; the required bound is 10 um.
+        // The mount's compliance is far below this; the required bound is 10 um.
         assert!(to_chain < 1e-8, "chain {to_chain}");
-        // O(1/n^2): a factor 4 each time, 3.5 leaves room for the next order.
+        // O(1/n^2): a factor of 4 each time; 3.5 leaves room for the next order.
         assert!(to_arc < last / 3.5 || last == f64::MAX, "order: {to_arc} after {last}");
         last = to_arc;
     }
     assert!(last < 10e-6);
 }
 
-/// (a = P L^2 / EI, lateral / L, axial / L, tip angle) of the elastica under a dead tip force (Bisshopp and Drucker 1945, Large
-/// deflection of cantilever beams, Q. Appl. Math. 3, 272), integrated to 12 digits; at a = 1 and 10 the digits are also those of
-/// Mattiasson 1981 (Int. J. Numer. Methods Eng. 17, 145).
+/// (a = P L^2 / EI, lateral / L, axial / L, tip angle) of the elastica under a dead tip force (Bisshopp and
+/// Drucker 1945, Large deflection of cantilever beams, Q. Appl. Math. 3, 272), integrated to 12 digits; at a
+/// = 1 and 10 the values agree with Mattiasson 1981 (Int. J. Numer. Methods Eng. 17, 145).
 const ELASTICA: [(f64, f64, f64, f64); 6] = [
     (0.5, 0.16214, 0.98408, 0.24453),
     (1.0, 0.30172, 0.94357, 0.46135),
@@ -96,7 +96,8 @@ fn dead_tip_load_follows_the_elastica() {
             errors[k] = (t.x - lateral * LENGTH_M).hypot(t.z - axial * LENGTH_M);
             if joints == 32 {
                 println!(
-                    "elastica a={a}: tip error {:.2} um (n=16: {:.2}), angle error {:.6} rad, residual rate {:.1e}",
+                    "elastica a={a}: tip error {:.2} um (n=16: {:.2}), angle error {:.6} rad, residual rate \
+                     {:.1e}",
                     errors[1] * 1e6,
                     errors[0] * 1e6,
                     m.bend_rad() - angle,
@@ -105,7 +106,8 @@ fn dead_tip_load_follows_the_elastica() {
                 assert!((m.bend_rad() - angle).abs() < 3e-3);
             }
         }
-        // 26 hinges of a prototype: 21 um at a = 10; 32 hinges stay below. The table has 5 digits: 0.2 um.
+        // A prototype with 26 hinges was off by 21 um at a = 10; 32 hinges stay below that. The table has 5
+        // digits: 0.2 um.
         assert!(errors[1] < 20e-6, "a={a}: {}", errors[1]);
         assert!(errors[1] < errors[0] / 3.0 || errors[1] < 0.5e-6, "order at a={a}: {errors:?}");
     }
@@ -127,7 +129,8 @@ fn routed_tendon_bends_the_reference_chain() {
             t.x * 1e3,
             t.z * 1e3
         );
-        // The equilibrium k q = T (d cos(q/2) + g/2 sin(q/2)) of 26 hinges, solved apart: 90.9 deg, tip (22.06, 22.40) mm.
+        // The equilibrium k q = T (d cos(q/2) + g/2 sin(q/2)) of 26 hinges, solved independently: 90.9 deg,
+        // tip (22.06, 22.40) mm.
         assert!((sign * m.bend_rad().to_degrees() - 90.9).abs() < 0.06);
         assert!((t.z * 1e3 - 22.06).abs() < 0.006 && (sign * t.x * 1e3 - 22.40).abs() < 0.006);
         // Equilibrium of every flexure, to the last digits.
@@ -145,7 +148,7 @@ fn jhu(friction: f64, tension_n: f64) -> f64 {
     p.joint_limit_rad = 1.0;
     p.tendon.friction_coefficient = friction;
     let mut m = Manipulator::new(p, &rest()).unwrap();
-    // A slow ramp, so that the tendon only ever slides one way.
+    // A slow ramp, so that the tendon slides in one direction only.
     for k in 0..1500 {
         let now = tension_n * (k as f64 / 1000.0).min(1.0);
         m.step(1e-3, &input(TendonCommand::Force([now, 0.0]), Wrench::zero())).unwrap();
@@ -155,15 +158,17 @@ fn jhu(friction: f64, tension_n: f64) -> f64 {
 
 #[test]
 fn finite_element_table_with_and_without_capstan_friction() {
-    // Friction coefficient, bend at 6 and at 10 N, degrees: k_i q_i = T_i d, T_{i+1} = T_i exp(-mu q_i) (Euler's and Eytelwein's
-    // capstan) with d = 2.5 mm and the 27 finite-element stiffnesses of htp2/continuum-manip-volumetric-drilling-plugin, branch devel,
-    // scripts/replace_cm_joint_properties.py, which are N m per degree there.
+    // Friction coefficient, bend at 6 and at 10 N, degrees: k_i q_i = T_i d, T_{i+1} = T_i exp(-mu q_i)
+    // (Euler's and Eytelwein's capstan) with d = 2.5 mm and the 27 finite-element stiffnesses of
+    // htp2/continuum-manip-volumetric-drilling-plugin, branch devel, scripts/replace_cm_joint_properties.py,
+    // which are N m per degree there.
     let table = [(0.0, 51.9, 86.5), (0.1, 49.6, 80.4), (0.2, 47.6, 75.2), (0.3, 45.7, 70.9)];
     for (mu, six, ten) in table {
         let (a, b) = (jhu(mu, 6.0), jhu(mu, 10.0));
         println!("FE table mu={mu}: 6 N {a:.2} deg (table {six}), 10 N {b:.2} deg (table {ten})");
-        // Table rounding 0.05 deg; cos(q/2) < 1 in the routed torque, up to 0.08 % of 86.5 deg; and the table lets the
-        // tension fall by a flexure's whole wrap before that flexure, ours by half: mu q/2 of the bend, 0.5 deg at most.
+        // Table rounding 0.05 deg; cos(q/2) < 1 in the routed torque, up to 0.08 % of 86.5 deg; and the table
+        // reduces the tension by a flexure's full wrap before that flexure, ours by half of it: mu q/2 of the
+        // bend, at most 0.5 deg.
         let allowed = |bend: f64| 0.1 + mu * 0.5 * 0.06 * bend;
         assert!((a - six).abs() < allowed(six) && (b - ten).abs() < allowed(ten), "mu={mu}: {a} {b}");
     }
@@ -171,8 +176,8 @@ fn finite_element_table_with_and_without_capstan_friction() {
 
 #[test]
 fn capstan_friction_follows_the_continuous_channel() {
-    // EI q' = T d and the capstan's T' = -mu q' T give T(s) = T0 / (1 + mu k0 s), end angle (1/mu) ln(1 + mu k0 L) with
-    // k0 = T0 d / EI.
+    // EI q' = T d and the capstan's T' = -mu q' T give T(s) = T0 / (1 + mu k0 s), end angle (1/mu) ln(1 + mu
+    // k0 L) with k0 = T0 d / EI.
     let (mu, k0_length): (f64, f64) = (0.3, 2.0);
     let exact = (1.0 + mu * k0_length).ln() / mu;
     let mut errors = [0.0; 2];
@@ -213,7 +218,7 @@ fn friction_makes_a_hysteresis_loop() {
         at_5[1],
         m.bend_rad().to_degrees()
     );
-    // Sign change of the exponent: the loop is exp(+-mu q/2)-wide, several degrees here.
+    // The exponent changes sign: the loop's width is exp(+-mu q/2), several degrees here.
     assert!(at_5[1] > at_5[0] + 3.0);
     assert!(m.bend_rad().abs().to_degrees() < 0.2);
 }

@@ -1,4 +1,4 @@
-//! The rung of moment modes against all 27 flexures of the planar rung.
+//! The moment-mode rung against all 27 flexures of the planar rung.
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot build its tool has failed")]
 
@@ -13,7 +13,7 @@ use simulation::manipulator::{
     StepInput, TendonCommand, TendonReach, TendonRoute, Wrench,
 };
 
-/// Where the first flexure is, m.
+/// Position of the first flexure, m.
 const FIRST_M: f64 = 36.02972e-3;
 
 fn rest() -> BaseMotion {
@@ -42,12 +42,13 @@ fn tip(m: &AnyManipulator) -> Vector3<f64> {
     m.t_world_tip().translation.vector
 }
 
-/// A tunnel of the review: straight, then an arc toward +x; the tool's axis may be `clearance_m` off its middle.
+/// A tunnel of the review: straight, then an arc toward +x; the tool's axis can be `clearance_m` off its
+/// centre line.
 #[derive(Clone, Copy)]
 struct Tunnel {
     radius_m: f64,
     clearance_m: f64,
-    /// Where the arc begins, from the first flexure.
+    /// Start of the arc, from the first flexure.
     straight_m: f64,
 }
 
@@ -75,7 +76,8 @@ impl Tunnel {
     }
 }
 
-/// A problem of the review (`physics-review.md`, section 5): tension of tendon 0, force on the burr across, tunnel.
+/// A problem of the review (`physics-review.md`, section 5): tension of tendon 0, transverse force on the
+/// burr, tunnel.
 struct Problem {
     name: &'static str,
     tension_n: f64,
@@ -94,7 +96,7 @@ const PROBLEMS: [Problem; 6] = [
     Problem { name: "tunnel R 40 mm, 12 N", tension_n: 12.0, across_n: 0.0, tunnel: Some(WIDE) },
 ];
 
-/// Steps until the tool rests; returns the number of contacts that press.
+/// Steps until the tool is at rest; returns the number of loaded contacts.
 fn settle(m: &mut AnyManipulator, problem: &Problem) -> usize {
     let mut contacts = Vec::with_capacity(80);
     let mut pressing = 0;
@@ -103,7 +105,7 @@ fn settle(m: &mut AnyManipulator, problem: &Problem) -> usize {
         if let Some(tunnel) = &problem.tunnel {
             tunnel.planes(m, &mut contacts);
         }
-        // Loaded over the first second, so that no swing decides where the tool comes to rest.
+        // Loaded over the first second, so that no swing affects where the tool comes to rest.
         let share = (f64::from(k) * 1e-3).min(1.0);
         let input = StepInput {
             base: rest(),
@@ -144,7 +146,7 @@ fn five_modes_rest_within_25_um_of_27_flexures_on_every_problem_of_the_review() 
     }
 }
 
-/// Friction keeps what happened before, so both tools go through the same: up to a tension and part of the way back.
+/// Friction depends on history, so both tools follow the same one: up to a tension and part of the way back.
 #[test]
 fn with_friction_of_tendon_and_walls_five_modes_rest_near_27_flexures() {
     let mut p = tool();
@@ -165,7 +167,7 @@ fn with_friction_of_tendon_and_walls_five_modes_rest_near_27_flexures() {
                     StepInput { base: rest(), tendon, tip_wrench: Wrench::zero(), contacts: &contacts };
                 m.step(1e-3, &input).unwrap();
             }
-            // The straight tools first have to come out of the walls of a curved tunnel, at a bounded speed.
+            // The straight tools first have to leave the walls of a curved tunnel, at a bounded speed.
             if time_s > 1.0 {
                 apart_um = apart_um.max(1e6 * (tip(&tools[0]) - tip(&tools[1])).norm());
             }
@@ -175,17 +177,19 @@ fn with_friction_of_tendon_and_walls_five_modes_rest_near_27_flexures() {
         let wrench = tools.each_ref().map(|m| m.last_report().flange_wrench);
         let (own_n, off_n) = (wrench[0].force_n.norm(), (wrench[0].force_n - wrench[1].force_n).norm());
         println!(
-            "bend {bend:.1} degrees: {end_um:.1} um apart at the end, {apart_um:.1} at most, flange {own_n:.3} N, off {off_n:.3} N"
+            "bend {bend:.1} degrees: {end_um:.1} um apart at the end, {apart_um:.1} at most, flange \
+             {own_n:.3} N, off {off_n:.3} N"
         );
         assert!(end_um < 25.0, "{end_um} um");
-        // Between the ends a wall is met a step earlier or later: twice the bound at rest.
+        // In between, a wall can be met a step earlier or later: twice the bound at rest.
         assert!(apart_um < 50.0, "{apart_um} um");
-        // Walls of 1 N/um tell a micrometre of shape: forces in a tight tunnel are less exact than places.
+        // With walls of 1 N/um, a micrometre of shape matters: forces in a tight tunnel are less accurate
+        // than positions.
         assert!(off_n < 0.25 * own_n + 1e-3, "{off_n} N of {own_n} N");
     }
 }
 
-/// The first mode of vibration takes almost all of a swing; five modes have it and the next ones.
+/// The first vibration mode carries almost all of a swing; five modes include it and the next ones.
 #[test]
 fn a_free_swing_is_that_of_27_flexures() {
     for integrator in [Integrator::LinearlyImplicitEuler, Integrator::Hybrid] {
@@ -208,7 +212,7 @@ fn a_free_swing_is_that_of_27_flexures() {
     }
 }
 
-/// On their stops single flexures stay within them, and the tool says that it is not valid there.
+/// Flexures on their stops are held, and the tool reports that the model is not valid there.
 #[test]
 fn flexures_on_their_stops_are_said_and_held() {
     let p = ManipulatorParameters { damping_ratio: 1.0, ..ManipulatorParameters::jhu_27() };
@@ -236,8 +240,9 @@ fn flexures_on_their_stops_are_said_and_held() {
     }
 }
 
-/// During a run the modal rung says which flexure is past its stop, and how far, from the tension on at which the statics of the single
-/// flexures have the softest there. The planar rung holds there and says nothing.
+/// During a run, the modal rung reports which flexure is past its stop, and by how much, from the tension at
+/// which the statics of the individual flexures bring the softest to its stop. The planar rung holds the stop
+/// and reports nothing.
 #[test]
 fn a_run_says_from_which_tension_on_the_modes_are_not_valid() {
     let p = ManipulatorParameters::jhu_27();
@@ -260,14 +265,14 @@ fn a_run_says_from_which_tension_on_the_modes_are_not_valid() {
                 first_n.get_or_insert(state.tendon_tension_n[0]);
             }
         }
-        println!("{model}, up to {tension_n} N: not valid from {first_n:?} N on, in statics {least_n:.2} N");
+        println!("{model}, up to {tension_n} N: not valid from {first_n:?} N, in statics {least_n:.2} N");
         assert_eq!(first_n.is_some(), says, "{model}, {tension_n} N");
-        // The ramp of 12 N/s is 0.07 N over the first mode's 164 rad/s ahead of the shape.
+        // The ramp of 12 N/s leads the shape by 0.07 N: 12 N/s over the first mode's 164 rad/s.
         assert!(first_n.is_none_or(|first_n| (first_n - least_n).abs() < 0.15), "{first_n:?} N");
     }
 }
 
-/// A moment that jumps is no sum of smooth ones.
+/// A discontinuous moment is not a sum of smooth modes.
 #[test]
 fn tools_whose_moments_jump_or_that_have_too_many_modes_are_refused() {
     let refused = |p: ManipulatorParameters| {
@@ -275,15 +280,15 @@ fn tools_whose_moments_jump_or_that_have_too_many_modes_are_refused() {
     };
     let route = TendonRoute { reach: TendonReach { from: 0, to: Some(13) }, ..[2.5e-3, 0.0].into() };
     let partly = ManipulatorParameters { tendon_routes: Some(vec![route]), ..tool() };
-    assert!(refused(partly).contains("the moments of the rung modal do not jump where a tendon ends"));
+    assert!(refused(partly).contains("the modal model cannot represent the moment jump at a tendon's end"));
     for modes in [1, 9] {
         let said = refused(ManipulatorParameters { moment_modes: modes, ..tool() });
         assert!(said.contains("moment_modes") && said.contains("2 to 8"), "{said}");
     }
-    assert!(refused(tool().with_links(40).unwrap()).contains("1 to 32 entries for the rung modal"));
+    assert!(refused(tool().with_links(40).unwrap()).contains("1 to 32 for the modal model"));
 }
 
-/// Vector instructions of another machine change no bit.
+/// The vector instructions of another machine do not change a bit.
 #[test]
 fn plain_instructions_give_the_same_bits() {
     let mut p = ManipulatorParameters { integrator: Integrator::Hybrid, ..tool() };
@@ -312,7 +317,8 @@ fn plain_instructions_give_the_same_bits() {
     }
 }
 
-/// A wall that the tool did not come near before: the first step of a sudden pull already ends at it, as in the planar rung.
+/// A wall not near the tool before: the first step of a sudden pull already ends at it, as in the planar
+/// rung.
 #[test]
 fn a_sudden_pull_ends_at_a_wall_within_the_first_step() {
     let p = tool();
@@ -334,7 +340,8 @@ fn a_sudden_pull_ends_at_a_wall_within_the_first_step() {
         }
         let force_n = tools.each_ref().map(|m| m.last_report().burr_normal_force_n.norm());
         assert!(force_n[0] > 0.1 && (force_n[1] / force_n[0] - 1.0).abs() < 0.05, "{k}: {force_n:?} N");
-        // The overlap of a contact that carries this force, and what the turning of the shape in a step leaves.
+        // The overlap of a contact that carries this force, plus the error from the shape's rotation within a
+        // step.
         for (overlap_m, force_n) in overlap_m.iter().zip(&force_n) {
             assert!(*overlap_m < force_n / p.contact.stiffness_n_per_m + 20e-6, "{k}: {overlap_m} m");
         }

@@ -1,4 +1,4 @@
-//! A fast tool is held by a thin sheet, and one that starts inside bone stays finite.
+//! A thin sheet stops a fast tool, and a tool that starts inside bone stays finite.
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot build its tool has failed")]
 
@@ -21,7 +21,7 @@ fn pull(tension_n: f64, base: BaseMotion, contacts: &[ContactPlane]) -> StepInpu
     StepInput { base, tendon, tip_wrench: Wrench::zero(), contacts }
 }
 
-/// A burr at 1 m/s meets a sheet one voxel thick: it is held whatever the phase of the steps.
+/// A burr at 1 m/s meets a sheet one voxel thick: it is stopped at any phase of the steps.
 #[test]
 fn nothing_tunnels_at_a_metre_a_second() {
     let dims = [40, 40, 24];
@@ -33,7 +33,7 @@ fn nothing_tunnels_at_a_metre_a_second() {
         let mut m = tool();
         let mut buffer = ContactBuffer::with_capacity(128);
         let (mut z, mut most) = (-4e-3 - 0.125e-3 * f64::from(phase), f64::NEG_INFINITY);
-        // The base stops where the straight tool would be 0.3 mm in the sheet.
+        // The base stops where the straight tool would be 0.3 mm inside the sheet.
         let sheet = 70e-3 + 12.0 * 0.5e-3 - 0.25e-3;
         let front =
             |m: &Manipulator| m.t_world_tip().translation.vector.z + m.parameters().cutter.front_radius_m();
@@ -55,13 +55,14 @@ fn nothing_tunnels_at_a_metre_a_second() {
             most = most.max(front(&m));
         }
         println!("phase {phase}: front {:.3} mm beyond the sheet's surface at most", (most - sheet) * 1e3);
-        // What the base imposes, and not the sheet's other side at 0.5 mm.
+        // As imposed by the base, and short of the sheet's other side at 0.5 mm.
         assert!(most - sheet < 0.35e-3, "phase {phase}");
         assert!(m.last_report().burr_normal_force_n.z < -1.0, "phase {phase}: it rests on the sheet");
     }
 }
 
-/// A whole tool that starts inside bone, in a tunnel narrower than itself: pushed out or held, and every number stays one.
+/// A whole tool that starts inside bone, in a tunnel narrower than itself, is pushed out or held, and every
+/// number stays finite.
 #[test]
 fn a_tool_that_starts_inside_bone_stays_finite() {
     let dims = [48, 48, 240];

@@ -1,5 +1,5 @@
-//! A tool that slides out of a straight outer tube, turns in it and drills: shape and stiffness against closed forms, its drive against the
-//! double-S, the rest by what must hold.
+//! A tool that slides out of a straight outer tube, rotates in it and drills: shape and stiffness against
+//! closed forms, the drive against the double-S profile, the rest against invariants.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a helper that fails is a failed test")]
 
 use crate::common;
@@ -23,9 +23,9 @@ use test_support::scenes::TOOL;
 const DT_S: f64 = 1e-3;
 /// The curved part of the shipped tool.
 const CURVED_M: f64 = 0.04;
-/// One over its radius of 50 mm.
+/// Reciprocal of its radius of 50 mm.
 const CURVATURE_PER_M: f64 = 20.0;
-/// The straight piece from its end to the burr.
+/// Straight section from its end to the burr.
 const BEHIND_M: f64 = 2.375e-3;
 
 /// E I of the nitinol tube and of the steel tube, N m², from the dimensions in the file.
@@ -40,11 +40,12 @@ fn scene_with(more: &str) -> Scene {
     scene_of(more, None)
 }
 
-/// A scene with the shipped tool, or with another outer tube about it.
+/// A scene with the shipped tool, optionally with another outer tube.
 fn scene_of(more: &str, outer_tube: Option<&str>) -> Scene {
     let folder: PathBuf = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../configs/tools");
     let text = format!(
-        "name = \"tubes\"\nrun = {{ mode = \"lockstep\", duration_s = 60.0 }}\n{more}\n[manipulator]\nfile = \"tube_in_tube.toml\"\n{TOOL}"
+        "name = \"tubes\"\nrun = {{ mode = \"lockstep\", duration_s = 60.0 }}\n{more}\n[manipulator]\n\
+         file = \"tube_in_tube.toml\"\n{TOOL}"
     );
     let read = |file: &Path| {
         let text = std::fs::read_to_string(file)?;
@@ -64,7 +65,8 @@ fn parameters() -> ManipulatorParameters {
 
 const RUNGS: [Rung; 3] = [Rung::Planar, Rung::Spatial, Rung::Full];
 
-/// The tool at rest under a force on its burr, with a length out of the outer tube; its base at the origin.
+/// The tool at rest under a force on its burr, deployed by a length out of the outer tube; base at the
+/// origin.
 fn settled(rung: Rung, p: &ManipulatorParameters, deployed_m: f64, force_n: Vector3<f64>) -> AnyManipulator {
     let base = BaseMotion::at_rest(Isometry3::identity());
     let mut tool = AnyManipulator::new(rung, p.clone(), &base).unwrap();
@@ -91,7 +93,7 @@ fn two_arcs(covered_m: f64, covered_per_m: f64, out_m: f64) -> [f64; 3] {
     [x + BEHIND_M * angle.sin(), z + BEHIND_M * angle.cos(), angle]
 }
 
-/// Where both tubes are, they share one curvature: the mean of theirs, weighted by E I.
+/// Where the tubes overlap, they share one curvature: the mean of theirs, weighted by E I.
 #[test]
 fn a_partly_covered_tube_rests_on_two_arcs() {
     let [inner, outer] = rigidities_nm2();
@@ -109,13 +111,14 @@ fn a_partly_covered_tube_rests_on_two_arcs() {
                 tool.bend_rad().to_degrees(),
                 bend.to_degrees()
             );
-            // Hinges in the middle of straight pieces: h² / 24 R times the length, and once more where the outer tube ends within a piece.
+            // Hinges at the midpoints of straight links: h² / 24 R times the length, and the same again where
+            // the outer tube ends within a link.
             assert!(off_um < 10.0 && (tool.bend_rad() - bend).abs() < 1e-9, "{off_um}");
         }
     }
 }
 
-/// Castigliano's theorem for a cantilever of two bending stiffnesses and a rigid end; `full` also shears.
+/// Castigliano's theorem for a cantilever of two bending stiffnesses and a rigid end; `full` includes shear.
 #[test]
 fn a_straight_tube_in_its_outer_tube_yields_as_a_cantilever_of_two_pieces() {
     let [inner, outer] = rigidities_nm2();
@@ -147,14 +150,15 @@ fn a_straight_tube_in_its_outer_tube_yields_as_a_cantilever_of_two_pieces() {
                     1e6 * moved_m,
                     1e6 * closed_m
                 );
-                // Flexures of 1.25 mm: the square of a piece over that of the length, and its place at the outer tube's end.
+                // Flexures of 1.25 mm: the square of a link over that of the length, and the link's position
+                // at the outer tube's end.
                 assert!((moved_m / closed_m - 1.0).abs() < 5e-3, "{moved_m} {closed_m}");
             }
         }
     }
 }
 
-/// As the outer tube covers them: contact spheres are as thick as what is outside.
+/// Contact spheres have the radius of the outermost tube at their position.
 #[test]
 fn spheres_are_as_thick_as_the_outer_tube_where_it_covers_them() {
     let base = BaseMotion::at_rest(Isometry3::identity());
@@ -202,7 +206,7 @@ fn move_tube(deployed_mm: f64, roll_deg: f64, speed_mm_per_s: f64) -> Command {
     }
 }
 
-/// A command in the next tick, then as many ticks more while `look` says so. Returns the ticks.
+/// Sends a command in the next tick, then steps while `look` returns true. Returns the number of ticks.
 fn drive(
     simulation: &mut Simulation,
     command: Command,
@@ -225,7 +229,7 @@ fn new(more: &str) -> Simulation<'static> {
     Simulation::new(&scene_with(more), None).unwrap()
 }
 
-/// The drive reaches its speed in 0.1 s, half of it for the acceleration.
+/// The drive reaches its speed in 0.1 s, and its acceleration in half of that.
 #[test]
 fn the_tube_takes_the_time_of_its_double_s_and_the_base_stays() {
     let cases: [(f64, f64, f64); 4] =
@@ -254,7 +258,8 @@ fn the_tube_takes_the_time_of_its_double_s_and_the_base_stays() {
     }
 }
 
-/// Out, then turned: the burr goes around the axis. `planar` bends in its own plane, which turns with it.
+/// Deployed, then rolled: the burr moves around the axis. `planar` bends in its own plane, which rotates with
+/// it.
 #[test]
 fn a_roll_turns_the_burr_about_the_axis() {
     for model in ["planar", "spatial", "full"] {
@@ -274,7 +279,7 @@ fn a_roll_turns_the_burr_about_the_axis() {
         let to = *simulation.state();
         let base = |state: &State| Vector3::from(state.t_world_base.position_m);
         let burr = |state: &State| Vector3::from(state.t_world_burr.position_m) - base(state);
-        // TOOL: the tool's axis is the world's +z.
+        // In TOOL, the tool's axis is the world's +z.
         let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), 110f64.to_radians());
         let off_m = (turn * burr(&from) - burr(&to)).norm();
         println!(
@@ -313,7 +318,8 @@ fn any_commands_keep_travel_and_limits_and_a_keyframe_and_a_snapshot_continue() 
                 let unit = [0.01, 90f64.to_radians()][axis];
                 most[axis] = most[axis].max(speeds[axis].abs() / unit);
                 most[2 + axis] = most[2 + axis].max(acceleration.abs() / (10.0 * unit));
-                // The trapezoid of the speeds is the way, but for the jerk's share: j dt³ / 12.
+                // The trapezoid of the speeds gives the distance, except for the jerk's contribution, j dt³ /
+                // 12.
                 let off = moved[axis] - 0.5 * (speeds[axis] + was) * DT_S;
                 assert!(off.abs() <= 200.0 * unit * DT_S.powi(3) / 12.0 * 1.01, "{off}");
             }
@@ -327,7 +333,7 @@ fn any_commands_keep_travel_and_limits_and_a_keyframe_and_a_snapshot_continue() 
 
     drive(&mut simulation, move_tube(0.0, 0.0, 0.0), 9000, |_| true);
     drive(&mut simulation, move_tube(30.0, 90.0, 0.0), 700, |_| true);
-    assert!(simulation.state().tube_deploying_m_per_s > 0.0, "in the middle of its way");
+    assert!(simulation.state().tube_deploying_m_per_s > 0.0, "still moving");
     let mut bytes = vec![0; 1 << 20];
     let length = simulation.write_keyframe(&mut bytes).unwrap();
     let snapshot = simulation.snapshot();
@@ -363,7 +369,7 @@ fn a_goal_beyond_the_travel_and_a_tool_without_outer_tube_are_refused_and_nothin
     let mut simulation = new("");
     drive(&mut simulation, move_tube(50.0, 0.0, 0.0), 1, |_| true);
     let reason = simulation.refusals()[0].reason.clone();
-    assert!(reason.contains("`tube_deployed_m` is 0.05, allowed is 0 to 0.04"), "{reason}");
+    assert!(reason.contains("`tube_deployed_m` is 0.05; allowed: 0 to 0.04"), "{reason}");
     let mut plain = Simulation::new(
         &common::scene("name = \"a\"\nrun = { mode = \"lockstep\", duration_s = 1.0 }"),
         None,
@@ -377,7 +383,8 @@ fn a_goal_beyond_the_travel_and_a_tool_without_outer_tube_are_refused_and_nothin
     }
 }
 
-/// The wrench on the flange is about the tool's base, from which the tube slides away: by as much its weight's lever grows.
+/// The wrench on the flange is about the tool's base. As the tube slides away from it, the lever of its
+/// weight grows by the same distance.
 #[test]
 fn the_flange_feels_the_tubes_weight_at_a_longer_lever() {
     let at = |simulation: &mut Simulation, deployed_mm: f64| {
@@ -385,7 +392,7 @@ fn the_flange_feels_the_tubes_weight_at_a_longer_lever() {
         let wrench = simulation.state().flange_wrench;
         (Vector3::from(wrench.force_n), Vector3::from(wrench.torque_nm))
     };
-    // Straight and stiff, so that what slides keeps its shape.
+    // Straight and stiff, so that the sliding tube keeps its shape.
     let mut scene = scene_with("gravity_m_per_s2 = [9.81, 0.0, 0.0]");
     if let Some(tool) = &mut scene.manipulator.tool {
         tool.flexure.iter_mut().for_each(|flexure| flexure.rest_deg = 0.0);
@@ -407,10 +414,12 @@ fn the_flange_feels_the_tubes_weight_at_a_longer_lever() {
     assert!((grown - 0.04 * force_n.x).abs() < 1e-3 * grown.abs(), "{grown}");
 }
 
-/// A burr at rest that is pushed into the hole's end: the arm's limit stops the tube, and `hold` of the arm lets it be drawn back.
+/// A stationary burr is pushed into the end of the hole: the arm's force limit stops the tube, and the arm's
+/// `hold` lets it be retracted.
 #[test]
 fn a_protective_stop_stops_the_tube_too() {
-    let more = "volume = { phantom = \"block\" }\narm = { max_force_n = 4.0 }\n[[predrill]]\nfrom_mm = [0.0, 0.0, -110.0]\nto_mm = [0.0, 0.0, 0.0]\ndiameter_mm = 5.6\n";
+    let more = "volume = { phantom = \"block\" }\narm = { max_force_n = 4.0 }\n[[predrill]]\n\
+                from_mm = [0.0, 0.0, -110.0]\nto_mm = [0.0, 0.0, 0.0]\ndiameter_mm = 5.6\n";
     let (geometry, hu) = bone();
     let mut simulation = Simulation::new(&scene_with(more), Some(CtView { geometry, hu: &hu })).unwrap();
     let stopped = |state: &State| state.arm_protective_stop() == Ok(ArmProtectiveStop::Stopped);
@@ -428,7 +437,8 @@ fn a_protective_stop_stops_the_tube_too() {
     assert_eq!(simulation.state().tube_deployed_m, 0.0);
 }
 
-/// Thin and thick, soft and stiff, slow and fast, at every step: the tool stays whole, and ends at rest where it was sent.
+/// Thin and thick, soft and stiff, slow and fast, at every step: the tool is not lost, and comes to rest at
+/// its goal.
 #[test]
 fn an_outer_tube_at_the_ends_of_its_ranges_loses_no_tool() {
     let ends: [(f64, f64, f64, f64, f64, f64); 5] = [
@@ -446,8 +456,10 @@ fn an_outer_tube_at_the_ends_of_its_ranges_loses_no_tool() {
             (scene::ManipulatorRung::Full, 10.0),
         ] {
             let tubes = format!(
-                "[outer_tube]\nend_mm = 80.0\nouter_diameter_mm = {outer_mm:?}\ninner_diameter_mm = {inner_mm:?}\n\
-                 youngs_modulus_gpa = {modulus_gpa:?}\ntravel_mm = {travel_mm:?}\nspeed_mm_per_s = {speed:?}\n\
+                "[outer_tube]\nend_mm = 80.0\nouter_diameter_mm = {outer_mm:?}\n\
+                 inner_diameter_mm = {inner_mm:?}\n\
+                 youngs_modulus_gpa = {modulus_gpa:?}\ntravel_mm = {travel_mm:?}\n\
+                 speed_mm_per_s = {speed:?}\n\
                  roll_speed_deg_per_s = {roll_speed:?}\n"
             );
             let mut scene = scene_of("gravity_m_per_s2 = [0.0, 9.81, 0.0]", Some(&tubes));

@@ -1,9 +1,11 @@
-//! What replay rests on: golden hashes of three short runs, and keyframes that continue bit for bit.
+//! Foundations of replay: golden hashes of three short runs, and keyframes that continue bit for bit.
 //!
-//! The golden hashes hold for one target and C library: Ruckig, which plans the arm's motion, takes `cbrt`, `acos` and
-//! others from the C library. They change with the physics; the failing test prints the new ones.
+//! The golden hashes are valid for one target and C library: Ruckig, which plans the arm's motion, takes
+//! `cbrt`, `acos` and others from the C library. They change with the physics; the failing test prints the
+//! new ones.
 //!
-//! The debug build makes the same hashes: `cargo test -p simulation --test physics promise` (about a minute when cold).
+//! The debug build gives the same hashes: `cargo test -p simulation --test physics promise` (about a minute
+//! when cold).
 #![allow(clippy::unwrap_used, missing_docs)]
 
 use messages::{
@@ -111,7 +113,7 @@ impl Golden {
         Simulation::new(&self.scene(), ct).unwrap()
     }
 
-    /// u_k. Half-way through, free space goes back to its start.
+    /// u_k. Halfway through, the free-space run returns to its start.
     fn latched(&self, tick: u64, start: &State) -> Latched {
         let command = (self.command)(tick, start);
         let fresh = tick == 0 || command.sequence != (self.command)(tick - 1, start).sequence;
@@ -144,7 +146,7 @@ impl Golden {
     }
 }
 
-/// One after the other, two at once, four at once: a run does not see what else its process does.
+/// One after the other, two at once, four at once: a run does not depend on other work in its process.
 #[test]
 fn promise_10_machines_golden_hashes_of_three_scenes_for_1_2_and_4_threads() {
     let wanted = GOLDEN.map(|golden| golden.hash.to_owned());
@@ -161,7 +163,7 @@ fn promise_10_machines_golden_hashes_of_three_scenes_for_1_2_and_4_threads() {
     }
 }
 
-/// The loops that are compiled for each instruction set, compiled for the oldest one.
+/// Runs the loops that are compiled per instruction set with the oldest one.
 #[test]
 fn vector_instructions_change_no_golden_hash() {
     for golden in &GOLDEN {
@@ -174,8 +176,7 @@ fn vector_instructions_change_no_golden_hash() {
     }
 }
 
-/// A keyframe, restored in a simulation that has never run, makes the same states, the same removed voxels and the same
-/// later keyframes.
+/// A keyframe restored in a fresh simulation gives the same states, removed voxels and later keyframes.
 #[test]
 fn promise_5_save_and_restore_a_keyframe_at_any_tick_continues_bit_for_bit() {
     let bone = bone();
@@ -188,7 +189,7 @@ fn promise_5_save_and_restore_a_keyframe_at_any_tick_continues_bit_for_bit() {
         for tick in 0..golden.ticks {
             simulation.step(&golden.latched(tick, &start)).unwrap();
             states.push((*simulation.state(), simulation.removed().to_vec()));
-            // No common divisor with what the commands do.
+            // No common divisor with the period of the commands.
             if tick % 97 == 13 {
                 let length = simulation.write_keyframe(&mut saved).unwrap();
                 keyframes.push((tick, saved[..length].to_vec()));
@@ -201,7 +202,7 @@ fn promise_5_save_and_restore_a_keyframe_at_any_tick_continues_bit_for_bit() {
             let mut other = golden.simulation(&bone);
             other.restore_keyframe(bytes).unwrap();
             assert_eq!(other.state().as_bytes(), states[*at as usize].0.as_bytes());
-            // All the way for every fourth; the others until the next keyframe.
+            // Every fourth runs to the end; the others until the next keyframe.
             let end = if at % 4 == 1 { golden.ticks } else { golden.ticks.min(at + 98) };
             for tick in at + 1..end {
                 other.step(&golden.latched(tick, &start)).unwrap();
@@ -226,7 +227,7 @@ fn bytes_that_are_no_keyframe_of_the_scene_are_refused() {
     let keyframe = &buffer[..length];
     for other in [bodies, free] {
         let refused = other.simulation(&bone).restore_keyframe(keyframe).unwrap_err().to_string();
-        assert!(refused.contains("are not those of this scene"), "{refused}");
+        assert!(refused.contains("do not match this scene"), "{refused}");
     }
     for cut in (0..length).step_by(41) {
         assert!(drilling.simulation(&bone).restore_keyframe(&keyframe[..cut]).is_err(), "cut at {cut}");
@@ -235,5 +236,5 @@ fn bytes_that_are_no_keyframe_of_the_scene_are_refused() {
     longer.push(0);
     assert!(drilling.simulation(&bone).restore_keyframe(&longer).is_err());
     let short = drilling.simulation(&bone).write_keyframe(&mut [0; 1000]).unwrap_err().to_string();
-    assert!(short.contains("more than the 1000 bytes"), "{short}");
+    assert!(short.contains("larger than the 1000 bytes"), "{short}");
 }

@@ -1,4 +1,4 @@
-//! Bone recedes under the burr within a step: the force of a steady feed is steady, and the same at every step.
+//! Bone recedes under the burr within a step: a steady feed has a steady force, independent of the step.
 
 #![allow(clippy::unwrap_used, reason = "a scene that cannot be built is a failed test")]
 
@@ -6,8 +6,8 @@ use crate::common::tunnel::{FEED_M_PER_S, RAMP_S, RUN_S, foam, latched, tunnel};
 use nalgebra::Vector3;
 use simulation::{CtView, Simulation};
 
-/// The flange's force and the burr's in the second half of a straight feed: the mean of each, N, and the share of ticks between which the
-/// flange's jumps by more than half of itself.
+/// The flange's force and the burr's in the second half of a straight feed: the mean of each, N, and the
+/// fraction of ticks in which the flange's force changes by more than half of its value.
 fn forces(model: &str, dt_ms: f64, faster: f64) -> ([f64; 2], f64) {
     let (geometry, hu) = foam();
     let mut simulation = Simulation::new(&tunnel(model, dt_ms), Some(CtView { geometry, hu: &hu })).unwrap();
@@ -35,11 +35,13 @@ fn forces(model: &str, dt_ms: f64, faster: f64) -> ([f64; 2], f64) {
     (mean_n, share)
 }
 
-/// Bug: what a step cut was known after it; in between the burr pressed as hard as the contact is stiff, cut too much, and found nothing to
-/// press on in the next step. `planar` at 5 mm/s: the flange's force jumped in 96 % of the ticks of 1 ms, and its mean was 0.50 N (1.62 N at
-/// 5 ms) in place of 0.40.
+/// Regression: the cut of a step was known only after it. Within the step the burr pressed with the full
+/// contact stiffness, cut too much, and found nothing to press on in the next step. `planar` at 5 mm/s: the
+/// flange's force jumped in 96 % of the 1 ms ticks, and its mean was 0.50 N (1.62 N at 5 ms) instead of 0.40
+/// N.
 ///
-/// Bounds: a force may jump in 1 % of the ticks (the requirement); the mean force may change by 2 % with the step, 0.3 % seen.
+/// Bounds: the force may jump in 1 % of the ticks (the requirement); the mean force may change by 2 % with
+/// the step (0.3 % observed).
 #[test]
 fn the_force_of_a_steady_feed_is_steady_and_the_same_at_every_step() {
     for model in ["modal", "planar", "full"] {

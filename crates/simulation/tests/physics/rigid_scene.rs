@@ -1,4 +1,4 @@
-//! Rigid bodies beside the manipulator: geometry, free fall, weight, momentum, light bodies, determinism.
+//! Rigid bodies next to the manipulator: geometry, free fall, weight, momentum, light bodies, determinism.
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot build its scene has failed")]
 
@@ -21,7 +21,7 @@ fn tool(base: Isometry3<f64>) -> Manipulator {
     Manipulator::new(p, &BaseMotion::at_rest(base)).unwrap()
 }
 
-/// A box of a given mass, or a fixed one.
+/// A box of a given mass, or a fixed box.
 fn block(centre_m: Vector3<f64>, half_m: [f64; 3], mass_kg: Option<f64>) -> BodyParameters {
     let half_extents_m = Vector3::from(half_m);
     BodyParameters {
@@ -69,7 +69,7 @@ fn gaps_and_normals_are_the_exact_distances_of_a_turned_box_ball_and_capsule() {
         UnitQuaternion::from_euler_angles(0.4, -0.9, 2.0),
     );
     let half = Vector3::new(0.01, 0.02, 0.03);
-    // Where the sphere's centre is in body axes, and the distance and direction that geometry says.
+    // The sphere's centre in body axes, and the distance and direction from geometry.
     let d = Vector3::new(1.0, 2.0, 2.0) * 1e-3; // length 3 mm
     let far = Vector3::new(0.001, 0.002, 0.034);
     let boxes = [
@@ -110,7 +110,7 @@ fn gaps_and_normals_are_the_exact_distances_of_a_turned_box_ball_and_capsule() {
         }
     }
     println!("box face, edge, corner, inside; ball; capsule: worst error {worst:.1e} m");
-    // 0.4 m / 1 ulp is 6e-17 m; a few operations.
+    // 1 ulp of 0.4 m is 6e-17 m; a few operations.
     assert!(worst < 1e-15);
 }
 
@@ -171,7 +171,8 @@ fn a_fragment_that_lies_on_the_shaft_presses_with_its_weight() {
     }
     let sway = heights.iter().map(|z| (z - heights[0]).abs()).fold(0.0, f64::max);
     println!(
-        "50 g on the shaft: {force:.6} N of {:.6} N on {} spheres, flange {flange:.6} N, height within {sway:.1e} m, {:.2} evaluations a tick",
+        "50 g on the shaft: {force:.6} N of {:.6} N on {} spheres, flange {flange:.6} N, height within \
+         {sway:.1e} m, {:.2} evaluations per tick",
         0.05 * 9.81,
         m.contact_results().len(),
         f64::from(evaluations as u32) / 1000.0,
@@ -242,18 +243,19 @@ fn bodies_of_any_mass_are_pushed_without_gaining_energy_and_momentum_is_balanced
     for mass_kg in [1e-3, 3e-3, 1e-2, 3e-2, 0.1, 0.3, 1.0] {
         let (fastest, tool, unbalanced, residual, evaluations) = push(mass_kg);
         println!(
-            "{:6.1} g: body {fastest:.4} m/s, tool {tool:.4} m/s, momentum error {unbalanced:.1e} N s, residual {residual:.1e} m/s, at most {evaluations} evaluations",
+            "{:6.1} g: body {fastest:.4} m/s, tool {tool:.4} m/s, momentum error {unbalanced:.1e} N s, \
+             residual {residual:.1e} m/s, at most {evaluations} evaluations",
             mass_kg * 1e3
         );
         assert!(unbalanced < 1e-12);
-        // An inelastic push leaves no body faster than the fastest part of the tool.
+        // After an inelastic push, no body is faster than the fastest part of the tool.
         assert!(fastest < 1.05 * tool);
     }
 }
 
 #[test]
 fn a_fed_tool_does_not_throw_a_gram() {
-    // 50 mm/s along the axis, where the tool weighs 0.3 kg to a tick, against a resting gram.
+    // 50 mm/s along the axis, where the tool's effective mass per tick is 0.3 kg, against one gram at rest.
     let m = &mut tool(Isometry3::identity());
     let body = block(Vector3::new(0.0, 0.0, 0.0715 + 0.00325 + 0.005 + 0.001), [0.005; 3], Some(1e-3));
     let mut rigid = scene(&[body], Vector3::zeros(), m);
@@ -271,7 +273,7 @@ fn a_fed_tool_does_not_throw_a_gram() {
         rigid.step(m, &ToolDrive { base, tendon, tip_wrench: Wrench::zero() }, planes).unwrap();
         fastest = fastest.max(rigid.velocity(0).unwrap().0.norm());
     }
-    println!("a gram before a tool of 50 mm/s reaches {fastest:.4} m/s");
+    println!("a gram in front of a tool at 50 mm/s reaches {fastest:.4} m/s");
     assert!(fastest < 0.051);
 }
 
@@ -298,7 +300,8 @@ fn a_gram_between_tool_and_clamp_passes_the_force_on() {
         let force: f64 = m.contact_results().iter().map(|r| r.normal_force_n).sum();
         let jitter = tips.iter().map(|t| (t - tips[0]).norm()).fold(0.0, f64::max);
         println!(
-            "{mass_kg:?} kg: {force:.5} N, body moved {:.3} um, jitter {jitter:.1e} m, late residual {late:.1e} m/s, {:.2} evaluations a tick",
+            "{mass_kg:?} kg: {force:.5} N, body moved {:.3} um, jitter {jitter:.1e} m, late residual \
+             {late:.1e} m/s, {:.2} evaluations per tick",
             (position(&rigid, 0) - centre).norm() * 1e6,
             f64::from(evaluations as u32) / 800.0
         );
@@ -312,7 +315,7 @@ fn a_gram_between_tool_and_clamp_passes_the_force_on() {
 
 #[test]
 fn a_heavy_fragment_moves_by_half_f_t_squared_over_m() {
-    // 100 kg, so that the tool's force does not change over the 50 ms of the measurement.
+    // 100 kg, so that the tool's force does not change during the 50 ms of the measurement.
     let half = [0.05; 3];
     let centre = Vector3::new(0.05 + 0.00425, 0.0, 0.0715);
     let m = &mut tool(Isometry3::identity());
@@ -333,7 +336,8 @@ fn a_heavy_fragment_moves_by_half_f_t_squared_over_m() {
         moved_m * 1e6,
         exact_m * 1e6
     );
-    // Semi-implicit Euler: n (n + 1) instead of n^2, 2 % at n = 50; 0.3 % for the force, which falls a little.
+    // Semi-implicit Euler: n (n + 1) instead of n^2, 2 % at n = 50; 0.3 % for the force, which decreases
+    // slightly.
     assert!((moved_m / (exact_m * 51.0 / 50.0) - 1.0).abs() < 3e-3);
 }
 
@@ -369,7 +373,7 @@ fn runs_repeat_and_snapshots_continue_bit_for_bit() {
         step(&mut rigid, &mut m, 8.0, planes);
         history.push(state(&rigid, &m));
     }
-    // A snapshot in a scene that has never run, and in the one that has run to the end.
+    // The snapshot is restored in a fresh scene, and in the one that has run to the end.
     let (mut other, mut other_m) = fresh();
     for (start, saved_scene, saved_m) in &saved {
         for (rigid, m) in [(&mut rigid, &mut m), (&mut other, &mut other_m)] {

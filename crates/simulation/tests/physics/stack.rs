@@ -1,4 +1,4 @@
-//! The stack that a simulation needs.
+//! The stack size that a simulation needs.
 #![allow(clippy::unwrap_used, clippy::panic, missing_docs)]
 
 use crate::common;
@@ -8,20 +8,25 @@ use std::thread;
 use messages::Latched;
 use simulation::Simulation;
 
-/// Less than the 2 MB that a thread of Rust's has: whoever calls has taken some of it.
+/// Less than the 2 MB of a Rust thread, because the caller has used some of it.
 const STACK_BYTES: usize = 3 << 19;
 
 const SCENES: [&str; 5] = [
     "name = \"planar\"\nrun = { mode = \"lockstep\", duration_s = 1.0 }\n",
-    "name = \"arc\"\nrun = { mode = \"lockstep\", duration_s = 1.0 }\nmanipulator = { model = \"constant_curvature\" }\n",
-    "name = \"modes\"\nrun = { mode = \"lockstep\", duration_s = 1.0 }\nmanipulator = { model = \"modal\" }\n",
-    "name = \"full\"\nrun = { mode = \"lockstep\", duration_s = 1.0 }\nmanipulator = { model = \"full\", links = 27 }\n",
-    "name = \"bodies\"\nrun = { mode = \"lockstep\", duration_s = 1.0 }\nmanipulator = { model = \"spatial\", links = 8 }\n\
-     [[body]]\nname = \"fragment\"\ncuboid = { half_extents_mm = [8.0, 8.0, 4.0] }\nmotion = \"free\"\nposition_mm = [1.0, 0.5, 7.6]\n",
+    "name = \"arc\"\nrun = { mode = \"lockstep\", duration_s = 1.0 }\n\
+     manipulator = { model = \"constant_curvature\" }\n",
+    "name = \"modes\"\nrun = { mode = \"lockstep\", duration_s = 1.0 }\n\
+     manipulator = { model = \"modal\" }\n",
+    "name = \"full\"\nrun = { mode = \"lockstep\", duration_s = 1.0 }\n\
+     manipulator = { model = \"full\", links = 27 }\n",
+    "name = \"bodies\"\nrun = { mode = \"lockstep\", duration_s = 1.0 }\n\
+     manipulator = { model = \"spatial\", links = 8 }\n\
+     [[body]]\nname = \"fragment\"\ncuboid = { half_extents_mm = [8.0, 8.0, 4.0] }\nmotion = \"free\"\n\
+     position_mm = [1.0, 0.5, 7.6]\n",
 ];
 
-/// One has 105 kB, and making it takes several times that. Whoever keeps several puts each into a box as it is made: an array of four took
-/// more than the 2 MB that a thread has.
+/// A simulation has 105 kB, and constructing it takes several times that. Callers that keep several box each
+/// one as it is constructed: an array of four took more than the 2 MB of a thread.
 #[test]
 fn simulations_are_built_stepped_and_restored_in_a_small_stack() {
     let work = || {

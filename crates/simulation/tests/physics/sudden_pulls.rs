@@ -1,6 +1,6 @@
-//! Bug: the planes of a tick were those within reach of the speed at its start, so a suddenly pulled tool passed through bone.
-//! Bug: a burr that jumped met only the planes of the last place that it had come to, went to and fro between two places, and one of 60
-//! pulls ended 1.9 mm in the wall.
+//! Regression: the planes of a tick were those within reach at its initial speed, so a suddenly pulled tool
+//! passed through bone. Regression: a burr that jumped met only the planes of its last position and
+//! oscillated between two positions; one of 60 pulls ended 1.9 mm inside the wall.
 
 #![allow(clippy::unwrap_used, reason = "a scene that cannot be built is a failed test")]
 
@@ -9,7 +9,8 @@ use simulation::{CtView, Simulation};
 
 use crate::common::{bone, scene};
 
-/// Numbers in (0, 1) (Steele and Vigna 2021: the multiplier of a 64-bit linear congruential generator).
+/// Random numbers in (0, 1): a 64-bit linear congruential generator with the multiplier of Steele and Vigna
+/// 2021.
 struct Draw(u64);
 
 impl Draw {
@@ -49,7 +50,7 @@ fn a_suddenly_pulled_tool_stays_in_its_hole() {
         }
         let [x, y, _] = simulation.state().t_world_burr.position_m;
         let beyond_mm = x.hypot(y) * 1e3 - (0.5 * hole_mm - 3.25);
-        // A wall is half a voxel uncertain, on each side of its staircase.
+        // A wall's position is uncertain by half a voxel on each side of its staircase.
         if beyond_mm > 0.5 {
             out += 1;
             println!(

@@ -1,4 +1,4 @@
-//! Free swings out of the bending plane keep no more energy than they began with.
+//! Free swings out of the bending plane never gain energy.
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot build its tool has failed")]
 
@@ -16,10 +16,10 @@ fn input(tension_n: f64, tip_wrench: Wrench) -> StepInput<'static> {
     StepInput { base, tendon: TendonCommand::Force([tension_n, 0.0]), tip_wrench, contacts: &[] }
 }
 
-/// By how much of itself the energy may rise on the way.
+/// Largest allowed relative increase of the energy during a swing.
 const MARGIN: f64 = 1e-3;
 
-/// The notched tube, or one that bends alike to all sides.
+/// The notched tube, or one with equal bending stiffness in all directions.
 fn tool(rung: Rung, ratios: Option<[f64; 2]>, damping_ratio: f64) -> AnyManipulator {
     let mut p = ManipulatorParameters { damping_ratio, ..ManipulatorParameters::jhu_27() };
     p.integrator = Integrator::Hybrid;
@@ -27,13 +27,13 @@ fn tool(rung: Rung, ratios: Option<[f64; 2]>, damping_ratio: f64) -> AnyManipula
     AnyManipulator::new(rung, p, &BaseMotion::at_rest(Isometry3::identity())).unwrap()
 }
 
-/// Bent in and out of the plane, then let go.
+/// Result of a swing: bent in and out of the plane, then released.
 struct Swing {
-    /// The greatest energy of the swing over that at its start.
+    /// Largest energy during the swing, relative to its start.
     most: f64,
-    /// The energy at its end over that at its start.
+    /// Energy at the end, relative to the start.
     end: f64,
-    /// Share of the steps that ROS2 made.
+    /// Fraction of the steps taken by ROS2.
     second_order: f64,
 }
 
@@ -51,7 +51,7 @@ fn swing(
     let mut m = tool(rung, ratios, damping_ratio);
     m.restore(&still.snapshot());
     let free = input(tension_n, Wrench::zero());
-    // With a constant tension T, energy less T times the take-up is what cannot grow.
+    // With a constant tension T, the energy minus T times the take-up cannot grow.
     let energy = |m: &AnyManipulator| m.energy_j() - tension_n * m.tendon_displacements_m()[0];
     let (start, mut most, mut second_order) = (energy(&m), f64::MIN, 0);
     let count = (0.4 / (dt_ms * 1e-3)) as usize;
@@ -60,7 +60,7 @@ fn swing(
         second_order += usize::from(report.integrator == Integrator::Hybrid);
         most = most.max(energy(&m));
     }
-    // Energies are measured from that of the straight tool at rest, which under tension is not the least.
+    // Energies are relative to the straight tool at rest, which is not the minimum under tension.
     let scale = m_scale(start, tension_n);
     Swing {
         most: 1.0 + (most - start) / scale,
@@ -70,11 +70,12 @@ fn swing(
 }
 
 fn m_scale(start_j: f64, tension_n: f64) -> f64 {
-    // 1 mm of take-up under tension is much energy beside that of the swing.
+    // 1 mm of take-up under tension is a large energy compared with the swing's.
     if tension_n == 0.0 { start_j } else { start_j.abs().max(1e-3 * tension_n) }
 }
 
-/// Bug: `spatial` and `full` with `hybrid` gained energy out of the plane at small damping: 3.4 times at 1 ms and 0.001.
+/// Regression: `spatial` and `full` with `hybrid` gained energy out of the plane at small damping: by a
+/// factor of 3.4 at 1 ms and a damping ratio of 0.001.
 #[test]
 fn no_swing_in_space_gains_energy() {
     for rung in [Rung::Planar, Rung::Spatial, Rung::Full] {
@@ -86,7 +87,7 @@ fn no_swing_in_space_gains_energy() {
                     line += &format!(" {:.5}/{:.3}/{:.2}", seen.most, seen.end, seen.second_order);
                     assert!(
                         seen.most <= 1.0 + MARGIN,
-                        "{rung:?} {name} {damping_ratio} {dt_ms} ms: {} times its start",
+                        "{rung:?} {name} {damping_ratio} {dt_ms} ms: {} times its initial energy",
                         seen.most
                     );
                 }
@@ -96,7 +97,7 @@ fn no_swing_in_space_gains_energy() {
     }
 }
 
-/// A tension does work on the tool, which must not hide what the step makes.
+/// The tension does work on the tool, which must not mask energy created by the integrator.
 #[test]
 fn no_swing_under_tension_gains_energy() {
     for rung in [Rung::Spatial, Rung::Full] {

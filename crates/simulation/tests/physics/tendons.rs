@@ -1,4 +1,4 @@
-//! Any number of tendons, in channels at any place of the section, against closed forms.
+//! Any number of tendons, in channels anywhere in the cross-section, against closed forms.
 #![allow(clippy::unwrap_used, reason = "a helper that fails is a failed test")]
 
 use messages::{Command, Latched, LatchedCommand, SOURCE_FRESH, TENDON_SERVO_JF, TENDON_SERVO_JP};
@@ -16,7 +16,7 @@ const LENGTH_M: f64 = 0.035;
 const RIGIDITY_NM2: f64 = 1.3369e-3;
 const OFFSET_M: f64 = 2.0e-3;
 
-/// A round beam, critically damped, on a mount that does not show, without shear (thin).
+/// A round beam, critically damped, on a mount stiff enough to be negligible, without shear (thin).
 fn beam(links: usize, channels_m: &[[f64; 2]]) -> ManipulatorParameters {
     let mut p = ManipulatorParameters::uniform_beam(links, LENGTH_M, RIGIDITY_NM2);
     p.damping_ratio = 1.0;
@@ -48,7 +48,7 @@ fn tip_m(m: &AnyManipulator) -> Vector3<f64> {
     m.t_world_tip().translation.vector
 }
 
-/// Tip of an arc that a tension bends in its channel's plane.
+/// Tip of an arc bent by a tension in its channel's plane.
 fn arc_m(tension_n: f64, channel_m: [f64; 2]) -> Vector3<f64> {
     let offset_m = channel_m[0].hypot(channel_m[1]);
     let bend = tension_n * offset_m * LENGTH_M / RIGIDITY_NM2;
@@ -79,19 +79,20 @@ fn two_orthogonal_tendons_bend_in_the_plane_between_them() {
         let off = |links: usize| {
             let p = beam(links, &[[OFFSET_M, 0.0], [0.0, OFFSET_M]]);
             let m = settled(rung, p, TendonCommand::Force([9.0, 9.0]), Vector3::zeros());
-            // Two equal pulls are one of twice the tension halfway between the channels.
+            // Two equal tensions equal twice the tension halfway between the channels.
             (tip_m(&m) - arc_m(18.0, [0.5 * OFFSET_M; 2])).norm()
         };
         let (coarse, fine) = (off(16), off(32));
         println!("{rung:?}: {coarse:.2e} m off at 16 links, {fine:.2e} m at 32");
-        // A flexure turns about two axes one after the other, which winds it by half the product of the angles; over the tool
-        // theta^2 / (4 n), 3.5e-3 rad at 32 links, on a deflection of 11 mm: first order, a dozen micrometres.
+        // A flexure rotates about two axes one after the other, which twists it by half the product of the
+        // angles; over the tool theta^2 / (4 n), 3.5e-3 rad at 32 links, on a deflection of 11 mm: first
+        // order, a dozen micrometres.
         assert!(fine < coarse / 1.8 && fine < 30e-6, "{coarse} {fine}");
     }
 }
 
-/// An elastic tendon held at its actuator adds `kt d^2` to the moment per bend of the whole tool while it is taut; a slack one
-/// nothing.
+/// An elastic tendon held at its actuator adds `kt d^2` to the moment per bend of the whole tool while it is
+/// taut; a slack one adds nothing.
 #[test]
 fn pretension_keeps_both_tendons_taut_and_stiffens() {
     let (moment, n) = (1.0e-3, 20.0);
@@ -102,7 +103,8 @@ fn pretension_keeps_both_tendons_taut_and_stiffens() {
             let m = settled(rung, p, TendonCommand::Displacement([pull_m; 2]), Vector3::y() * moment);
             let expected = moment * n / (k + taut * kt * OFFSET_M * OFFSET_M * n);
             println!("{rung:?}, pulled by {pull_m}: {} rad, {expected} expected", m.bend_rad());
-            // The chord's cosine, and in the full rung what the pretension shortens: the angle is 2e-3 rad a flexure at most.
+            // The chord's cosine, and in the full rung the shortening by the pretension: the angle is at most
+            // 2e-3 rad per flexure.
             assert!((m.bend_rad() / expected - 1.0).abs() < 1e-4, "{rung:?} {} {expected}", m.bend_rad());
         }
     }
@@ -117,15 +119,17 @@ fn four_elastic_tendons_stiffen_both_planes() {
         let (k, kt) = (p.joint_stiffness_nm_per_rad[0], p.tendon.stiffness_n_per_m);
         let m = settled(rung, p, TendonCommand::EachDisplacement([0.3e-3; 4]), moment);
         let stiff = (k + 2.0 * kt * OFFSET_M * OFFSET_M * n) / n;
-        // A moment about y bends toward +x, one about x toward -y; the turn of the tip is moment over stiffness.
+        // A moment about y bends toward +x, one about x toward -y; the rotation of the tip is moment over
+        // stiffness.
         let turn = m.t_world_tip().rotation.scaled_axis();
         println!("{rung:?}: turned by {turn:?}, expected {:?}", moment / stiff);
-        // The planes meet at second order in the turn, 0.01 rad.
+        // The planes couple at second order in the rotation, 0.01 rad.
         assert!((turn - moment / stiff).norm() < 2e-4 * turn.norm(), "{turn} {}", moment / stiff);
     }
 }
 
-/// Equal pulls T on both sides of a flexure with a free gap g turn it on by `2 T g/2 sin(q/2)`: it buckles at T = 2 k / g.
+/// Equal tensions T on both sides of a flexure with a free gap g bend it further by `2 T g/2 sin(q/2)`: it
+/// buckles at T = 2 k / g.
 #[test]
 fn equal_pulls_buckle_at_the_critical_tension() {
     for rung in [Rung::Planar, Rung::Spatial, Rung::Full] {
@@ -148,7 +152,7 @@ fn equal_pulls_buckle_at_the_critical_tension() {
     }
 }
 
-/// Pulled by a ramp of half a second; the fastest flexure two seconds later, rad/s.
+/// Pulls with a half-second ramp; returns the speed of the fastest flexure two seconds later, rad/s.
 fn left_swinging_rad_per_s(
     rung: Rung,
     p: ManipulatorParameters,
@@ -169,8 +173,8 @@ fn left_swinging_rad_per_s(
     fastest
 }
 
-/// A saturated tendon was taken to slide on as in the last step. Where it turned in every step, its friction drove the flexures
-/// to and fro for ever, by up to 18 rad/s.
+/// Regression: a saturated tendon was assumed to keep sliding as in the last step. Where it reversed in every
+/// step, its friction drove the flexures back and forth forever, at up to 18 rad/s.
 #[test]
 fn a_tendon_that_turns_within_a_step_does_not_drive_the_tool() {
     let force: fn(f64) -> TendonCommand = |share| TendonCommand::Force([10.0 * share, 0.0]);
@@ -185,7 +189,8 @@ fn a_tendon_that_turns_within_a_step_does_not_drive_the_tool() {
                     let mut p = ManipulatorParameters { integrator, ..ManipulatorParameters::jhu_27() };
                     p.tendon.friction_coefficient = friction;
                     let rate = left_swinging_rad_per_s(rung, p, pull, dt_s);
-                    // A tool at rest; a swing that damps out is below this after two seconds at the standard damping.
+                    // A tool at rest; a decaying swing is below this after two seconds at the standard
+                    // damping.
                     assert!(
                         rate < 1e-3,
                         "{rung:?} {integrator:?} {dt_s} {friction} {:?}: {rate} rad/s",
@@ -199,8 +204,8 @@ fn a_tendon_that_turns_within_a_step_does_not_drive_the_tool() {
     }
 }
 
-/// Bend (rad) and take-up (m) of the standard tool at rest under a tension, flexure by flexure: `k q = T d cos(q/2) exp(-mu s
-/// phi)`, less what a stop beyond 5 degrees bears, each by bisection.
+/// Bend (rad) and take-up (m) of the standard tool at rest under a tension, flexure by flexure: `k q = T d
+/// cos(q/2) exp(-mu s phi)`, minus the torque of a stop beyond 5 degrees, each solved by bisection.
 fn bend_at_rest(p: &ManipulatorParameters, tension_n: f64, sliding: f64) -> (f64, f64) {
     let (mut wrap, mut take_up_m) = (0.0, 0.0);
     for k in &p.joint_stiffness_nm_per_rad {
@@ -220,8 +225,8 @@ fn bend_at_rest(p: &ManipulatorParameters, tension_n: f64, sliding: f64) -> (f64
     (wrap, take_up_m)
 }
 
-/// Flexures on their stops, and a wall that takes the tool off them at 20 mm/s: as rows of the contact solver the stops did not
-/// converge in 40 sweeps of Gauss-Seidel.
+/// Flexures on their stops, and a wall that lifts the tool off them at 20 mm/s. As rows of the contact
+/// solver, the stops did not converge in 40 Gauss-Seidel sweeps.
 #[test]
 fn a_wall_takes_a_tool_off_its_stops_within_the_tolerance() {
     let base = BaseMotion::at_rest(Isometry3::identity());
@@ -245,9 +250,10 @@ fn a_wall_takes_a_tool_off_its_stops_within_the_tolerance() {
             }
             let mean = iterations as f64 / steps as f64;
             println!(
-                "{rung:?}, {dt_s} s: {mean:.1} iterations a step, {most} at most, {fewest_stops} stops at least"
+                "{rung:?}, {dt_s} s: {mean:.1} iterations per step, {most} at most, {fewest_stops} stops at \
+                 least"
             );
-            // One contact and a stop that is about to change: one or two Newton iterations.
+            // One contact and one stop about to change: one or two Newton iterations.
             assert!(mean < 4.0 && most < 40 && fewest_stops > 0, "{rung:?} {dt_s}: {mean} {most}");
         }
     }
@@ -263,8 +269,8 @@ fn wall_at(m: &AnyManipulator, x_m: f64) -> Vec<ContactPlane> {
     m.proxy_spheres().iter().enumerate().filter_map(near).collect()
 }
 
-/// Let out from 14 N, where flexures stand on their stops, slowly: the tool follows the law with the sliding state of the play
-/// operator. The stops hold flexures that would turn the tendon if they were free.
+/// Released slowly from 14 N, where flexures are on their stops: the tool follows the law with the sliding
+/// state of the play operator. The stops hold flexures that would reverse the tendon if they were free.
 #[test]
 fn a_tendon_that_is_let_out_follows_the_play_operator_off_the_stops() {
     for friction in [0.1, 0.2, 0.3] {
@@ -304,7 +310,7 @@ fn a_tendon_that_is_let_out_follows_the_play_operator_off_the_stops() {
     }
 }
 
-/// One step of the antagonist pair named as channels is that of the pair, bit for bit.
+/// One step of the antagonist pair given as channels equals that of the pair, bit for bit.
 #[test]
 fn the_pair_as_channels_is_the_pair() {
     let mut p = ManipulatorParameters::jhu_27();
@@ -349,7 +355,7 @@ across_mm = -2.165
 "#;
     let flat = text.replace("spatial", "planar");
     let refused = try_scene(&flat).unwrap_err().to_string();
-    assert!(refused.contains("`tendon.across_mm` bends out of the plane"), "{refused}");
+    assert!(refused.contains("`tendon.across_mm` bends the tool out of the plane"), "{refused}");
     let scene = scene(text);
     let mut simulation = Simulation::new(&scene, None).unwrap();
     assert_eq!(simulation.state().tendon_count, 3);
@@ -367,12 +373,13 @@ across_mm = -2.165
         }
         *simulation.state()
     };
-    // The second tendon: 120 degrees about the direction, from `bend_toward` toward direction times it, which is +y.
+    // The second tendon: 120 degrees about the direction, from `bend_toward` toward direction times it, which
+    // is +y.
     let state = go(TENDON_SERVO_JF, [0.0, 4.0, 0.0, 9.0]);
     let moved = [0, 1].map(|i| state.t_world_burr.position_m[i] - start[i]);
     assert!(moved[0] < -1e-3 && (moved[1] / moved[0] + 3.0_f64.sqrt()).abs() < 0.05, "{moved:?}");
     assert_eq!(state.tendon_tension_n, [0.0, 4.0, 0.0, 0.0]);
-    // All three pulled alike: straight, and every tension the pull times the stiffness.
+    // All three pulled equally: straight, and every tension is the pull times the stiffness.
     let state = go(TENDON_SERVO_JP, [1e-4, 1e-4, 1e-4, 0.0]);
     assert!(
         state.tendon_tension_n[..3].iter().all(|t| (t - 3.0).abs() < 1e-3),

@@ -1,4 +1,4 @@
-//! `[truth]`: the simulation goes by the world as it is.
+//! `[truth]`: the simulation uses the true parameters of the world.
 #![allow(clippy::unwrap_used, reason = "a helper that fails is a failed test")]
 
 use std::path::Path;

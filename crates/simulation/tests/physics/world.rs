@@ -31,19 +31,20 @@ fn latched(tick: u64, start: &State) -> Latched {
     latched
 }
 
-/// A tunnel like that of [`TUNNEL`] in the CT itself, of whole voxels.
+/// A tunnel like [`TUNNEL`], but in the CT itself, made of whole voxels.
 const WHOLE_VOXELS: &str = r#"
 name = "tight_tunnel"
 run = { mode = "lockstep", duration_s = 3.0 }
 volume = { phantom = "block" }
 "#;
 
-/// Bug: planes beyond 96 were dropped, and with them those of the burr, which stands last; it then cut nothing, and the
-/// arm pressed with hundreds of newtons.
+/// Regression: planes beyond 96 were dropped, including those of the burr, which comes last; the burr then
+/// cut nothing, and the arm pressed with hundreds of newtons.
 ///
-/// The tunnel is one of the CT: its whole voxels touch a sphere on all sides with the corners of their staircase. The wall of a pilot hole is
-/// round, and a tube with 0.3 mm of play has planes within the margin of 0.03 mm only up to 26 degrees about the line it rests on
-/// (0.3 (1 - cos 26°) = 0.03): 61 in all, which is right there and too few to fill 96.
+/// The tunnel is in the CT: the corners of its staircase of whole voxels touch a sphere on all sides. The
+/// wall of a pilot hole is round, and a tube with 0.3 mm of play has planes within the 0.03 mm margin only up
+/// to 26 degrees about the line it rests on (0.3 (1 - cos 26°) = 0.03): 61 in total, which is correct there,
+/// but too few to exceed 96.
 #[test]
 fn the_burr_cuts_in_a_tunnel_in_which_every_sphere_has_several_planes() {
     let scene = scene(WHOLE_VOXELS);
@@ -70,11 +71,11 @@ fn the_burr_cuts_in_a_tunnel_in_which_every_sphere_has_several_planes() {
     println!("{most} planes at once, {} voxels drilled, {force_n:.2} N at most", state.removed_total);
     assert!(most > 96, "the tunnel must be tight for this test: {most} planes");
     assert!(state.removed_total > 500, "{} voxels", state.removed_total);
-    // 3 N of tension and a few newtons of thrust, friction and staircase; not hundreds.
+    // 3 N of tension and a few newtons from thrust, friction and the staircase; not hundreds.
     assert!(force_n < 60.0, "{force_n} N");
 }
 
-/// Bug: a burr that stood still slid on bone as if it turned, without friction.
+/// Regression: a stationary burr slid on bone without friction, as if it were spinning.
 #[test]
 fn a_burr_rubs_on_bone_like_the_tube_while_it_stands_still_and_not_while_it_turns() {
     let scene = scene(TUNNEL);
@@ -128,7 +129,7 @@ fn a_snapshot_continues_bit_for_bit_and_a_reset_returns_to_the_initial_state() {
     assert_eq!(after.as_bytes(), fresh.state().as_bytes());
 }
 
-/// A goal out of reach is refused for the arm alone: tendon and burr do what the same command says.
+/// An unreachable goal is refused for the arm only: tendon and burr follow the same command.
 #[test]
 fn each_part_of_a_command_acts_or_is_refused_on_its_own() {
     let scene = scene(TUNNEL);
@@ -146,16 +147,17 @@ fn each_part_of_a_command_acts_or_is_refused_on_its_own() {
         simulation.step(&held).unwrap();
     }
     let state = simulation.state();
-    assert_eq!(state.arm_joint_position_rad, start.arm_joint_position_rad, "the arm stands");
+    assert_eq!(state.arm_joint_position_rad, start.arm_joint_position_rad, "the arm does not move");
     assert_eq!(state.burr_speed_rad_per_s, 800.0);
     assert!(state.tendon_tension_n[0] > 2.0, "{} N", state.tendon_tension_n[0]);
 }
 
-/// Both values are within their ranges; the tip came to 1e110 mm.
+/// Both values are within their ranges; the tip reached 1e110 mm.
 #[test]
 fn a_lost_tool_is_an_error_and_its_last_state_is_sound() {
     let scene = scene(
-        "name = \"lost\"\nrun = { mode = \"lockstep\", duration_s = 5.0 }\nmanipulator = { stiffness_scale = 0.001 }\n",
+        "name = \"lost\"\nrun = { mode = \"lockstep\", duration_s = 5.0 }\n\
+         manipulator = { stiffness_scale = 0.001 }\n",
     );
     let mut simulation = Simulation::new(&scene, None).unwrap();
     let start = *simulation.state();

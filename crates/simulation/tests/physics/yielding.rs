@@ -1,4 +1,4 @@
-//! Bone that is pressed beyond its strength: force against depth in closed form, energy, and what does not yield.
+//! Bone pressed beyond its strength: force over depth in closed form, energy, and cases that do not yield.
 
 #![allow(clippy::unwrap_used, reason = "a block that cannot be built fails the test")]
 
@@ -59,7 +59,8 @@ fn foam(voxel_m: f64, turn: &Rotation3<f64>, up: &Vector3<f64>, removal: Removal
     (BoneField::new(geometry, &hu, parameters).unwrap(), hu)
 }
 
-/// The spheres of a cylinder along `along`, with its lower side at `depth_m` below the surface through the origin.
+/// The spheres of a cylinder along `along`, with its lower side `depth_m` below the surface through the
+/// origin.
 fn cylinder(along: &Vector3<f64>, up: &Vector3<f64>, depth_m: f64) -> Vec<Vector3<f64>> {
     let middle = 0.5 * (SPHERES - 1) as f64;
     (0..SPHERES).map(|k| along * ((k as f64 - middle) * PITCH_M) + up * (RADIUS_M - depth_m)).collect()
@@ -79,7 +80,7 @@ fn planes(field: &mut BoneField, hu: &[i16], centre_m: &Vector3<f64>) -> Vec<Con
     planes
 }
 
-/// Area of the spheres' caps cut off by a plane `depth_m` deep, seen along the plane's normal: discs along a line.
+/// Area of the sphere caps cut by a plane `depth_m` deep, seen along the plane's normal: discs along a line.
 fn footprint_m2(depth_m: f64) -> f64 {
     let radius_m = (RADIUS_M * RADIUS_M - (RADIUS_M - depth_m).powi(2)).sqrt();
     let middle = 0.5 * (SPHERES - 1) as f64;
@@ -141,9 +142,10 @@ fn press(voxel_m: f64, turn: &Rotation3<f64>, up: &Vector3<f64>, to_m: f64) -> P
     pressed
 }
 
-/// A cylinder pressed into foam needs strength x footprint, at any size and direction of the voxels. The bound of 10 % is the requirement;
-/// single depths scatter with the voxels that the rim enters, so each is a mean over a voxel's depth, and above the first half voxel,
-/// where the footprint is narrower than a voxel is wide.
+/// A cylinder pressed into foam needs strength x footprint, for any size and orientation of the voxels. The
+/// bound of 10 % is the requirement. Individual depths scatter with the voxels that the rim enters, so each
+/// value is a mean over one voxel's depth, starting beyond the first half voxel, where the footprint is
+/// narrower than a voxel.
 #[test]
 fn a_cylinder_pressed_into_foam_needs_strength_times_footprint() {
     let z = Vector3::z();
@@ -179,8 +181,8 @@ fn a_cylinder_pressed_into_foam_needs_strength_times_footprint() {
     }
 }
 
-/// Bug: walls bore any force. At 25 N the arm pushed with 139 N, one segment carried 58 N (7.5 MPa on foam that bears 1.3), and flexures
-/// stood 0.8 degrees past their stops.
+/// Regression: walls withstood any force. At 25 N the arm pushed with 139 N, one segment carried 58 N (7.5
+/// MPa on foam with a strength of 1.3 MPa), and flexures were 0.8 degrees past their stops.
 #[test]
 fn a_jammed_tool_crushes_the_wall_instead_of_passing_its_stops() {
     let (geometry, hu) = tunnel_foam();
@@ -198,18 +200,19 @@ fn a_jammed_tool_crushes_the_wall_instead_of_passing_its_stops() {
         }
         let state = simulation.state();
         println!(
-            "{dt_ms} ms: {share:.3} of the strength, {past_deg:.3} degrees past a stop, flange {flange_n:.1} N, walls {wall_n:.1} N, \
+            "{dt_ms} ms: {share:.3} of the strength, {past_deg:.3} degrees past a stop, flange {flange_n:.1} \
+             N, walls {wall_n:.1} N, \
              {:.1} mJ crushed, {:.1} mJ cut",
             state.crushing_energy_j * 1e3,
             state.cutting_energy_j * 1e3
         );
         assert!(state.crushing_energy_j > 0.0, "the wall yields");
-        assert!(share <= 1.05, "{dt_ms} ms: a contact carries {share} of what the bone bears");
+        assert!(share <= 1.05, "{dt_ms} ms: a contact carries {share} of the bone's strength");
         assert!(past_deg <= 0.1, "{dt_ms} ms: a flexure is {past_deg} degrees past its stop");
     }
 }
 
-/// Crushed bone is part of the state: a keyframe and empty caches change nothing.
+/// Crushed bone is part of the state: restoring a keyframe or emptying caches changes nothing.
 #[test]
 fn a_jam_goes_on_from_a_keyframe_and_without_caches_bit_for_bit() {
     let (geometry, hu) = tunnel_foam();
@@ -236,7 +239,7 @@ fn a_jam_goes_on_from_a_keyframe_and_without_caches_bit_for_bit() {
     assert_eq!(one.state().hash, third.state().hash, "without caches");
 }
 
-/// A jam stops the arm at its force limit, says so once, and `hold` releases it.
+/// A jam stops the arm at its force limit and is reported once; `hold` releases it.
 #[test]
 fn a_jam_ends_in_a_protective_stop_of_the_arm_that_hold_releases() {
     let (geometry, hu) = tunnel_foam();
@@ -258,7 +261,7 @@ fn a_jam_ends_in_a_protective_stop_of_the_arm_that_hold_releases() {
             moved_m = moved_m.max((flange_m - *stands_m.get_or_insert(flange_m)).norm());
         }
     }
-    // The feed that comes after the ramp is refused.
+    // The feed after the ramp is refused.
     assert_eq!(reasons.len(), 2, "{reasons:?}");
     assert!(reasons[1].contains("in a protective stop"), "{}", reasons[1]);
     assert!(
@@ -266,7 +269,7 @@ fn a_jam_ends_in_a_protective_stop_of_the_arm_that_hold_releases() {
         "{}",
         reasons[0]
     );
-    // It stands, and the feed is over 3 mm. What the tendon pulls on the walls goes on.
+    // The arm stays in place, although the feed is over 3 mm. The tendon keeps pulling against the walls.
     assert!(moved_m < 1e-6, "the flange moved {moved_m} m after the stop");
     let mut go = latched(ticks, 5e-3, 25.0);
     go.commands[0].source = CommandSource::Fresh.code();

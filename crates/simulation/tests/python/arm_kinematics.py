@@ -1,7 +1,8 @@
-"""Reads poses and joint angles, one JSON object a line; prints the worst differences from the modern_robotics library.
+"""Compares poses and joint angles, one JSON object per line, with the modern_robotics library.
 
-modern_robotics (Lynch and Park) computes with screw axes, not with Denavit-Hartenberg parameters. Its UR5 is built here
-from the lengths of "Modern Robotics" (2017), example 4.5; its space frame is ours turned by 180 degrees about z.
+Prints the largest differences. modern_robotics (Lynch and Park) uses screw axes, not Denavit-Hartenberg
+parameters. Its UR5 is built here from the lengths of "Modern Robotics" (2017), example 4.5; its space frame
+is ours rotated by 180 degrees about z.
 """
 
 import json
@@ -34,13 +35,13 @@ for line in sys.stdin:
         theirs = HALF_TURN @ mr.FKinSpace(HOME, SCREWS, solution)
         worst["inverse"] = max(worst["inverse"], np.abs(theirs - pose).max())
         worst["solutions"] += 1
-    # Newton from nearby ends at our nearest solution.
+    # Newton iteration from nearby converges to our nearest solution.
     if worst["poses"] % 20 == 0:
         guess = np.array(case["q_rad"]) + 0.01
         found, converged = mr.IKinSpace(SCREWS, HOME, HALF_TURN @ pose, guess, 1e-12, 1e-12)
         assert converged, case
         worst["numeric"] = max(worst["numeric"], np.abs(found - case["nearest_rad"]).max())
-        # The space Jacobian holds the velocity of the point at the origin; ours that of the tool.
+        # The space Jacobian gives the velocity of the point at the origin; ours that of the tool.
         space = mr.JacobianSpace(SCREWS, case["q_rad"])
         turn = HALF_TURN[:3, :3]
         angular, origin = turn @ space[:3], turn @ space[3:]

@@ -1,7 +1,7 @@
 """Poses and Jacobians of arms by Pinocchio, from their URDF files.
 
-`folder` prints where the files of example-robot-data are. `compare` reads poses and joint angles, one JSON object a line, and prints the
-worst differences.
+`folder` prints the folder of example-robot-data's files. `compare` reads poses and joint angles, one JSON
+object per line, and prints the largest differences.
 """
 
 import json

@@ -1,6 +1,7 @@
 """Poses and Jacobians of arms by yourdfpy and MuJoCo, from their URDF files.
 
-Reads poses and joint angles, one JSON object a line, and prints the worst differences. yourdfpy has no Jacobian.
+Reads poses and joint angles, one JSON object per line, and prints the largest differences. yourdfpy has no
+Jacobian.
 """
 
 import json
@@ -16,7 +17,7 @@ Pose = np.ndarray[Any, np.dtype[np.float64]]
 
 
 class MuJoCo:
-    """A file without its shapes, each link a body of its own."""
+    """A URDF file without its shapes; each link is a separate body."""
 
     def __init__(self, file: str) -> None:
         robot = ElementTree.parse(file).getroot()
@@ -25,7 +26,7 @@ class MuJoCo:
             for shape in link.findall("visual") + link.findall("collision"):
                 link.remove(shape)
         compiler = ElementTree.SubElement(ElementTree.SubElement(robot, "mujoco"), "compiler")
-        # Bodies need masses, which poses do not depend on.
+        # Bodies need masses; poses do not depend on them.
         compiler.attrib.update(fusestatic="false", boundmass="1", boundinertia="1", balanceinertia="true")
         self.model = mujoco.MjModel.from_xml_string(ElementTree.tostring(robot, encoding="unicode"))
         self.data = mujoco.MjData(self.model)
@@ -60,7 +61,7 @@ class MuJoCo:
 
 
 def names(robot: yourdfpy.URDF, base: str, tip: str) -> list[str]:
-    """Joints that turn, from base to tip."""
+    """Movable joints, from base to tip."""
     above = {joint.child: joint for joint in robot.robot.joints}
     found, link = [], tip
     while link != base:

@@ -1,14 +1,14 @@
-// Everything that a key or a button does, in one table: buttons, keys and the help come from it.
+// The page's actions in one table, from which buttons, keys and help are built.
 
 /**
  * @typedef {{id: string, group: string, keys: string[], text: string, run: () => void, when?: () => boolean, held?: () => void}} Action
- *   `held`: called when the key is let go; such an action begins with the key and ends with it.
+ * `held`: called when the key is released; such an action lasts as long as the key is down.
  */
 
-/** A key as people read it. */
+/** A key's name as shown to the user. */
 const spelled = (key) => ({ " ": "Space", ArrowUp: "↑", ArrowDown: "↓", ArrowLeft: "←", ArrowRight: "→" })[key] ?? (key.length === 1 ? key.toUpperCase() : key);
 
-/** Whether the focus is where keys have a meaning of their own. */
+/** Whether the focus is on an element that uses the keys itself. */
 function typing(target) {
   if (target instanceof HTMLInputElement) return target.type !== "range";
   return target instanceof HTMLSelectElement || target instanceof HTMLTextAreaElement;
@@ -45,7 +45,7 @@ export class Actions {
 
   #keyDown(event) {
     if (event.ctrlKey || event.metaKey || event.altKey || typing(event.target) || document.querySelector("dialog[open]")) return;
-    // Space and Enter press the button that has the focus.
+    // Space and Enter press the focused button.
     if ((event.key === " " || event.key === "Enter") && event.target instanceof HTMLButtonElement) return;
     const key = event.key.toLowerCase();
     const action = this.byKey.get(key);
@@ -61,7 +61,7 @@ export class Actions {
     this.down.delete(key);
   }
 
-  /** Fills the help with what can be done now. @param {HTMLElement} place */
+  /** Fills the help with the actions available now. @param {HTMLElement} place */
   fillHelp(place) {
     place.replaceChildren();
     for (const group of new Set(this.actions.map((action) => action.group))) {

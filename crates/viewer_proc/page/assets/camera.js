@@ -1,16 +1,16 @@
-// A camera that turns about a point, and the pointer and keys that move it.
+// A camera that orbits a point, and the pointer and keys that move it.
 
 import { add, cross, lookAt, multiply, perspective, scale, subtract, unit } from "/assets/vector.js";
 
 /** @typedef {import("/assets/vector.js").Vector} Vector */
 
-/** Vertical angle of the picture. */
+/** Vertical field of view. */
 export const FIELD_OF_VIEW_RAD = (32 * Math.PI) / 180;
 const STEEPEST_RAD = 1.55;
 const KEY_TURN_RAD = 0.08;
 const DISTANCE_M = [0.01, 6];
 
-/** Directions from which to look; 0 yaw is in front of the patient. */
+/** View directions; yaw 0 is in front of the patient. */
 export const VIEWS = {
   front: { yaw: 0.45, pitch: 0.25 },
   side: { yaw: -Math.PI / 2, pitch: 0.1 },
@@ -26,11 +26,11 @@ export class Camera {
     this.distance = 0.3;
     this.yaw = VIEWS.front.yaw;
     this.pitch = VIEWS.front.pitch;
-    /** True until the user moves the centre: it stays on the burr. */
+    /** True until the user moves the centre: it then follows the burr. */
     this.follows = true;
   }
 
-  /** @returns {Vector} Eye in the patient frame: +x left, +y posterior, +z head. */
+  /** @returns {Vector} Eye in the patient frame (LPS): +x left, +y posterior, +z superior. */
   get eye() {
     const c = Math.cos(this.pitch);
     /** @type {Vector} */
@@ -47,7 +47,7 @@ export class Camera {
     return multiply(perspective(FIELD_OF_VIEW_RAD, aspect, this.distance * 0.02, this.distance * 20), this.view);
   }
 
-  /** Metres at the centre for a pixel. @param {number} height of the picture in pixels */
+  /** Metres per pixel at the centre. @param {number} height of the view in pixels */
   metresPerPixel(height) {
     return (2 * this.distance * Math.tan(FIELD_OF_VIEW_RAD / 2)) / height;
   }
@@ -69,7 +69,7 @@ export class Camera {
     this.changed();
   }
 
-  /** Moves the centre across the picture. @param {number} right metres @param {number} up metres */
+  /** Pans the centre across the view. @param {number} right metres @param {number} up metres */
   pan(right, up) {
     const back = unit(subtract(this.eye, this.centre));
     const toRight = unit(cross([0, 0, 1], back));
@@ -78,7 +78,7 @@ export class Camera {
     this.changed();
   }
 
-  /** Pointer, wheel and keys of the picture's element. @param {HTMLElement} element */
+  /** Listens to pointer, wheel and keys of the view's element. @param {HTMLElement} element */
   listen(element) {
     element.addEventListener("pointerdown", (event) => element.setPointerCapture(event.pointerId));
     element.addEventListener("contextmenu", (event) => event.preventDefault());

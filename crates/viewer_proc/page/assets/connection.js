@@ -6,7 +6,7 @@ const TIME = 2;
 const SERVICE_RESPONSE = 3;
 const SERVICE_REQUEST = 2;
 const RETRY_MS = 1500;
-/** What the viewer says where the same address shows something else next, and how soon to come again. */
+/** Close reason when the same address will show something else next, and the delay before reconnecting. */
 export const GOES_ON = "the viewer goes on";
 const GOES_ON_MS = 50;
 
@@ -15,9 +15,10 @@ const GOES_ON_MS = 50;
  * @typedef {(data: DataView, timeNs: number, channel: Channel) => void} Handler
  */
 
-/** One connection, opened anew when it closes. Events: `open`, `close`, `status` (detail: the server's words). */
+/** One connection, reopened when it closes. Events: `open`, `close`, `status` (detail: the server's
+ * message). */
 export class Connection extends EventTarget {
-  /** @param {string} url @param {string | undefined} token the control token; none: read only */
+  /** @param {string} url @param {string | undefined} token the control token; undefined: read-only */
   constructor(url, token) {
     super();
     this.url = url;
@@ -25,12 +26,12 @@ export class Connection extends EventTarget {
     /** @type {Map<string, Handler>} */
     this.handlers = new Map();
     this.received = { messages: 0, bytes: 0 };
-    /** Told the milliseconds that each message took. @type {(milliseconds: number) => void} */
+    /** Called with the milliseconds that each message took. @type {(milliseconds: number) => void} */
     this.took = () => {};
     this.nextCall = 1;
-    /** Topics wanted besides those with a handler. @type {Set<string>} */
+    /** Topics to subscribe to in addition to those with a handler. @type {Set<string>} */
     this.more = new Set();
-    /** Gets every message, besides its topic's handler. @type {Handler} */
+    /** Receives every message, in addition to its topic's handler. @type {Handler} */
     this.each = () => {};
     this.#forget();
   }
@@ -44,18 +45,21 @@ export class Connection extends EventTarget {
     this.calls = new Map();
   }
 
-  /** Handles a topic's messages, from now on and after every reconnection. @param {string} topic @param {Handler} handler */
+  /** Sets the handler for a topic's messages, also after reconnections. @param {string} topic @param
+   * {Handler} handler */
   on(topic, handler) {
     this.handlers.set(topic, handler);
   }
 
-  /** Subscribes to these topics besides those with a handler, and to no others. @param {Set<string>} topics */
+  /** Subscribes to these topics in addition to those with a handler, and to no others. @param
+   * {Set<string>} topics */
   also(topics) {
     this.more = topics;
     if (this.socket?.readyState === WebSocket.OPEN) this.#subscribe();
   }
 
-  /** What is wanted of what there is. A log's states come as the one at its position; its plots are asked for (`log_series.js`). */
+  /** Whether to subscribe to a channel. Of a log's states only the one at its position is streamed; its
+   * plots are requested (`log_series.js`). */
   #wants({ topic }) {
     const isLog = [...this.channels.values()].some((channel) => channel.topic === "/view/state");
     if (isLog && (topic === "/event" || topic === "/view/miss" || /^(\/second)?\/state$/.test(topic))) return false;
@@ -106,7 +110,7 @@ export class Connection extends EventTarget {
       const start = 13 + view.getUint32(9, true);
       const call = view.getUint32(5, true);
       const text = (from, bytes) => new TextDecoder().decode(new Uint8Array(data, from, bytes));
-      // What is not JSON is handed on as it is.
+      // Anything other than JSON is passed on unchanged.
       const isJson = text(13, start - 13) === "json";
       this.calls.get(call)?.(isJson ? JSON.parse(text(start)) : { ok: true, bytes: new DataView(data, start) });
       this.calls.delete(call);
@@ -139,12 +143,12 @@ export class Connection extends EventTarget {
   /**
    * Calls a service; never throws.
    * @param {string} name @param {object} request @returns {Promise<{ok: boolean, error?: string, bytes?: DataView, [more: string]: any}>}
-   *   `bytes`: an answer that is not JSON
+   *   `bytes`: a reply that is not JSON
    */
   call(name, request) {
     if (this.socket?.readyState !== WebSocket.OPEN) return Promise.resolve({ ok: false, error: "not connected" });
     const service = this.services.get(name);
-    if (service === undefined) return Promise.resolve({ ok: false, error: `this server has no service ${name}` });
+    if (service === undefined) return Promise.resolve({ ok: false, error: `the server has no service ${name}` });
     const call = this.nextCall++;
     const encoder = new TextEncoder();
     const encoding = encoder.encode("json");

@@ -1,4 +1,4 @@
-// The cross-hair: one place that slices, 3D view and X-ray share. It stays on the tip until the user puts it elsewhere.
+// The cross-hair: one point shared by slices, 3D view and X-ray. It follows the tip until the user places it.
 
 /** @typedef {import("/assets/vector.js").Vector} Vector */
 
@@ -11,7 +11,7 @@ export class Cursor {
     this.follows = true;
   }
 
-  /** Puts it somewhere, off the tip. @param {Vector} point */
+  /** Places it at a point and stops following the tip. @param {Vector} point */
   place(point) {
     if (!point.every(Number.isFinite)) return;
     this.point = point;
@@ -19,13 +19,13 @@ export class Cursor {
     this.changed();
   }
 
-  /** Back onto the tip, or off it where it is. */
+  /** Toggles following the tip. */
   toggle() {
     this.follows = !this.follows;
     this.changed();
   }
 
-  /** Where the tip is now. @param {Vector | undefined} tip */
+  /** Takes the tip's position. @param {Vector | undefined} tip */
   tip(tip) {
     if (tip && (this.follows || !this.point)) this.point = tip;
   }

@@ -1,12 +1,12 @@
-// The tool at one's fingertips: what the user asks of tendon, feed and burr, by keys, buttons, sliders and gamepad.
+// Manual drive: the user's inputs for tendon, feed and burr, from keys, buttons, sliders and gamepad.
 
 const SEND_MS = 50;
 const TENDON_N_PER_S = 4;
-/** Deflections of a stick below this are its play. */
+/** Dead zone of a stick. */
 const DEAD_ZONE = 0.12;
 const RAD_PER_S_PER_RPM = (2 * Math.PI) / 60;
 
-/** Positions of a standard gamepad, or undefined. @returns {{feed: number, tendon: number, burr: boolean, pause: boolean} | undefined} */
+/** Returns the inputs of a standard gamepad, or undefined. @returns {{feed: number, tendon: number, burr: boolean, pause: boolean} | undefined} */
 export function readGamepad() {
   const pad = [...navigator.getGamepads()].find((one) => one?.connected);
   if (!pad) return undefined;
@@ -24,7 +24,7 @@ export class Drive {
     this.changed = changed;
     this.refused = refused;
     this.pause = pause;
-    /** The gamepad's buttons when it was last read. @type {boolean | undefined} */
+    /** The gamepad's button state at the last poll. @type {boolean | undefined} */
     this.padBurr = undefined;
     this.padPause = false;
     this.on = false;
@@ -40,7 +40,7 @@ export class Drive {
     this.lastSent = "";
   }
 
-  /** Takes or lets go the controls. @param {number} tensionN where the tendon is now, so that nothing jumps */
+  /** Takes or releases control. @param {number} tensionN current tendon tension, so that it does not jump */
   toggle(tensionN) {
     this.on = !this.on;
     this.feedHeld = this.tendonHeld = 0;
@@ -74,7 +74,7 @@ export class Drive {
     if (tendon !== 0 || pad) this.changed();
   }
 
-  /** Sends when something changed, and all the time while the tool moves: the server stops it when nothing comes. */
+  /** Sends on every change, and continuously while the tool moves: without requests the server stops it. */
   async #transmit(feed) {
     const request = {};
     if (this.parts.includes("tendon")) request.tendon_n = this.tendonN;

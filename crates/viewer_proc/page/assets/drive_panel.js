@@ -1,6 +1,6 @@
-// The drive's switches and sliders.
+// Switches and sliders of the drive panel.
 
-/** The element of `index.html`, whose kind the page's author knows. @param {string} id @returns {any} */
+/** An element of `index.html`, of a kind known here. @param {string} id @returns {any} */
 const element = (id) => document.getElementById(id);
 
 /** @param {import("/assets/drive.js").Drive} drive */
@@ -21,10 +21,10 @@ export function connectDrivePanel(drive) {
   window.addEventListener("gamepaddisconnected", () => (element("gamepad").textContent = ""));
 }
 
-/** @param {import("/assets/drive.js").Drive} drive @param {string} facts what else there is to say */
+/** @param {import("/assets/drive.js").Drive} drive @param {string} facts further text */
 export function showDrive(drive, facts) {
   const drives = (part) => drive.on && drive.parts.includes(part);
-  element("drive-switch").textContent = drive.on ? "Let go" : "Take the controls";
+  element("drive-switch").textContent = drive.on ? "Release control" : "Take control";
   element("drive-switch").setAttribute("aria-pressed", String(drive.on));
   element("drive-facts").textContent = facts;
   const tendon = element("tendon");

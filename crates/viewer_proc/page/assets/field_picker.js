@@ -1,16 +1,16 @@
-// The list of all fields of all messages, to search, to click and to drag into a plot.
+// The list of all message fields, to search, click, and drag into a plot.
 
 import { layoutOf } from "/assets/schema.js";
 
-/** The element of `index.html`, whose kind the page's author knows. @param {string} id @returns {any} */
+/** An element of `index.html`, of a kind known here. @param {string} id @returns {any} */
 const element = (id) => document.getElementById(id);
-/** A page that lists thousands of fields is slow; a search finds the others. */
+/** Maximum number of fields listed, because thousands would be slow; a search finds the others. */
 const MOST_SHOWN = 200;
 
 export class FieldPicker {
   /**
    * @param {() => Iterable<import("/assets/connection.js").Channel>} channels
-   * @param {(plot: number | undefined, name: import("/assets/log_series.js").FieldName) => void} chosen `plot`: none for a new one
+   * @param {(plot: number | undefined, name: import("/assets/log_series.js").FieldName) => void} chosen `plot`: undefined for a new one
    */
   constructor(channels, chosen) {
     this.channels = channels;
@@ -26,7 +26,7 @@ export class FieldPicker {
     });
   }
 
-  /** Shows the list for a plot, or for a new one. @param {number} [plot] */
+  /** Opens the list for a plot, or for a new one. @param {number} [plot] */
   open(plot) {
     this.plot = plot;
     element("fields").hidden = false;
@@ -35,7 +35,7 @@ export class FieldPicker {
     element("field-search").focus();
   }
 
-  /** All fields that can be plotted. @returns {import("/assets/log_series.js").FieldName[]} */
+  /** Returns all plottable fields. @returns {import("/assets/log_series.js").FieldName[]} */
   all() {
     const logged = [...this.channels()].filter(({ encoding, topic }) => encoding === "cdr" && !topic.startsWith("/second") && !topic.startsWith("/view/"));
     return logged.flatMap(({ topic, schema }) => [...layoutOf(schema).fields.keys()].map((field) => ({ topic, field })));
@@ -59,6 +59,6 @@ export class FieldPicker {
     });
     element("field-list").replaceChildren(...items);
     const more = found.length - items.length;
-    element("field-count").textContent = more > 0 ? `${found.length} fields; ${more} more by a search` : `${found.length} fields`;
+    element("field-count").textContent = more > 0 ? `${found.length} fields; search to find ${more} more` : `${found.length} fields`;
   }
 }

@@ -1,23 +1,23 @@
-// What is drawn, as files: the plots as CSV, PNG and SVG, the 3D view as PNG and as a film.
+// Export: the plots as CSV, PNG and SVG, the 3D view as PNG and video.
 
 const TITLE_PX = 22;
 const WIDTH = 900;
 const HEIGHT = 220;
 
-/** Gives the user a file. @param {Blob} blob @param {string} name */
+/** Downloads a file. @param {Blob} blob @param {string} name */
 export function save(blob, name) {
   const link = document.createElement("a");
   link.href = URL.createObjectURL(blob);
   link.download = name;
   link.click();
-  // The browser has begun to read it by then.
+  // By then the browser has started to read it.
   setTimeout(() => URL.revokeObjectURL(link.href), 10000);
 }
 
 const escaped = (text) => String(text).replace(/[&<>"]/g, (c) => ({ "&": "&amp;", "<": "&lt;", ">": "&gt;", '"': "&quot;" })[c]);
 const two = (x) => (Math.round(x * 100) / 100).toString();
 
-/** The part of a canvas's context that plots use, writing SVG. */
+/** The subset of a canvas context that plots use, writing SVG. */
 export class SvgContext {
   constructor() {
     this.parts = [];
@@ -94,7 +94,7 @@ export class SvgContext {
   }
 }
 
-/** All plots one above the other, each with its title and the names of its lines. */
+/** Draws all plots in a column, each with its title and the names of its lines. */
 function drawAll(panel, colours, context, move) {
   panel.plots.forEach(({ plot, title, unit }, i) => {
     move(0, i * (HEIGHT + TITLE_PX));
@@ -140,8 +140,8 @@ export function plotsPng(panel, colours) {
 }
 
 /**
- * The samples of the shown span, one row a time: of each line the mean, and the least and greatest value that the row stands for. Numbers
- * are in the messages' own units, which end the fields' names.
+ * Returns the samples of the shown span as CSV, one row per time: for each line the mean, and the minimum and maximum that the row
+ * covers. Numbers are in the messages' units, which are suffixes of the field names.
  * @param {import("/assets/plots_panel.js").PlotsPanel} panel @returns {string}
  */
 export function plotsCsv(panel) {
@@ -162,9 +162,9 @@ export function plotsCsv(panel) {
   return `${[head.join(","), ...body].join("\n")}\n`;
 }
 
-/** A film of a canvas, as the browser makes it. */
+/** A video of a canvas, encoded by the browser. */
 export class Film {
-  /** Begins, or ends and saves. @param {HTMLCanvasElement} canvas @param {string} name @returns {boolean} whether it runs now */
+  /** Starts recording, or stops and saves. @param {HTMLCanvasElement} canvas @param {string} name @returns {boolean} whether it is now recording */
   toggle(canvas, name) {
     if (this.recorder) {
       this.recorder.stop();
@@ -181,5 +181,5 @@ export class Film {
   }
 }
 
-/** A file's name that says what it is of. @param {string} scene @param {string} what @param {string} end */
+/** Returns a descriptive file name. @param {string} scene @param {string} what @param {string} end */
 export const fileName = (scene, what, end) => `${scene.replace(/[^\w.-]+/g, "_") || "trabecula"}_${what}.${end}`;

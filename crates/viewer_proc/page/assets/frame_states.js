@@ -1,4 +1,4 @@
-// The states of the last seconds by tick: a frame shows the tool as it was, not as it is.
+// The states of the last seconds, by tick: a frame shows the tool as it was at that tick.
 
 const KEPT = 1500;
 
@@ -19,7 +19,7 @@ export class FrameStates {
     if (this.states.size > KEPT) this.states.delete(this.states.keys().next().value);
   }
 
-  /** The state of a tick, or the nearest one that is no more than so many ticks away. @param {number} tick @param {number} most @returns {DataView | undefined} */
+  /** Returns the state of a tick, or the nearest one within `most` ticks. @param {number} tick @param {number} most @returns {DataView | undefined} */
   near(tick, most) {
     const exact = this.states.get(tick);
     if (exact) return exact;

@@ -2,7 +2,7 @@
 
 import { INSTANCE_FLOATS } from "/assets/parts_list.js";
 
-/** A linked program and its uniforms' places. @param {WebGL2RenderingContext} gl */
+/** Links a program and looks up its uniforms. @param {WebGL2RenderingContext} gl */
 export function program(gl, vertexSource, fragmentSource) {
   const linked = gl.createProgram();
   for (const [kind, source] of [[gl.VERTEX_SHADER, vertexSource], [gl.FRAGMENT_SHADER, fragmentSource]]) {
@@ -30,7 +30,7 @@ function filled(gl, target, data) {
   return buffer;
 }
 
-/** One unit shape that is drawn many times. */
+/** A unit shape with instanced drawing. */
 export class InstancedShape {
   /** @param {WebGL2RenderingContext} gl @param {import("/assets/shapes.js").Shape} shape */
   constructor(gl, shape) {
@@ -55,7 +55,7 @@ export class InstancedShape {
     }
   }
 
-  /** @param {number[]} numbers `INSTANCE_FLOATS` an instance */
+  /** @param {number[]} numbers `INSTANCE_FLOATS` per instance */
   draw(numbers) {
     if (numbers.length === 0) return;
     const { gl } = this;

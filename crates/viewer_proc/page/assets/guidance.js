@@ -1,13 +1,13 @@
-// The numbers that a user looks for: where the tip is, how far from the target and from the plan, and how hard it presses.
+// Readouts for guidance: tip position, distance from target and plan, and burr force.
 
 import { add, dot, length, scale, subtract } from "/assets/vector.js";
 
 /** @typedef {import("/assets/vector.js").Vector} Vector */
 
-/** The element of `index.html`, whose kind the page's author knows. @param {string} id @returns {any} */
+/** An element of `index.html`, of a kind known here. @param {string} id @returns {any} */
 const element = (id) => document.getElementById(id);
 
-/** Distance of a point from a line through points, metres. @param {Vector} point @param {Vector[]} line */
+/** Returns the distance of a point from a polyline, metres. @param {Vector} point @param {Vector[]} line */
 export function distanceFrom(point, line) {
   let nearest = Infinity;
   for (let i = 1; i < line.length; i++) {
@@ -19,7 +19,7 @@ export function distanceFrom(point, line) {
   return nearest;
 }
 
-/** Patient coordinates as read aloud: how far to the left, posterior and to the head. @param {Vector} point metres */
+/** Formats patient coordinates: left, posterior, superior, mm. @param {Vector} point metres */
 export const placeText = (point) => point.map((x) => (x * 1e3).toFixed(1).replace(/^-(0\.0)$/, "$1")).join(", ");
 
 function set(id, text) {

@@ -1,8 +1,9 @@
-// What the browser keeps of the page between visits. Without storage (a private window, a full disk) the page has its defaults.
+// Browser storage for the page between visits. Without storage (a private window, a full disk) the page uses
+// its defaults.
 
 const PREFIX = "trabecula.";
 
-/** @param {string} name @returns {any} undefined if there is nothing, or nothing that can be read */
+/** @param {string} name @returns {any} undefined if missing or unreadable */
 export function stored(name) {
   try {
     return JSON.parse(localStorage.getItem(PREFIX + name) ?? "null") ?? undefined;
@@ -11,12 +12,12 @@ export function stored(name) {
   }
 }
 
-/** @param {string} name @param {any} value undefined forgets it */
+/** @param {string} name @param {any} value undefined deletes it */
 export function store(name, value) {
   try {
     if (value === undefined) localStorage.removeItem(PREFIX + name);
     else localStorage.setItem(PREFIX + name, JSON.stringify(value));
   } catch {
-    // The page works without.
+    // The page works without storage.
   }
 }

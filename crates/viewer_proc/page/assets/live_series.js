@@ -1,13 +1,13 @@
-// Fields of a running session over time: what has come over the connection.
+// Fields of a running session over time, from the received messages.
 
 import { layoutOf, reader } from "/assets/schema.js";
 import { Series } from "/assets/series.js";
 import { keyOf } from "/assets/log_series.js";
 
-/** Messages that describe a tick and come later name it. */
+/** Messages that describe a tick but arrive later contain its number. */
 const TICK_TOPICS = /^\/(timing\/|event|command\/)/;
 
-/** Keeps the fields that are plotted, each at the messages' full rate. */
+/** Keeps the plotted fields, each at the messages' full rate. */
 export class LiveSeries {
   constructor() {
     /** @type {Map<string, {name: import("/assets/log_series.js").FieldName, series: Series}>} */
@@ -20,7 +20,7 @@ export class LiveSeries {
     for (const { series } of this.fields.values()) series.clear();
   }
 
-  /** Keeps these fields and no others. @param {import("/assets/log_series.js").FieldName[]} names */
+  /** Keeps only these fields. @param {import("/assets/log_series.js").FieldName[]} names */
   keep(names) {
     const wanted = new Map(names.map((name) => [keyOf(name), name]));
     for (const key of this.fields.keys()) if (!wanted.has(key)) this.fields.delete(key);

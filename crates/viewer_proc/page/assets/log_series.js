@@ -1,9 +1,9 @@
-// Fields of a log over time, as the server has decimated them: least, greatest and mean value of each column of one span.
+// Fields of a log over time, decimated by the server: minimum, maximum and mean of each column of a span.
 
-/** What is asked for beside the span shown, as a share of it, on each side. */
+/** Extra span requested on each side, as a fraction of the shown span. */
 const MARGIN_SPANS = 0.5;
 const MOST_COLUMNS = 4096;
-/** How long to wait before asking again while the server still reads the log. */
+/** Delay before repeating a request while the server is still reading the log. */
 const AGAIN_MS = 250;
 
 /**
@@ -16,12 +16,12 @@ const AGAIN_MS = 250;
 /** @param {FieldName} name */
 export const keyOf = ({ topic, field }) => `${topic} ${field}`;
 
-/** What the server has sent of one log; asks for what is to be drawn and not there. */
+/** The series received for one log; requests what is to be drawn but missing. */
 export class LogSeries {
   /**
    * @param {(request: object) => Promise<any>} ask calls `/series`
    * @param {() => void} changed
-   * @param {boolean} second whether the second log is meant
+   * @param {boolean} second whether it is the second log
    */
   constructor(ask, changed, second) {
     this.ask = ask;
@@ -30,17 +30,17 @@ export class LogSeries {
     this.clear();
   }
 
-  /** Forgets everything, for a new connection. */
+  /** Clears everything, for a new connection. */
   clear() {
     /** @type {Span | undefined} */
     this.span = undefined;
     this.asking = false;
     this.refused = undefined;
-    /** Answers to questions asked before this are another log's. */
+    /** Replies to requests sent before this belong to another log. */
     this.generation = (this.generation ?? 0) + 1;
   }
 
-  /** Whether what is there serves a picture of this span. */
+  /** Whether the loaded data is sufficient to draw this span. */
   #serves(fields, from, to, columns) {
     const { span } = this;
     if (!span || span.from > from || span.to < to) return false;
@@ -49,7 +49,7 @@ export class LogSeries {
   }
 
   /**
-   * Asks for fields over a span if they are not there; one request at a time.
+   * Requests fields over a span if they are missing; one request at a time.
    * @param {FieldName[]} fields @param {number} from seconds @param {number} to seconds @param {number} columns on the screen
    * @param {number} end of the log, seconds
    */
@@ -58,7 +58,7 @@ export class LogSeries {
     const key = fields.map(keyOf).join();
     if (this.asking || (!stale && this.#serves(fields, from, to, columns))) return;
     if (this.refused === key && performance.now() - this.askedAt < 2000) return;
-    // A margin on both sides, so that a drag has something to show before the answer.
+    // A margin on both sides, so that a drag has something to show before the reply.
     const margin = (to - from) * MARGIN_SPANS;
     const [first, last] = [Math.max(0, from - margin), Math.min(Math.max(end, to), to + margin)];
     const wanted = Math.min(MOST_COLUMNS, Math.ceil((columns * (last - first)) / (to - from)));
@@ -80,22 +80,22 @@ export class LogSeries {
   #take(fields, { from_ns, to_ns, columns, reading, series, misses }) {
     const kept = new Map(fields.map((name, i) => [keyOf(name), series[i]]));
     this.span = { from: from_ns / 1e9, to: to_ns / 1e9, columns, reading, fields: kept, misses };
-    // The rest of the log comes by asking again.
+    // The rest of the log is fetched by further requests.
     if (reading != null) setTimeout(this.changed, AGAIN_MS + 20);
   }
 
-  /** Whether the server still reads what is shown. */
+  /** Whether the server is still reading the shown data. */
   get reading() {
     return this.span?.reading ?? undefined;
   }
 
-  /** A field's samples, to draw. @param {FieldName} name @returns {import("/assets/plot.js").Samples} */
+  /** Returns a field's samples for drawing. @param {FieldName} name @returns {import("/assets/plot.js").Samples} */
   field(name) {
     return new LogField(this, keyOf(name));
   }
 }
 
-/** One field of a log as a plot takes it. */
+/** One field of a log, in the form that a plot expects. */
 class LogField {
   /** @param {LogSeries} series @param {string} key */
   constructor(series, key) {
@@ -103,7 +103,7 @@ class LogField {
     this.key = key;
   }
 
-  /** Samples farther apart than this, in seconds, have nothing between them. */
+  /** Samples farther apart than this, in seconds, have a gap between them. */
   get spacing() {
     const columns = this.series.span?.fields.get(this.key);
     return columns ? columns.width_ns / 1e9 : 0;

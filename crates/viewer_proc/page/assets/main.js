@@ -1,4 +1,4 @@
-// The page: connects, hands messages to the model, and draws when something changed.
+// The page: connects, passes messages to the model, and draws when something has changed.
 
 import { Actions } from "/assets/actions.js";
 import { Connection, GOES_ON, json } from "/assets/connection.js";
@@ -31,11 +31,11 @@ import { Work } from "/assets/work.js";
 import { XRay, decodeImage } from "/assets/x_ray.js";
 import { XRayOverlay } from "/assets/x_ray_overlay.js";
 
-/** Readouts change this often, so that they can be read. */
+/** Update period of the readouts, slow enough to be readable. */
 const TEXT_MS = 100;
-const READ_ONLY = "Read only: to control the run, open the page by the address that the program printed (it ends in #token=…).";
+const READ_ONLY = "Read-only: to control the run, open the page with the address that the program printed (it ends in #token=…).";
 
-/** The element of `index.html`, whose kind the page's author knows. @param {string} id @returns {any} */
+/** An element of `index.html`, of a kind known here. @param {string} id @returns {any} */
 const element = (id) => document.getElementById(id);
 const token = new URLSearchParams(location.hash.slice(1)).get("token") ?? undefined;
 
@@ -47,10 +47,10 @@ const page = { model, connection, notices, work: new Work(), asked: 0 };
 connection.took = (milliseconds) => page.work.message(milliseconds);
 let scheduled = false;
 let connected = false;
-/** What the viewer said last: when it has gone, probably why. @type {string | undefined} */
+/** Last notice from the viewer: once it has gone, probably the reason. @type {string | undefined} */
 let said;
 
-/** Asks for a new picture of one part, or of all. @param {"scene" | "slices" | "xRay" | "plots"} [what] */
+/** Requests a redraw of one part, or of everything. @param {"scene" | "slices" | "xRay" | "plots"} [what] */
 function changed(what) {
   if (what) dirty[what] = true;
   else Object.assign(dirty, { scene: true, slices: true, xRay: true, plots: true, profile: true });
@@ -60,7 +60,7 @@ function changed(what) {
 }
 page.changed = changed;
 
-/** Calls a service and says why it was refused. */
+/** Calls a service and shows the error if it is refused. */
 page.call = async (service, request) => {
   if (!token) {
     notices.add("warning", READ_ONLY);
@@ -77,7 +77,7 @@ page.cursor = new Cursor(() => changed());
 page.measures = new Measures(() => (showMeasures(), changed()));
 page.xRayOverlay = new XRayOverlay(element("x-ray-overlay"), page.xRay, model, page.cursor, page.measures);
 page.planEdit = new PlanEdit((request) => (token ? connection.call("/plan", request) : Promise.resolve({ ok: false, error: READ_ONLY })), () => (changed("scene"), changed("slices")), page.cursor);
-// Whoever may watch may see slices: they need no control token.
+// Slices need no control token: any client that can watch can see them.
 page.slices = new Slices(model, page.cursor, page.measures, (request) => connection.call("/slice", request), () => changed("slices"));
 page.slices.edit = page.planEdit;
 page.plots = new PlotsPanel(element("plots-grid"), model, {
@@ -92,7 +92,7 @@ page.film = new Film();
 connection.each = (data, timeNs, channel) => model.info?.kind !== "log" && page.plots.live.take(data, timeNs, channel, model.periodNs);
 page.timeLine = new TimeLine((request) => page.call("/playback", request), () => changed("plots"));
 for (const dialog of document.querySelectorAll("dialog")) {
-  // A button of a closed dialog has the focus until the next picture, and would take the keys.
+  // A button of a closed dialog keeps the focus until the next frame and would take the keys.
   dialog.addEventListener("close", () => dialog.contains(document.activeElement) && /** @type {HTMLElement} */ (document.activeElement).blur());
 }
 const refused = (text) => notices.add("error", `/drive: ${text}`);
@@ -104,21 +104,22 @@ try {
   page.sceneOverlay = new SceneOverlay(element("scene-overlay"), page.view, page.measures, page.planEdit);
   page.planEdit.listenToView(page.view, (point) => page.sceneOverlay.pixelOf(point));
   listenToClicks(element("scene-canvas"));
-  const lost = "The browser has lost its 3D picture: load the page again.";
+  const lost = "The browser has lost the 3D graphics context: reload the page.";
   element("scene-canvas").addEventListener("webglcontextlost", () => notices.show("webgl", lost));
 } catch (error) {
-  notices.show("webgl", `No 3D view: ${error instanceof Error ? error.message : error}. The X-ray, plots and controls work without it.`);
+  notices.show("webgl", `No 3D view: ${error instanceof Error ? error.message : error}. X-ray, plots and controls still work.`);
 }
 page.theme = new Theme(() => changed());
 fillSigns();
 page.actions = new Actions([...commands(page), ...sliceCommands(page)]);
 page.actions.listen();
-/** The speed of the list, as run control takes it: a run in real time has its own speed without steps. */
+/** The selected speed as run control expects it: a real-time run has its own speed without stepping. */
 page.speed = () => (model.info?.scene?.mode === "realtime" && element("speed").value === "1" ? 0 : Number(element("speed").value));
 element("speed").addEventListener("change", () => page.call("/control", { action: "speed", speed: page.speed() }));
 new ResizeObserver(() => changed()).observe(document.body);
 
-/** In the 3D view a click measures, a double click puts the cross-hair there; a drag turns. @param {HTMLCanvasElement} canvas */
+/** In the 3D view a click measures, a double click places the cross-hair, and a drag rotates. @param
+ * {HTMLCanvasElement} canvas */
 function listenToClicks(canvas) {
   let travelled = 0;
   const place = (event) => page.view.placeAt(event.offsetX, event.offsetY, model);
@@ -138,7 +139,7 @@ function showMeasures() {
 
 function showDriveNow() {
   const named = model.info?.controllers?.includes("viewer") ?? false;
-  const read = token ? "" : "Read only: this address has no control token.";
+  const read = token ? "" : "Read-only: this address has no control token.";
   const none = named ? "" : "The scene has no controller named `viewer`.";
   showDrive(page.drive, read || none || (page.drive.on ? "W S feed, A D tendon, Q burr." : `Drives ${page.drive.parts.join(", ")}.`));
   element("drive-switch").disabled = !token || !named;
@@ -167,14 +168,14 @@ function takeInfo(data) {
   changed();
 }
 
-/** The speeds that a run can have: in real time none above its own. @param {string | undefined} mode */
+/** Shows the speeds that a run can have: in real time none above its own. @param {string | undefined} mode */
 function showSpeeds(mode) {
   const list = element("speed");
   for (const option of list.options) option.disabled = option.hidden = mode === "realtime" && !(Number(option.value) > 0 && Number(option.value) <= 1);
   list.value = mode === "lockstep" ? "0" : "1";
 }
 
-/** The speed that the run is held to, by this page or another. */
+/** Takes the speed limit of the run, set by this page or another. */
 function takePace(data) {
   model.pace = json(data).speed ?? undefined;
   const option = [...element("speed").options].find((one) => Number(one.value) === model.pace);
@@ -182,7 +183,7 @@ function takePace(data) {
   showTexts();
 }
 
-/** A frame that was asked for stays until the live ones are asked for, if it was this page that asked. */
+/** Holds a frame that this page requested until live frames are requested. */
 function takeAskedFrame(data, _timeNs, channel) {
   if (!page.asked) return;
   page.asked -= 1;
@@ -206,7 +207,7 @@ function takePlayback(data) {
   changed("plots");
 }
 
-/** What a log says of its run, once. Misses are on the strip. */
+/** Lists the log's marks once. Misses are shown on the strip. */
 function listMarks(marks) {
   const listed = marks.filter(({ kind }) => kind !== "miss").slice(-100);
   element("notices").querySelectorAll(".mark").forEach((item) => item.remove());
@@ -273,22 +274,22 @@ connection.addEventListener("open", () => {
   changed();
 });
 connection.addEventListener("close", (/** @type {CustomEvent} */ { detail }) => {
-  // The same address shows the next thing in a moment: the run of a plan, or the log of a run.
+  // The same address is about to show something else: the run of a plan, or the log of a run.
   if (detail === GOES_ON) {
     connected = false;
     model.hasEnded = model.info?.kind === "live";
-    notices.show("connection", model.hasEnded ? "The run has ended. Its log is being opened…" : "The run begins…", "info");
+    notices.show("connection", model.hasEnded ? "The run has ended. Opening its log…" : "The run is starting…", "info");
     return showTexts();
   }
-  // At its end a run closes the connection: nothing is wrong, and what is shown stays.
+  // A run that ends closes the connection: this is not an error, and the last state stays on screen.
   model.hasEnded ||= model.info?.kind === "live" && (model.statusPhase === "ended" || said === "the run has ended");
   if (model.hasEnded) endParts();
-  if (connected && !model.hasEnded) notices.add("error", `The connection to the viewer closed${detail ? `: ${detail}` : "."}`);
+  if (connected && !model.hasEnded) notices.add("error", `Connection to the viewer lost${detail ? `: ${detail}` : "."}`);
   connected = false;
   if (page.drive.on) page.drive.toggle(0);
-  const why = [detail || "it ended, or it has not started", said].filter(Boolean).join("; ");
-  if (model.hasEnded) notices.show("connection", "The run has ended. What is shown stays; `trabecula view FOLDER` shows its log on a time line.", "info");
-  else notices.show("connection", `Not connected to the viewer: ${why}. Trying again…`);
+  const why = [detail || "it has ended or has not started yet", said].filter(Boolean).join("; ");
+  if (model.hasEnded) notices.show("connection", "The run has ended. This page keeps its last state; `trabecula view FOLDER` shows the log on a time line.", "info");
+  else notices.show("connection", `Not connected to the viewer: ${why}. Reconnecting…`);
   showTexts();
 });
 connection.addEventListener("status", (/** @type {CustomEvent} */ { detail }) => notices.add(detail.level >= 2 ? "error" : detail.level === 1 ? "warning" : "info", detail.message));
@@ -349,5 +350,5 @@ setInterval(showTexts, TEXT_MS);
 connection.open();
 changed();
 
-/** For tests and the browser's console: what is shown, to read. */
+/** For tests and the browser's console: the page's objects, to read. */
 Object.assign(window, { trabecula: page });

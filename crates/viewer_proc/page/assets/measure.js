@@ -1,10 +1,10 @@
-// Distances: two clicks in any of the views make one.
+// Distances: two clicks in any of the views define one.
 
 import { length, subtract } from "/assets/vector.js";
 
 /** @typedef {import("/assets/vector.js").Vector} Vector */
 const KEPT = 20;
-/** A pointer that has moved less than this was clicked, not dragged. */
+/** A pointer that moved less than this counts as a click, not a drag. */
 export const CLICK_PX = 4;
 
 /** @param {Vector} from @param {Vector} to */
@@ -17,9 +17,9 @@ export class Measures {
     this.on = false;
     /** @type {{from: Vector, to: Vector}[]} */
     this.lines = [];
-    /** The first click of a distance. @type {Vector | undefined} */
+    /** The first point of an unfinished distance. @type {Vector | undefined} */
     this.begun = undefined;
-    /** Another one whenever something has changed. */
+    /** Incremented on every change. */
     this.version = 0;
   }
 
@@ -53,7 +53,7 @@ export class Measures {
     this.#change();
   }
 
-  /** What to tell the user. */
+  /** Text for the user. */
   get text() {
     if (this.on && this.begun) return "click the second point";
     const last = this.lines.at(-1);

@@ -1,4 +1,4 @@
-// What the server's messages say, kept for the panels.
+// State from the server's messages, for the panels.
 
 import { layoutOf, reader } from "/assets/schema.js";
 import { armFrames } from "/assets/arm.js";
@@ -12,7 +12,7 @@ const BODIES = 4;
 const CONTACTS = 40;
 const PHASES = ["connecting", "running", "paused", "ended"];
 
-/** Misses of a run that are kept. */
+/** Maximum number of misses kept. */
 const MOST_MISSES = 20000;
 
 const many = (layout, path, count) => Array.from({ length: count }, (_, i) => reader(layout, `${path}[${i}]`));
@@ -23,7 +23,7 @@ const poseReader = (layout, path) => ({
 });
 const readPose = (at, view) => ({ position: at.position.map((f) => f(view)), rotation: at.rotation.map((f) => f(view)) });
 
-/** The readers of a state's fields. @param {import("/assets/schema.js").Layout} layout */
+/** Readers for the fields of a state. @param {import("/assets/schema.js").Layout} layout */
 function stateReaders(layout) {
   return {
     tick: reader(layout, "tick"), removed: reader(layout, "removed_total"),
@@ -41,7 +41,7 @@ function stateReaders(layout) {
 }
 
 /**
- * Where arm and tool are in a state.
+ * Returns the poses of arm and tool in a state.
  * @param {any} info of `/view/info` @returns {import("/assets/tool_model.js").Poses}
  */
 function posesOf(read, state, info) {
@@ -51,7 +51,7 @@ function posesOf(read, state, info) {
   return { arm, flange, base: readPose(read.base, state), links, burr: readPose(read.burrPose, state) };
 }
 
-/** The string behind a struct. @param {DataView} data @param {number} at */
+/** Returns the string that follows a struct. @param {DataView} data @param {number} at */
 function tailText(data, at) {
   const size = data.getUint32(at, true);
   return new TextDecoder().decode(new Uint8Array(data.buffer, data.byteOffset + at + 4, Math.max(0, size - 1)));
@@ -68,17 +68,17 @@ export class Model {
     /** Late ticks of a run in order, with the letter of the cause. @type {import("/assets/timing_strip.js").Miss[]} */
     this.misses = [];
     this.statusPhase = "connecting";
-    /** Speed that the run is held to, by steps while it is paused; undefined: its own. */
+    /** Speed limit of the run, enforced by stepping while paused; undefined: no limit. */
     this.pace = undefined;
     this.status = undefined;
     this.frame = undefined;
-    /** Whether the run that was shown has ended, so that a closed connection is no fault. */
+    /** Whether the run has ended, so that a closed connection is not an error. */
     this.hasEnded = false;
     /** Wall-clock time of the last state. */
     this.stateAt = undefined;
   }
 
-  /** The readers of a channel's schema, made once. */
+  /** Returns the readers for a channel's schema, created once. */
   #read(channel, make) {
     const known = this.readers.get(channel.topic);
     if (known?.schema === channel.schema) return known.readers;
@@ -101,13 +101,13 @@ export class Model {
     return this.state && this.stateRead.burr.map((f) => f(this.state));
   }
 
-  /** Where the tool was at a tick, or at one that is no more than so many away. @param {number} tick @param {number} most */
+  /** Returns the tool's poses at a tick, or at the nearest one within `most` ticks. @param {number} tick @param {number} most */
   posesAt(tick, most) {
     const state = this.frameStates.near(tick, most);
     return state && posesOf(this.stateRead, state, this.info);
   }
 
-  /** The second log's. */
+  /** Same for the second log. */
   get second() {
     return this.secondState && posesOf(this.stateRead, this.secondState, this.info);
   }
@@ -141,23 +141,23 @@ export class Model {
     this.trail.add(read.burr.map((f) => f(data)), timeNs);
   }
 
-  /** The state at the frame that is shown, of a log. @type {import("/assets/connection.js").Handler} */
+  /** Takes the state at the time of the shown frame (logs only). @type {import("/assets/connection.js").Handler} */
   takeFrameState(data, _timeNs, channel) {
     this.stateRead ??= this.#read(channel, stateReaders);
     this.frameStates.add(this.stateRead.tick(data), data);
   }
 
-  /** A late tick with its cause; those from before the page was opened come at once. @param {DataView} data */
+  /** Takes a late tick with its cause; earlier ones arrive together when the page connects. @param {DataView} data */
   takeMiss(data) {
     const { tick, letter } = json(data);
     const time = (tick * this.periodNs) / 1e9;
-    // After a reset of the viewer's connection they come again.
+    // They are sent again after the viewer's connection is reset.
     if (this.misses.length > 0 && time <= this.misses[this.misses.length - 1].time) return;
     this.misses.push({ time, letter, count: 1 });
     if (this.misses.length > MOST_MISSES) this.misses.splice(0, MOST_MISSES / 2);
   }
 
-  /** A field of the newest state, undefined for other topics. @param {import("/assets/log_series.js").FieldName} name @param {boolean} second */
+  /** Returns a field of the newest state; undefined for other topics. @param {import("/assets/log_series.js").FieldName} name @param {boolean} second */
   field({ topic, field }, second) {
     const state = second ? this.secondState : this.state;
     if (topic !== "/state" || !state) return undefined;
@@ -187,7 +187,7 @@ export class Model {
     this.statusPhase = PHASES[this.status.phase] ?? "connecting";
   }
 
-  /** Where the run stands; one that is held to a speed goes on. */
+  /** The run's phase; a run with a speed limit counts as running. */
   get phase() {
     return this.statusPhase === "paused" && this.pace ? "running" : this.statusPhase;
   }
@@ -197,7 +197,7 @@ export class Model {
     this.frame = this.readFrame(data, channel).frame;
   }
 
-  /** The facts of a `Frame`, and where it ends. */
+  /** Reads a `Frame`; returns its facts and where it ends. */
   readFrame(data, channel) {
     const read = this.#read(channel, (layout) => ({
       sequence: reader(layout, "sequence"), tick: reader(layout, "tick"),
@@ -211,7 +211,7 @@ export class Model {
   }
 
   /**
-   * An `Event` as level and text.
+   * Returns an `Event` as level and text.
    * @param {DataView} data @param {number} _timeNs @param {import("/assets/connection.js").Channel} channel
    * @returns {{level: "info" | "warning" | "error", text: string}}
    */
@@ -229,7 +229,7 @@ export class Model {
     this.info = json(data);
   }
 
-  /** Forgets what belongs to a run, for a new connection. */
+  /** Clears everything that belongs to a run, for a new connection. */
   clear() {
     this.trail.clear();
     this.frameStates.clear();

@@ -1,4 +1,4 @@
-// Messages for people: a list that screen readers follow, and a banner for what must not be missed.
+// Messages for the user: a list that screen readers follow, and a banner for what must not be missed.
 
 const KEPT = 200;
 const WORDS = { info: "note", warning: "warning", error: "error" };
@@ -8,7 +8,7 @@ export class Notices {
   constructor(list, banner) {
     this.list = list;
     this.banner = banner;
-    /** Banners by what they are about, the newest last. @type {Map<string, {level: string, text: string}>} */
+    /** Banners by subject, the newest last. @type {Map<string, {level: string, text: string}>} */
     this.banners = new Map();
   }
 
@@ -31,7 +31,8 @@ export class Notices {
     while (this.list.children.length > KEPT) this.list.lastElementChild.remove();
   }
 
-  /** Shows or, without a text, takes away a banner. @param {string} about @param {string} [text] @param {"info" | "warning" | "error"} [level] */
+  /** Shows a banner, or removes it if there is no text. @param {string} about @param {string} [text]
+   * @param {"info" | "warning" | "error"} [level] */
   show(about, text, level = "error") {
     if (this.banners.get(about)?.text === text) return;
     this.banners.delete(about);

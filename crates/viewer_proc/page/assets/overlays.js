@@ -1,4 +1,4 @@
-// What lies over the 3D picture: the patient's axes, a scale bar, the legend.
+// Overlays on the 3D view: the patient's axes, a scale bar, the legend.
 
 import { prepare } from "/assets/plot.js";
 import { ARROW_M_PER_N, COLOURS } from "/assets/tool_model.js";
@@ -6,11 +6,11 @@ import { ARROW_M_PER_N, COLOURS } from "/assets/tool_model.js";
 /** Directions of the patient frame: letter, colour property, axis. @type {[string, string, import("/assets/vector.js").Vector][]} */
 const AXES = [["L", "--cause-host", [1, 0, 0]], ["P", "--series-3", [0, 1, 0]], ["H", "--series-1", [0, 0, 1]]];
 
-/** Small axes that turn with the camera; L left, P posterior, H head. @param {HTMLCanvasElement} canvas @param {number[]} view matrix */
+/** Draws small axes that rotate with the camera; L left, P posterior, H head. @param {HTMLCanvasElement} canvas @param {number[]} view matrix */
 export function drawGizmo(canvas, view, colours) {
   const { context, width } = prepare(canvas);
   const middle = 48;
-  // Drawn for 96 pixels.
+  // Designed for 96 pixels.
   context.scale(width / (2 * middle), width / (2 * middle));
   context.font = "bold 12px system-ui, sans-serif";
   context.textAlign = "center";
@@ -28,7 +28,7 @@ export function drawGizmo(canvas, view, colours) {
   }
 }
 
-/** A bar of a round length. @param {HTMLElement} bar @param {number} metresPerPixel */
+/** Shows a bar of a round length. @param {HTMLElement} bar @param {number} metresPerPixel */
 export function showScaleBar(bar, metresPerPixel) {
   const most = metresPerPixel * 1000 * 110;
   const power = 10 ** Math.floor(Math.log10(most));
@@ -40,7 +40,7 @@ export function showScaleBar(bar, metresPerPixel) {
 /** @param {number[]} colour red, green, blue: 0 to 1 */
 const css = ([r, g, b]) => `rgb(${[r, g, b].map((part) => Math.round(part * 255)).join(" ")})`;
 
-/** Shapes of the legend, so that colour is not alone in telling things apart. */
+/** Legend shapes, so that colour is not the only distinction. */
 const SHAPES = {
   ball: (c) => (c.arc(11, 6, 5, 0, 7), c.fill()),
   bars: (c) => (c.rect(2, 3, 5, 7), c.rect(9, 3, 5, 7), c.rect(16, 3, 5, 7), c.fill()),
@@ -52,7 +52,7 @@ const SHAPES = {
 
 /** @param {HTMLElement} list @param {{planned: boolean, target: boolean, second: boolean}} has */
 export function fillLegend(list, has) {
-  /** What it shows of, in words, as which shape, and whether. @type {[string, string, string, boolean][]} */
+  /** Colour key, label, shape, and whether it is shown. @type {[string, string, string, boolean][]} */
   const entries = [
     ["burr", "burr", "ball", true], ["linkEven", "links", "bars", true], ["drilled", "burr path", "line", true],
     ["planned", "planned path", "dashes", has.planned], ["target", "target", "cross", has.target],

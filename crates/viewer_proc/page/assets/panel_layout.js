@@ -1,18 +1,19 @@
-// Which panels are shown and how large they are; the browser keeps it.
+// Which panels are shown, and their sizes; stored in the browser.
 
 import { store, stored } from "/assets/kept.js";
 
 const KEPT = "panels";
-/** Panels that can be hidden: id and name. @type {[string, string][]} */
+/** Hideable panels: id and name. @type {[string, string][]} */
 const PANELS = [["plots", "Plots"], ["timing", "Ticks"], ["x-ray", "X-ray"], ["connected", "Parts"], ["log", "Messages"]];
-/** Handles: id, property of the style sheet, least and greatest size in pixels, which coordinate, and which way it grows. */
+/** Handles: id, style-sheet property, minimum and maximum size in pixels, coordinate, and growth
+ * direction. */
 const HANDLES = [
   { id: "plots-handle", property: "--plots-height", least: 110, most: 900, key: "clientY", way: -1 },
   { id: "aside-handle", property: "--aside-width", least: 240, most: 1200, key: "clientX", way: -1 },
 ];
 const KEY_STEP_PX = 20;
 
-/** The element of `index.html`, whose kind the page's author knows. @param {string} id @returns {any} */
+/** An element of `index.html`, of a kind known here. @param {string} id @returns {any} */
 const element = (id) => document.getElementById(id);
 
 export class PanelLayout {
@@ -63,7 +64,7 @@ export class PanelLayout {
 
   #listen({ id, property, least, most, key, way }) {
     const handle = element(id);
-    // The panel's own size until one is set: the style sheet's depends on the window.
+    // The panel's own size until one is set: the style sheet's default depends on the window.
     const now = () => this.layout.sizes[property] ?? (key === "clientY" ? handle.parentElement.offsetHeight : handle.parentElement.offsetWidth);
     const set = (value) => ((this.layout.sizes[property] = Math.min(most, Math.max(least, Math.round(value)))), this.#keep());
     let pressed;
@@ -82,7 +83,7 @@ export class PanelLayout {
     });
   }
 
-  /** All panels, in their first size. */
+  /** Shows all panels at their default size. */
   restore() {
     this.layout = { hidden: [], sizes: {} };
     store(KEPT, undefined);

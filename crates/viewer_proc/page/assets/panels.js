@@ -1,11 +1,11 @@
-// The readouts: where the run stands, the frame, the ticks, the stream.
+// The readouts: state of the run, frame, ticks, stream.
 
 import { causeOf, countCauses } from "/assets/timing_strip.js";
 
-/** The element of `index.html`, whose kind the page's author knows. @param {string} id @returns {any} */
+/** An element of `index.html`, of a kind known here. @param {string} id @returns {any} */
 const element = (id) => document.getElementById(id);
 const PHASE_WORDS = { connecting: "Connecting", running: "Running", paused: "Paused", ended: "Ended", lost: "Not connected" };
-/** Without a state for this long a run that should go on is worth a word. */
+/** A running session without a state for this long triggers a warning. */
 const SILENT_MS = 2000;
 
 const set = (id, text) => {
@@ -13,7 +13,7 @@ const set = (id, text) => {
   if (place.textContent !== text) place.textContent = text;
 };
 
-/** Simulated over wall-clock time of the last second or so. */
+/** Simulated over wall-clock time during the last second or so. */
 export class Rate {
   samples = [];
 
@@ -38,7 +38,7 @@ export function showRun(model, connected, playback, rate) {
   set("phase", isPlan ? "Before the run" : isLog && connected ? (playback.playing ? "Playing" : "Paused") : PHASE_WORDS[phase] + held);
   element("phase").dataset.state = phase;
   set("scene-name", model.info?.scene?.name ?? "waiting for the scene");
-  // The end of a long path tells the logs apart.
+  // The end of a long path distinguishes the logs.
   const path = model.info?.path ?? "";
   set("kind", isLog || isPlan ? `${model.info.kind} ${path.split("/").slice(-2).join("/")}` : model.info ? `live, ${model.info.scene?.mode ?? ""}` : "");
   element("kind").title = path;
@@ -53,11 +53,11 @@ export function showRun(model, connected, playback, rate) {
   set("drilled", model.removed === undefined ? "–" : `${model.removed} voxels`);
 }
 
-/** What to say when a run is silent, or undefined. */
+/** Warning text if a run is silent, or undefined. */
 export function silence(model, connected, now) {
   if (!connected || model.info?.kind !== "live" || model.phase !== "running" || model.stateAt === undefined) return undefined;
   const silent = now - model.stateAt;
-  return silent > SILENT_MS ? `No state for ${(silent / 1000).toFixed(0)} s: the physics may be gone.` : undefined;
+  return silent > SILENT_MS ? `No state for ${(silent / 1000).toFixed(0)} s: the physics may have stopped.` : undefined;
 }
 
 /** @param {import("/assets/model.js").Model} model @param {import("/assets/x_ray.js").XRay} xRay */
@@ -65,15 +65,15 @@ export function showFrame(model, xRay) {
   const frame = xRay.held ? model.heldFrame : model.frame;
   const degrees = (angle) => `${((angle * 180) / Math.PI).toFixed(1)}°`;
   const angles = frame?.primary === undefined ? "" : `, ${degrees(frame.primary)} / ${degrees(frame.secondary)}`;
-  const held = xRay.held ? "asked for, held: " : "";
+  const held = xRay.held ? "requested, held:  " : "";
   set("frame-facts", frame ? `${held}frame ${frame.sequence}, tick ${frame.tick}${angles}` : "no frame yet");
   element("x-ray-live").hidden = !xRay.held;
   set("window-facts", xRay.image ? `level ${xRay.window.level.toFixed(0)}, width ${xRay.window.width.toFixed(0)}` : "");
   const words = { both: "both", first: "first", second: "second", difference: "first − second" };
-  set("x-ray-source", `Shows: ${words[xRay.shows]}`);
+  set("x-ray-source", `Show: ${words[xRay.shows]}`);
 }
 
-/** The ticks' facts, with the causes of the misses in the window. @param {import("/assets/timing_strip.js").Miss[]} misses */
+/** Tick facts, with the causes of the misses in the window. @param {import("/assets/timing_strip.js").Miss[]} misses */
 export function showTicks(model, misses, from, to, colours) {
   const place = element("timing-facts");
   const counts = countCauses(misses, from, to);
@@ -86,19 +86,19 @@ export function showTicks(model, misses, from, to, colours) {
     return item;
   });
   const period = `bars: step time, up to one period of ${(model.periodNs / 1e6).toFixed(1)} ms (dashed line)`;
-  const missed = parts.length > 0 ? parts.flatMap((part) => [part, "; "]) : ["no tick missed here; "];
+  const missed = parts.length > 0 ? parts.flatMap((part) => [part, "; "]) : ["no missed ticks; "];
   place.replaceChildren(...missed, period);
 }
 
 /**
- * What came and was drawn since the last call.
+ * Shows what was received and drawn since the last call.
  * @param {import("/assets/connection.js").Connection} connection @param {import("/assets/work.js").Work} work @param {number} seconds
  */
 export function showStream(connection, work, seconds) {
   const { messages, bytes } = connection.received;
   connection.received = { messages: 0, bytes: 0 };
   const { pictures, messageMs } = work.take();
-  set("stream-facts", `${(messages / seconds).toFixed(0)} messages/s, ${(bytes / seconds / 1e6).toFixed(1)} MB/s, ${(pictures / seconds).toFixed(0)} pictures/s`);
+  set("stream-facts", `${(messages / seconds).toFixed(0)} messages/s, ${(bytes / seconds / 1e6).toFixed(1)} MB/s, ${(pictures / seconds).toFixed(0)} frames/s`);
   const share = (messageMs / seconds / 10).toFixed(1);
-  element("stream-facts").title = `Script: ${work.quantile(0.5).toFixed(1)} ms a picture, messages ${share} % of the time`;
+  element("stream-facts").title = `Script: ${work.quantile(0.5).toFixed(1)} ms per frame, messages ${share} % of the time`;
 }

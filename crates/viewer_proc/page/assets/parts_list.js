@@ -1,4 +1,4 @@
-// What is drawn of tool, paths and arrows: instances of unit shapes.
+// Instances of unit shapes for tool, paths and arrows.
 
 import { add, cross, dot, length, scale, subtract, unit } from "/assets/vector.js";
 
@@ -7,10 +7,10 @@ import { add, cross, dot, length, scale, subtract, unit } from "/assets/vector.j
 /** @typedef {import("/assets/vector.js").Pose} Pose */
 /** @typedef {[number, number, number, number]} Colour red, green, blue, opacity: 0 to 1 */
 
-/** Numbers of an instance: position 3, rotation 4, scale 3, colour 4. */
+/** Numbers per instance: position 3, rotation 4, scale 3, colour 4. */
 export const INSTANCE_FLOATS = 14;
 
-/** The turn from +z to a direction. @param {Vector} direction a unit vector @returns {Quaternion} */
+/** Returns the rotation from +z to a direction. @param {Vector} direction a unit vector @returns {Quaternion} */
 function fromZ(direction) {
   const w = 1 + direction[2];
   if (w < 1e-6) return [1, 0, 0, 0];
@@ -39,7 +39,7 @@ export class PartsList {
     this.shapes.cylinder.push(...from, ...fromZ(unit(along)), radius, radius, span, ...colour);
   }
 
-  /** A cylinder with round ends. @param {Vector} from @param {Vector} to @param {number} radius @param {Colour} colour */
+  /** A cylinder with rounded ends. @param {Vector} from @param {Vector} to @param {number} radius @param {Colour} colour */
   capsule(from, to, radius, colour) {
     this.cylinder(from, to, radius, colour);
     this.sphere(from, radius, colour);
@@ -61,7 +61,8 @@ export class PartsList {
     this.shapes.cone.push(...neck, ...fromZ(unit(along)), radius * 2.4, radius * 2.4, head, ...colour);
   }
 
-  /** A line of thin capsules through points; `dash` draws every other piece of that length, counted along the whole line. */
+  /** A polyline of thin capsules; `dash` draws every other piece of that length, measured along the whole
+   * line. */
   path(points, radius, colour, dash = 0) {
     let passed = 0;
     for (let i = 1; i < points.length; i++) {
@@ -81,7 +82,7 @@ export class PartsList {
     }
   }
 
-  /** Three crossed bars and a ball: a mark that is told by its shape. @param {Vector} centre @param {number} size @param {Colour} colour */
+  /** Three crossed bars and a ball: a marker recognizable by its shape. @param {Vector} centre @param {number} size @param {Colour} colour */
   target(centre, size, colour) {
     this.sphere(centre, size * 0.35, colour);
     for (let axis = 0; axis < 3; axis++) {
@@ -93,7 +94,7 @@ export class PartsList {
   }
 }
 
-/** The plane through a point, its normal turned to the eye: x, y, z, w of n·p + w. */
+/** The plane through a point with its normal toward the eye: x, y, z, w of n·p + w. */
 export function planeTowards(point, normal, eye) {
   const facing = dot(normal, subtract(eye, point)) < 0 ? scale(normal, -1) : normal;
   return [...facing, -dot(facing, point)];

@@ -1,4 +1,4 @@
-// What lies under a pointer: a place on the bone or the tool in the 3D view, a place at the cross-hair's depth in the X-ray.
+// Picking: a point on the bone or the tool in the 3D view, or a point at the cross-hair's depth in the X-ray.
 
 import { FIELD_OF_VIEW_RAD } from "/assets/camera.js";
 import { add, cross, dot, length, scale, subtract, unit } from "/assets/vector.js";
@@ -9,7 +9,7 @@ import { add, cross, dot, length, scale, subtract, unit } from "/assets/vector.j
 const LARGEST_INDEX = 65535;
 
 /**
- * The ray through a place of the 3D picture. @param {import("/assets/camera.js").Camera} camera
+ * Returns the ray through a pixel of the 3D view. @param {import("/assets/camera.js").Camera} camera
  * @param {number} x @param {number} y @param {number} width @param {number} height pixels @returns {Ray}
  */
 export function cameraRay(camera, x, y, width, height) {
@@ -22,7 +22,7 @@ export function cameraRay(camera, x, y, width, height) {
   return { origin: eye, direction: unit(subtract(across, back)) };
 }
 
-/** The place of a ray nearest to a point. @param {Ray} ray @param {Vector} point */
+/** Returns the point of a ray nearest to a point. @param {Ray} ray @param {Vector} point */
 export const nearest = (ray, point) => along(ray, Math.max(0, dot(subtract(point, ray.origin), ray.direction)));
 /** @param {Ray} ray @param {number} distance */
 const along = (ray, distance) => add(ray.origin, scale(ray.direction, distance));
@@ -36,7 +36,7 @@ function toBall(ray, centre, radius) {
   return left >= 0 && ahead > 0 ? ahead - Math.sqrt(left) : Infinity;
 }
 
-/** Whether a ray comes within a block's box. */
+/** Whether a ray intersects a block's box. */
 function meets({ origin, direction }, low, size) {
   let [near, far] = [0, Infinity];
   for (let axis = 0; axis < 3; axis++) {
@@ -48,14 +48,14 @@ function meets({ origin, direction }, low, size) {
 }
 
 /**
- * Distance to the nearest triangle of a block that lies behind the cut, by Möller and Trumbore (1997); infinity: none.
+ * Returns the distance to the nearest triangle of a block behind the cut (Möller and Trumbore, 1997), or infinity.
  * @param {Ray} ray @param {{origin: number[], scale: number, positions: Uint16Array, indices: Uint32Array}} block
- * @param {number[]} cut x, y, z, w of the plane before which the bone is cut away; zeros: nothing is
+ * @param {number[]} cut x, y, z, w of the plane in front of which the bone is cut away; zeros: no cut
  */
 function toBlock(ray, block, cut) {
   if (!meets(ray, block.origin, block.scale * LARGEST_INDEX)) return Infinity;
   const { positions, indices } = block;
-  // In the block's own steps.
+  // In units of the block's steps.
   const start = ray.origin.map((x, axis) => (x - block.origin[axis]) / block.scale);
   const [dx, dy, dz] = ray.direction;
   let least = Infinity;
@@ -83,7 +83,7 @@ function toBlock(ray, block, cut) {
 }
 
 /**
- * The nearest place of bone or burr on a ray, or undefined.
+ * Returns the nearest point of bone or burr on a ray, or undefined.
  * @param {Ray} ray @param {Iterable<any>} blocks @param {number[]} cut @param {{centre: Vector, radius: number}[]} balls
  */
 export function pick(ray, blocks, cut, balls) {
@@ -94,7 +94,7 @@ export function pick(ray, blocks, cut, balls) {
 
 /** @typedef {{intrinsics: number[], rotation: number[], translation: number[]}} Projection of a frame: K, R and t, row-major */
 
-/** Where a place is seen in a frame: column, row (pixel centres are whole) and depth in metres; undefined behind the source. @param {Projection} p @param {Vector} point */
+/** Projects a point into a frame: column, row (pixel centres are integers) and depth in metres; undefined behind the source. @param {Projection} p @param {Vector} point */
 export function project({ intrinsics: k, rotation: r, translation: t }, point) {
   const camera = [0, 1, 2].map((row) => r[3 * row] * point[0] + r[3 * row + 1] * point[1] + r[3 * row + 2] * point[2] + t[row]);
   if (!(camera[2] > 0)) return undefined;
@@ -102,7 +102,7 @@ export function project({ intrinsics: k, rotation: r, translation: t }, point) {
   return [row(0), row(1), camera[2]];
 }
 
-/** The place at a depth that is seen at a column and row. @param {Projection} p @param {number} column @param {number} row @param {number} depth metres @returns {Vector} */
+/** Returns the point at a depth, column and row. @param {Projection} p @param {number} column @param {number} row @param {number} depth metres @returns {Vector} */
 export function unproject({ intrinsics: k, rotation: r, translation: t }, column, row, depth) {
   const y = (row - k[5]) / k[4];
   const x = (column - k[2] - k[1] * y) / k[0];
@@ -111,5 +111,5 @@ export function unproject({ intrinsics: k, rotation: r, translation: t }, column
   return [world(0), world(1), world(2)];
 }
 
-/** Pixels across a millimetre at a depth, for sizes. @param {Projection} p @param {number} depth */
+/** Returns pixels per millimetre at a depth, for sizes. @param {Projection} p @param {number} depth */
 export const pixelsPerMetre = ({ intrinsics: k }, depth) => length([k[0], 0, 0]) / depth;

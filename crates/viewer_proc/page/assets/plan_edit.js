@@ -1,4 +1,5 @@
-// Places of a scene before its run, moved by hand: burr start, target, isocentre. What follows from them the server says.
+// Points of a scene before its run, moved by hand: burr start, target, isocentre. The server computes the
+// consequences.
 
 import { cameraRay, nearest } from "/assets/pick.js";
 import { place as planePlace } from "/assets/slice_geometry.js";
@@ -10,19 +11,19 @@ import { add, dot, scale, subtract, unit } from "/assets/vector.js";
 /** @typedef {"burr_start_mm" | "target_mm" | "isocentre_mm"} PlaceName */
 /** @typedef {{name: PlaceName, label: string, colour: string, point: Vector}} Handle */
 
-/** The element of `index.html`, whose kind the page's author knows. @param {string} id @returns {any} */
+/** An element of `index.html`, of a kind known here. @param {string} id @returns {any} */
 const element = (id) => document.getElementById(id);
 /** @param {import("/assets/parts_list.js").Colour} colour */
 const css = ([r, g, b]) => `rgb(${[r, g, b].map((part) => Math.round(part * 255)).join(" ")})`;
-/** Name, words and colour of what can be moved. @type {[PlaceName, string, string][]} */
+/** Name, label and colour of the movable points. @type {[PlaceName, string, string][]} */
 const PLACES = [
   ["burr_start_mm", "burr start", css(COLOURS.burr)],
   ["target_mm", "target", css(COLOURS.target)],
   ["isocentre_mm", "isocentre", css(COLOURS.cursor)],
 ];
-/** Patient directions in which the numbers grow. */
+/** Patient directions in which the coordinates increase. */
 const AXES = ["left", "posterior", "head"];
-/** A pointer this near to a handle takes it, pixels. */
+/** A pointer within this distance picks a handle, pixels. */
 const GRAB_PX = 13;
 const RADIUS_PX = 7;
 /** A handle farther than this from a slice is drawn faintly, metres. */
@@ -31,7 +32,7 @@ const STEP_MM = 0.5;
 
 /** @param {number[]} place mm @returns {Vector} metres */
 const metres = (place) => /** @type {Vector} */ (place.map((x) => x * 1e-3));
-/** To a micrometre, as a scene's file has it. @param {Vector} point metres */
+/** Rounds to a micrometre, like a scene file. @param {Vector} point metres */
 const millimetres = (point) => point.map((x) => Math.round(x * 1e6) / 1e3);
 
 export class PlanEdit {
@@ -43,21 +44,21 @@ export class PlanEdit {
     this.ask = ask;
     this.changed = changed;
     this.cursor = cursor;
-    /** Places as the server has them, mm. @type {Record<PlaceName, number[]> | undefined} */
+    /** Points as known to the server, mm. @type {Record<PlaceName, number[]> | undefined} */
     this.places = undefined;
-    /** What is being moved to where: not known to the server yet. @type {Map<PlaceName, number[]>} */
+    /** Moves not yet known to the server. @type {Map<PlaceName, number[]>} */
     this.moved = new Map();
     this.asking = false;
-    /** Whether something was moved and not saved. */
+    /** Whether there are unsaved moves. */
     this.dirty = false;
     /** @type {PlaceName | undefined} */
     this.dragged = undefined;
-    /** Another one whenever a handle has moved. */
+    /** Incremented when a handle moves. */
     this.version = 0;
     this.#fill();
   }
 
-  /** Whether there is something to move. */
+  /** Whether there is anything to move. */
   get there() {
     return !!this.places;
   }
@@ -82,7 +83,7 @@ export class PlanEdit {
     }
   }
 
-  /** Moves a place; asked of the server one by one, the newest last. @param {PlaceName} name @param {number[]} place mm */
+  /** Moves a point. Requests to the server are sent one at a time. @param {PlaceName} name @param {number[]} place mm */
   move(name, place) {
     if (!place.every(Number.isFinite)) return;
     this.moved.set(name, place);
@@ -97,7 +98,7 @@ export class PlanEdit {
     const sent = new Map(this.moved);
     const answer = await this.ask({ action: "move", places: Object.fromEntries(sent) });
     this.asking = false;
-    // What was moved on meanwhile is asked for next. What was refused goes back.
+    // Points moved further in the meantime are sent next. A refused move is reverted.
     for (const [name, place] of sent) if (this.moved.get(name) === place) this.moved.delete(name);
     this.say(answer.ok ? "" : answer.error);
     if (answer.ok) this.dirty = true;
@@ -115,10 +116,10 @@ export class PlanEdit {
     this.showButtons();
   }
 
-  /** Writes the scene beside its file; asks before it replaces one. @param {string} name @param {(question: string, act: () => void) => void} confirmed */
+  /** Writes the scene next to its file; asks before overwriting a file. @param {string} name @param {(question: string, act: () => void) => void} confirmed */
   async save(name, confirmed, replace = false) {
     const answer = await this.ask({ action: "save", name, replace });
-    if (answer.exists) return confirmed(`${answer.error}. Replace it?`, () => this.save(name, confirmed, true));
+    if (answer.exists) return confirmed(`${answer.error}. Overwrite it?`, () => this.save(name, confirmed, true));
     if (answer.ok) this.dirty = false;
     this.say(answer.ok ? `saved: ${answer.path}` : answer.error, answer.ok);
     this.showButtons();
@@ -126,7 +127,7 @@ export class PlanEdit {
 
   async run() {
     const answer = await this.ask({ action: "run" });
-    this.say(answer.ok ? "the run is being started…" : answer.error, answer.ok);
+    this.say(answer.ok ? "starting the run…" : answer.error, answer.ok);
   }
 
   /** @param {string} text @param {boolean} [good] */
@@ -139,7 +140,7 @@ export class PlanEdit {
   showButtons() {
     element("plan-restore").disabled = !this.dirty;
     element("plan-run").title = this.dirty ? "save the plan first" : "runs the scene's file";
-    element("plan-state").textContent = this.dirty ? "moved, not saved" : "";
+    element("plan-state").textContent = this.dirty ? "unsaved changes" : "";
   }
 
   /** @param {PlaceName} name @returns {HTMLInputElement[]} */
@@ -147,7 +148,7 @@ export class PlanEdit {
     return AXES.map((_, axis) => element(`${name}-${axis}`));
   }
 
-  /** A row of numbers for each place. */
+  /** Builds a row of numbers for each point. */
   #fill() {
     for (const [name, label, colour] of PLACES) {
       const row = element("plan-places").appendChild(document.createElement("tr"));
@@ -159,23 +160,23 @@ export class PlanEdit {
       head.style.borderLeft = `4px solid ${colour}`;
       AXES.forEach((axis, i) => {
         const input = document.createElement("input");
-        Object.assign(input, { type: "number", step: String(STEP_MM), id: `${name}-${i}`, ariaLabel: `${label}, mm to the ${axis}` });
-        // An empty field is no number; typing goes on after it.
+        Object.assign(input, { type: "number", step: String(STEP_MM), id: `${name}-${i}`, ariaLabel: `${label}, mm, ${axis}` });
+        // An empty field is not a number; the user may still be typing.
         input.addEventListener("input", () => input.value !== "" && this.move(name, this.#inputs(name).map((one) => Number(one.value))));
         input.addEventListener("keydown", (event) => event.key === "Enter" && input.blur());
         row.appendChild(document.createElement("td")).appendChild(input);
       });
       const here = document.createElement("button");
-      Object.assign(here, { textContent: "here", className: "small", title: `puts the ${label} at the cross-hair`, ariaLabel: `${label} to the cross-hair` });
+      Object.assign(here, { textContent: "here", className: "small", title: `moves the ${label} to the cross-hair`, ariaLabel: `${label} to the cross-hair` });
       here.addEventListener("click", () => this.cursor.point && this.move(name, millimetres(this.cursor.point)));
       row.appendChild(document.createElement("td")).appendChild(here);
     }
   }
 
   /**
-   * Lets handles be dragged on a picture. @param {HTMLElement} canvas
-   * @param {(handle: Handle) => number[] | undefined} at pixels of the page in the canvas
-   * @param {(point: Vector, event: PointerEvent) => Vector} to where the handle then is
+   * Makes handles draggable on a canvas. @param {HTMLElement} canvas
+   * @param {(handle: Handle) => number[] | undefined} at page pixels in the canvas
+   * @param {(point: Vector, event: PointerEvent) => Vector} to the handle's new position
    */
   listen(canvas, at, to) {
     /** @type {PlaceName | undefined} */
@@ -188,14 +189,15 @@ export class PlanEdit {
       });
       return away.filter(({ px }) => px <= GRAB_PX).sort((a, b) => a.px - b.px)[0]?.name;
     };
-    // Before the picture's own listeners: a drag of a handle neither turns the view nor moves the cross-hair.
+    // Runs before the canvas's own listeners: dragging a handle neither turns the view nor moves the
+    // cross-hair.
     const first = { capture: true };
     canvas.addEventListener("pointerdown", (event) => {
       if (event.button !== 0 || event.shiftKey || !(held = near(event))) return;
       event.stopImmediatePropagation();
       canvas.setPointerCapture(event.pointerId);
       this.dragged = held;
-      // A picture that followed the burr would run away from under the pointer.
+      // A view that followed the burr would move away under the pointer.
       this.cursor.follows = false;
       canvas.focus();
     }, first);
@@ -217,7 +219,7 @@ export class PlanEdit {
     }
   }
 
-  /** In the 3D view a handle moves across the line of sight. @param {import("/assets/scene_view.js").SceneView} view @param {(point: Vector) => number[] | undefined} at */
+  /** In the 3D view a handle moves perpendicular to the line of sight. @param {import("/assets/scene_view.js").SceneView} view @param {(point: Vector) => number[] | undefined} at */
   listenToView(view, at) {
     const { canvas, camera } = view;
     canvas.addEventListener("pointermove", () => this.dragged && (camera.follows = false), { capture: true });
@@ -240,8 +242,8 @@ export class PlanEdit {
 }
 
 /**
- * Rings with names. @param {CanvasRenderingContext2D} context @param {Handle[]} handles @param {(point: Vector) => number[] | undefined} at pixels, and
- *   distance from the picture's plane, if it has one @param {number} ratio
+ * Draws labelled rings. @param {CanvasRenderingContext2D} context @param {Handle[]} handles @param {(point: Vector) => number[] | undefined} at pixels, and
+ *   distance from the image plane, if there is one @param {number} ratio
  */
 export function drawHandles(context, handles, at, ratio) {
   context.font = `600 ${11 * ratio}px system-ui, sans-serif`;

@@ -1,4 +1,4 @@
-// A scene before its run: the tool at the end of its path, pilot holes, the C-arm's rays, and what was measured.
+// A scene before its run: the tool at the end of its path, pilot holes, the C-arm's rays, and measurements.
 
 import { placeText } from "/assets/guidance.js";
 import { length, scale, subtract } from "/assets/vector.js";
@@ -6,18 +6,18 @@ import { length, scale, subtract } from "/assets/vector.js";
 /** @typedef {import("/assets/vector.js").Vector} Vector */
 /** @typedef {import("/assets/parts_list.js").PartsList} PartsList */
 
-/** The element of `index.html`, whose kind the page's author knows. @param {string} id @returns {any} */
+/** An element of `index.html`, of a kind known here. @param {string} id @returns {any} */
 const element = (id) => document.getElementById(id);
-/** Lines of the C-arm are as thin as can be seen from a metre away. */
+/** Width of the C-arm's lines: barely visible from a metre away. */
 const LINE_M = 0.0006;
-/** The tool at the end of its path shows what lies in it. @type {import("/assets/parts_list.js").Colour} */
+/** The tool at the end of its path is translucent. @type {import("/assets/parts_list.js").Colour} */
 const END = [1, 0.55, 0.24, 0.4];
 /** @type {import("/assets/parts_list.js").Colour} */
 const HOLE = [0.34, 0.71, 0.91, 0.35];
 /** @type {import("/assets/parts_list.js").Colour} */
 const RAYS = [0.45, 0.5, 0.58, 1];
 
-/** What the eye should see through. @param {PartsList} list @param {any} info of `/view/info` */
+/** Adds the translucent parts. @param {PartsList} list @param {any} info of `/view/info` */
 export function addPlannedTool(list, info) {
   const end = info?.plan?.tool_end;
   if (end) {
@@ -27,7 +27,7 @@ export function addPlannedTool(list, info) {
   if (info?.plan) for (const hole of info.scene?.predrill ?? []) list.cylinder(hole.from_m, hole.to_m, hole.radius_m, HOLE);
 }
 
-/** Source, detector and the rays to its corners, with the isocentre. @param {PartsList} list @param {any} info of `/view/info` */
+/** Adds source, detector, the rays to its corners, and the isocentre. @param {PartsList} list @param {any} info of `/view/info` */
 export function addFrustum(list, info) {
   const frustum = info?.plan?.frustum;
   if (!frustum) return;
@@ -40,11 +40,11 @@ export function addFrustum(list, info) {
   if (info.c_arm) list.target(info.c_arm.isocentre_m, 0.005, RAYS);
 }
 
-/** Radius of the circle through first, middle and last point of a bend, metres. @param {Vector[]} path @param {Vector} [start] where the bend cannot begin before */
+/** Returns the radius of the circle through first, middle and last point of a bend, metres. @param {Vector[]} path @param {Vector} [start] earliest start of the bend */
 export function bendRadius(path, start) {
   const from = start ? path.findIndex((point) => length(subtract(point, start)) < 1e-4) : 0;
   const bend = path.slice(Math.max(0, from));
-  // The straight part before the bend: points on the line of the first step.
+  // Skips the straight part before the bend: points on the line of the first step.
   const direction = bend.length > 1 ? subtract(bend[1], bend[0]) : undefined;
   if (!direction) return undefined;
   const off = (point) => length(subtract(subtract(point, bend[0]), scale(direction, length(subtract(point, bend[0])) / length(direction))));
@@ -64,19 +64,19 @@ export function showPlan(info) {
   const rows = [];
   const row = (name, text) => rows.push([name, text]);
   const millimetres = (value) => (value == null ? "–" : `${value.toFixed(1)} mm`);
-  const place = (sample) => (sample ? `${placeText(scale(sample.place_mm, 1e-3))} mm, ${sample.hu == null ? "outside of the CT" : `${sample.hu.toFixed(0)} HU`}` : "the path meets no bone");
+  const place = (sample) => (sample ? `${placeText(scale(sample.place_mm, 1e-3))} mm, ${sample.hu == null ? "outside the CT" : `${sample.hu.toFixed(0)} HU`}` : "the path does not reach bone");
   if (facts) {
     row("entry", place(facts.entry));
     row("burr at the start", place(facts.burr_start));
     row(facts.is_planned ? "target" : "30 mm ahead", place(facts.target));
-    row("path", `${millimetres(facts.path_mm)}, ${millimetres(facts.insertion_mm)} of them drilled, ${millimetres(facts.in_bone_mm)} in bone`);
+    row("path", `${millimetres(facts.path_mm)}, ${millimetres(facts.insertion_mm)} drilled, ${millimetres(facts.in_bone_mm)} in bone`);
     const radius = bendRadius(info.scene.planned_path_m ?? [], info.scene.burr_start_m);
-    if (radius) row("radius of the bend", millimetres(radius * 1e3));
-    if (facts.mean_hu != null) row("bone on it", `${facts.least_hu.toFixed(0)} to ${facts.most_hu.toFixed(0)} HU, ${facts.mean_hu.toFixed(0)} on average`);
+    if (radius) row("bend radius", millimetres(radius * 1e3));
+    if (facts.mean_hu != null) row("bone on the path", `${facts.least_hu.toFixed(0)} to ${facts.most_hu.toFixed(0)} HU, ${facts.mean_hu.toFixed(0)} on average`);
     row("target to outside", `${millimetres(facts.target_depth_mm)}; ${millimetres(facts.bone_ahead_mm)} of bone ahead`);
-    row("the arm can feed", `${facts.arm_feed_mm.toFixed(0)} mm or more`);
+    row("arm travel", `${facts.arm_feed_mm.toFixed(0)} mm or more`);
   } else if (info?.kind === "plan") {
-    row("CT", "the scene has none");
+    row("CT", "none in the scene");
   }
   element("plan-rows").replaceChildren(...rows.map(([name, text]) => {
     const line = document.createElement("tr");
@@ -85,7 +85,7 @@ export function showPlan(info) {
     return line;
   }));
   const findings = facts?.findings ?? [];
-  element("plan-facts").textContent = findings.length === 0 ? "no warning" : `${findings.length} ${findings.length === 1 ? "warning" : "warnings"}`;
+  element("plan-facts").textContent = findings.length === 0 ? "no warnings" : `${findings.length} ${findings.length === 1 ? "warning" : "warnings"}`;
   element("plan-findings").replaceChildren(...findings.map((text) => Object.assign(document.createElement("li"), { textContent: text })));
   element("plan-profile").hidden = !info?.plan?.profile;
 }

@@ -1,23 +1,23 @@
-// A plot: of every pixel column the least, the greatest and the mean value, so that no peak is lost.
+// A plot: minimum, maximum and mean of every pixel column, so that no peak is lost.
 
 /**
  * @typedef {{spacing: number, at: (time: number) => number | undefined, last?: () => number | undefined,
  *   each: (from: number, to: number, columns: number, draw: (time: number, low: number, high: number, mean: number) => void) => void}} Samples
- *   `spacing`: seconds that a sample stands for; 0: unknown.
+ *   `spacing`: seconds covered by a sample; 0: unknown.
  * @typedef {{name: import("/assets/log_series.js").FieldName, label: string, samples: Samples, scale: number, colour: string,
  *   dashed?: boolean}} Line  `colour` names a custom property of the style sheet.
- * @typedef {{from: number, to: number, cursor?: number, now?: number}} Times  seconds; `now`: where a log stands
+ * @typedef {{from: number, to: number, cursor?: number, now?: number}} Times  seconds; `now`: position in a log
  */
 
-/** Room about a plot and the tick strip for the text of their axes, pixels at text size 1. */
+/** Margins around a plot and the tick strip for axis labels, pixels at text size 1. */
 export const MARGIN = { left: 46, right: 8, top: 6, bottom: 17 };
-/** Text of the axes, at text size 1. */
+/** Text size of the axes, at text size 1. */
 const TEXT_PX = 11;
-/** The text size that these are for; a large screen has a larger one (`layout.css`). */
+/** Reference text size; a large screen has a larger one (`layout.css`). */
 const BODY_PX = 13;
-/** How much larger than there the page's text is. */
+/** Ratio of the page's text size to the reference. */
 export const textScale = () => parseFloat(getComputedStyle(document.body).fontSize) / BODY_PX;
-/** Messages of a running session farther apart than this, in seconds, are not joined: some are missing. */
+/** Live messages farther apart than this, in seconds, are not joined: some are missing. */
 const LIVE_GAP_S = 0.25;
 
 /** Steps of 1, 2 or 5 times a power of ten, about `count` of them. */
@@ -28,16 +28,16 @@ function niceStep(span, count) {
   return power * (part < 1.5 ? 1 : part < 3.5 ? 2 : part < 7.5 ? 5 : 10);
 }
 
-/** The digits that a step needs. */
+/** Number of digits for a step. */
 const digits = (step) => Math.max(0, Math.min(9, -Math.floor(Math.log10(step) + 1e-9)));
 
-/** A tick's number; powers of ten where it would be longer than the margin. */
+/** Formats a tick label; uses powers of ten if it would not fit into the margin. */
 function tickText(value, step) {
   const text = (Math.abs(value) < step / 1e6 ? 0 : value).toFixed(digits(step));
   return text.length > 7 ? value.toExponential(1) : text;
 }
 
-/** Makes a canvas as fine as the screen; returns its context and size in CSS pixels. @param {HTMLCanvasElement} canvas */
+/** Sets a canvas to screen resolution; returns its context and size in CSS pixels. @param {HTMLCanvasElement} canvas */
 export function prepare(canvas) {
   const ratio = window.devicePixelRatio || 1;
   const [width, height] = [canvas.clientWidth, canvas.clientHeight];
@@ -49,11 +49,11 @@ export function prepare(canvas) {
   return { context, width, height };
 }
 
-/** The font of an axis, for a text size. @param {number} size */
+/** Returns the axis font for a text size. @param {number} size */
 export const axisFont = (size) => `${TEXT_PX * size}px system-ui, sans-serif`;
 
 /**
- * The time axis below a box: a line and a number with its unit at each step. Adds the lines to the current path.
+ * Draws the time axis below a box: a line, number and unit at each step. Adds the lines to the current path.
  * @param {any} context @param {{x: number, y: number, width: number, height: number, size: number}} box
  * @param {{from: number, to: number, toX: (time: number) => number}} times
  */
@@ -70,14 +70,14 @@ export function addTimes(context, box, { from, to, toX }) {
 }
 
 export class Plot {
-  /** @param {Line[]} lines @param {string} unit @param {number} least smallest span of the vertical axis */
+  /** @param {Line[]} lines @param {string} unit @param {number} least minimum span of the vertical axis */
   constructor(lines, unit, least) {
     this.lines = lines;
     this.unit = unit;
     this.least = least;
   }
 
-  /** Least and greatest value in a window, with room; with zero where it is near, as for forces. */
+  /** Value range of a window, with margins; includes zero if it is near, as for forces. */
   #range(from, to, columns) {
     let [low, high] = [Infinity, -Infinity];
     for (const { samples, scale } of this.lines) {
@@ -88,7 +88,7 @@ export class Plot {
     }
     if (low > high) [low, high] = [0, 0];
     const span = high - low;
-    // A field that stays far from zero, such as a position, would be a flat line.
+    // A field that stays far from zero, such as a position, would otherwise be a flat line.
     if (low > 0 && low < 3 * span + this.least) low = 0;
     if (high < 0 && -high < 3 * span + this.least) high = 0;
     const least = Math.max(this.least, Math.abs(high) * 1e-6, 1e-12);
@@ -98,9 +98,9 @@ export class Plot {
   }
 
   /**
-   * Draws into a context, of a canvas or of a figure (`figure.js`).
+   * Draws into the context of a canvas or figure (`figure.js`).
    * @param {any} context @param {number} width @param {number} height pixels
-   * @param {Times} times @param {Record<string, string>} colours by custom property @param {number} [size] of the text, 1: that of the page
+   * @param {Times} times @param {Record<string, string>} colours by custom property @param {number} [size] text size, 1: that of the page
    */
   draw(context, width, height, { from, to, cursor, now }, colours, size = 1) {
     const { left, right, top, bottom } = MARGIN;
@@ -172,7 +172,7 @@ export class Plot {
       const [x, y] = [toX(time), toY(mean * scale)];
       const alone = time - before > gap && !(points[i + 1]?.time - time <= gap);
       if (time - before > gap) context.moveTo(x, y);
-      // A sample with no neighbour is a dot.
+      // A sample without neighbours is a dot.
       context.lineTo(alone ? Math.min(x + 1.5, box.x + box.width) : x, y);
       before = time;
     });
@@ -180,7 +180,7 @@ export class Plot {
     context.setLineDash([]);
   }
 
-  /** From the least to the greatest value of each column, pale, so that the mean is seen over it. */
+  /** Draws the band from minimum to maximum, pale, so that the mean stays visible. */
   #spread(context, points, { scale, toX, toY }) {
     context.globalAlpha = 0.4;
     context.lineWidth = 1;
@@ -196,7 +196,7 @@ export class Plot {
   }
 }
 
-/** The time under a pointer in a plot, or undefined beside it. */
+/** Returns the time under a pointer in a plot; undefined outside it. */
 export function timeAt(canvas, clientX, from, to) {
   const bounds = canvas.getBoundingClientRect();
   const size = textScale();

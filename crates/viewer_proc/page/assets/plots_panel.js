@@ -1,4 +1,4 @@
-// The plots below the scene: any fields of any messages, all on one time axis, with one cursor.
+// The plots below the scene: any fields of any messages, on one time axis, with one cursor.
 
 import { FieldPicker } from "/assets/field_picker.js";
 import { stored, store } from "/assets/kept.js";
@@ -8,21 +8,21 @@ import { Plot, prepare, textScale, timeAt } from "/assets/plot.js";
 import { TimeAxis } from "/assets/time_axis.js";
 import { labelOf, unitOf, written } from "/assets/units.js";
 
-/** Where the layout is kept in the browser. */
+/** Storage key of the layout. */
 const KEPT = "plots";
-/** What the tick strip draws. */
+/** Field drawn by the tick strip. */
 export const STEP_TIME = { topic: "/timing/tick", field: "step_ns" };
 const MOST_PLOTS = 12;
 const MOST_LINES = 4;
-/** A pointer that moved less than this, in pixels, has clicked. */
+/** A pointer that moved less than this, in pixels, counts as a click. */
 const CLICK_PX = 4;
 
-/** Whether the page is in a narrow window, where the wheel scrolls it (`layout.css`). */
+/** Whether the window is narrow; the wheel then scrolls the page (`layout.css`). */
 const scrolls = () => getComputedStyle(document.body).overflowY !== "hidden";
 
 /** @typedef {{title?: string, fields: import("/assets/log_series.js").FieldName[], least?: number}} PlotChoice */
 const state = (field) => ({ topic: "/state", field });
-/** @type {PlotChoice[]} `least`: smallest span of the vertical axis, in the unit shown */
+/** @type {PlotChoice[]} `least`: minimum span of the vertical axis, in the displayed unit */
 const DEFAULT = [
   { title: "Tension", fields: [state("tendon_tension_n[0]"), state("tendon_tension_n[1]")], least: 2 },
   { title: "Bend", fields: [state("bend_rad")], least: 5 },
@@ -31,7 +31,7 @@ const DEFAULT = [
   { title: "Step time", fields: [STEP_TIME], least: 100 },
 ];
 
-/** The kept layout, if it is one. @returns {PlotChoice[]} */
+/** Returns the stored layout, if valid. @returns {PlotChoice[]} */
 function choices() {
   const kept = stored(KEPT);
   const isField = (name) => typeof name?.topic === "string" && typeof name?.field === "string";
@@ -64,19 +64,19 @@ export class PlotsPanel {
     return this.model.info?.kind === "log";
   }
 
-  /** For a new connection. */
+  /** Resets for a new connection. */
   clear() {
     this.live.clear();
     this.logs.forEach((log) => log.clear());
   }
 
-  /** The fields that are plotted, and that of the tick strip. */
+  /** The plotted fields, and that of the tick strip. */
   #fields() {
     const all = [...this.choices.flatMap((choice) => choice.fields), STEP_TIME];
     return [...new Map(all.map((name) => [keyOf(name), name])).values()];
   }
 
-  /** Makes the plots of the choices anew. */
+  /** Rebuilds the plots from the choices. */
   #build() {
     this.place.replaceChildren();
     this.plots = this.choices.map((choice) => this.#make(choice));
@@ -90,7 +90,7 @@ export class PlotsPanel {
     this.#build();
   }
 
-  /** Adds a field to a plot, or a plot of its own. @param {number | undefined} at @param {import("/assets/log_series.js").FieldName} name */
+  /** Adds a field to a plot, or a new plot for it. @param {number | undefined} at @param {import("/assets/log_series.js").FieldName} name */
   add(at, name) {
     const choice = at === undefined ? undefined : this.choices[at];
     if (choice) {
@@ -106,7 +106,7 @@ export class PlotsPanel {
     this.#keep();
   }
 
-  /** The plots that the page has at first. */
+  /** Restores the default plots. */
   restore() {
     this.choices = structuredClone(DEFAULT);
     this.axis.reset();
@@ -134,7 +134,7 @@ export class PlotsPanel {
     return { choice, plot: new Plot([], unit, choice.least ?? 1e-9), values, canvas, title, unit };
   }
 
-  /** Each has a name of its own, by which tools and tests tell it from those of the other plots. */
+  /** Gives each button a unique name, so that tools and tests can tell it from those of the other plots. */
   #button(what, choice, text, label, act) {
     const button = document.createElement("button");
     button.id = `plot-${this.choices.indexOf(choice)}-${what}`;
@@ -144,7 +144,7 @@ export class PlotsPanel {
     return button;
   }
 
-  /** A field that is dragged from the list becomes a line. */
+  /** Adds a field dropped from the list as a line. */
   #takeDrops(box, choice) {
     box.addEventListener("dragover", (event) => event.preventDefault());
     box.addEventListener("drop", (event) => {
@@ -155,7 +155,7 @@ export class PlotsPanel {
     });
   }
 
-  /** Wheel zooms, a drag moves, a click goes there in a log, a double click shows all. */
+  /** Wheel: zoom; drag: pan; click: seek in a log; double click: show everything. */
   #listen(canvas) {
     let pressed;
     const time = (event) => timeAt(canvas, event.clientX, ...this.range());
@@ -194,7 +194,7 @@ export class PlotsPanel {
     this.changed();
   }
 
-  /** The next longer or shorter time axis. @param {1 | -1} direction */
+  /** Selects the next longer or shorter time axis. @param {1 | -1} direction */
   changeWindow(direction) {
     this.axis.step(direction);
     this.changed();
@@ -211,12 +211,12 @@ export class PlotsPanel {
     return { from, to, cursor: this.cursor, now: this.isLog ? this.axis.now : undefined };
   }
 
-  /** Samples of a field, of the run or of the first log. @param {import("/assets/log_series.js").FieldName} name */
+  /** Returns the samples of a field of the run or the first log. @param {import("/assets/log_series.js").FieldName} name */
   samples(name) {
     return this.isLog ? this.logs[0].field(name) : this.live.field(name);
   }
 
-  /** The misses that are known, for the tick strip. @returns {import("/assets/timing_strip.js").Miss[]} */
+  /** Returns the known misses, for the tick strip. @returns {import("/assets/timing_strip.js").Miss[]} */
   misses() {
     if (!this.isLog) return this.model.misses;
     const { span } = this.logs[0];
@@ -257,20 +257,20 @@ export class PlotsPanel {
     if (this.#second) this.logs[1].want(this.#fields(), from, to, columns, end);
   }
 
-  /** How far the server has read what is shown of the logs, 0 to 1; none when all. @returns {number | undefined} */
+  /** Fraction of the shown data that the server has read from the logs, 0 to 1; undefined when complete. @returns {number | undefined} */
   get reading() {
     const shares = this.logs.map((log) => log.reading).filter((share) => share !== undefined);
     return this.isLog && shares.length > 0 ? Math.min(...shares) : undefined;
   }
 
-  /** A line's value at the cursor, or the newest, or where the log stands. */
+  /** A line's value at the cursor, or the newest one, or that at a log's position. */
   value(line) {
     if (this.cursor !== undefined) return line.samples.at(this.cursor);
     if (!this.isLog) return line.samples.last();
     return this.model.field(line.name, !!line.dashed) ?? line.samples.at(this.axis.now);
   }
 
-  /** The values at the cursor, or the newest, as text with the line's colour and dash. A click on one takes its line away. */
+  /** Shows these values as text with the line's colour and dash. Double-clicking one removes its line. */
   showValues(colours) {
     for (const { choice, plot, values, canvas, title, unit } of this.plots) {
       const texts = plot.lines.map((line) => {
@@ -282,7 +282,7 @@ export class PlotsPanel {
         item.style.color = colours[line.colour];
         item.className = line.dashed ? "value dashed" : "value";
         item.textContent = text;
-        item.title = `${line.label}, ${line.name.topic} ${line.name.field}${choice.fields.length > 1 ? "; double click removes the line" : ""}`;
+        item.title = `${line.label}, ${line.name.topic} ${line.name.field}${choice.fields.length > 1 ? "; double-click to remove the line" : ""}`;
         item.addEventListener("dblclick", () => choice.fields.length > 1 && this.#remove(choice, line.name));
         return item;
       }));

@@ -1,4 +1,4 @@
-// Hounsfield units along the planned path, with the threshold of bone.
+// Hounsfield units along the planned path, with the bone threshold.
 
 import { prepare, textScale } from "/assets/plot.js";
 
@@ -68,14 +68,14 @@ function line(context, x0, y0, x1, y1) {
   context.stroke();
 }
 
-/** Entry, burr start and target. */
+/** Marks entry, burr start and target. */
 function marks(context, facts, at, colours, size) {
   context.fillStyle = colours["--text"];
   context.strokeStyle = colours["--text"];
   context.textBaseline = "top";
   context.lineWidth = 1;
   const named = [[facts?.entry, "entry"], [facts?.burr_start, "start"], [facts?.target, "target"]].filter(([sample]) => sample);
-  // From the right, so that no word leaves the picture or covers the next one.
+  // From right to left, so that no label leaves the plot or covers the next one.
   let next = context.canvas.clientWidth;
   for (const [sample, name] of named.sort(([a], [b]) => b.along_mm - a.along_mm)) {
     const [x, top, foot] = at(sample.along_mm);

@@ -1,4 +1,4 @@
-// Distances with their numbers, and what can be moved by hand, over the 3D picture.
+// Overlay on the 3D view: distances with their values, and movable points.
 
 import { drawHandles } from "/assets/plan_edit.js";
 import { textScale } from "/assets/plot.js";
@@ -15,18 +15,18 @@ export class SceneOverlay {
     this.view = view;
     this.measures = measures;
     this.edit = edit;
-    /** What the canvas shows. */
+    /** State shown on the canvas. */
     this.key = "";
   }
 
-  /** Where a place is seen, pixels of the page; undefined behind the eye. @param {import("/assets/vector.js").Vector} point */
+  /** Projects a point, page pixels; undefined behind the eye. @param {import("/assets/vector.js").Vector} point */
   pixelOf(point) {
     const { clientWidth: width, clientHeight: height } = this.canvas;
     const [x, y, , w] = project(this.view.camera.clipFromWorld(width / height), point);
     return w > 0 ? [(0.5 + (0.5 * x) / w) * width, (0.5 - (0.5 * y) / w) * height] : undefined;
   }
 
-  /** Draws only what is new: the canvas lies over the 3D picture, and to compose both takes time. */
+  /** Draws only on change: the canvas lies over the 3D view, and compositing both takes time. */
   draw() {
     const ratio = Math.min(window.devicePixelRatio || 1, 2);
     const [width, height] = [this.canvas.clientWidth, this.canvas.clientHeight].map((n) => Math.max(1, Math.round(n * ratio)));

@@ -1,4 +1,4 @@
-// The 3D picture: bone, tool, paths and forces, drawn with WebGL2 when something changed.
+// The 3D view: bone, tool, paths and forces, drawn with WebGL2 on change.
 
 import { Camera } from "/assets/camera.js";
 import { InstancedShape, program } from "/assets/gl.js";
@@ -11,9 +11,9 @@ import { Surface } from "/assets/surface.js";
 import { COLOURS, addArm, addBodies, addContacts, addTool, bendingPlane, burrBalls } from "/assets/tool_model.js";
 import { transform } from "/assets/vector.js";
 
-/** How the bone is shown. */
+/** Display modes of the bone. */
 export const BONE_MODES = ["section", "glass", "solid", "hidden"];
-/** Within this distance from the line of sight to the tool the arm fades. */
+/** Within this distance from the line of sight to the tool, the arm is faded. */
 const FADE_M = 0.03;
 /** @typedef {import("/assets/vector.js").Vector} Vector */
 /** @type {Record<"bone" | "inside" | "background", Vector>} */
@@ -21,7 +21,7 @@ const LIGHT_SIDE = { bone: [0.93, 0.88, 0.78], inside: [0.78, 0.62, 0.5], backgr
 /** @type {Record<"bone" | "inside" | "background", Vector>} */
 const DARK_SIDE = { bone: [0.88, 0.83, 0.73], inside: [0.55, 0.4, 0.32], background: [0.07, 0.085, 0.11] };
 
-/** Whether pictures are made by the processor: then edges stay rough, which is several times quicker. */
+/** Whether WebGL renders in software: edges are then not smoothed, which is several times faster. */
 function isSoftware() {
   const gl = document.createElement("canvas").getContext("webgl2");
   const names = gl?.getExtension("WEBGL_debug_renderer_info");
@@ -31,32 +31,32 @@ function isSoftware() {
 }
 
 export class SceneView {
-  /** @param {HTMLCanvasElement} canvas @param {() => void} changed asks for a new picture */
+  /** @param {HTMLCanvasElement} canvas @param {() => void} changed requests a redraw */
   constructor(canvas, changed) {
     this.canvas = canvas;
     this.changed = changed;
     this.software = isSoftware();
     const gl = canvas.getContext("webgl2", { antialias: !this.software, alpha: false });
-    if (!gl) throw new Error("this browser has no WebGL 2");
+    if (!gl) throw new Error("this browser does not support WebGL 2");
     this.gl = gl;
     this.camera = new Camera(changed);
     this.camera.listen(canvas);
     this.surface = new Surface(gl);
-    /** Links of the arm that have a mesh, by the frame that they move with. */
+    /** Links of the arm that have a mesh, by the frame they move with. */
     this.arm = new Surface(gl);
     this.parts = program(gl, PART_VERTEX, PART_FRAGMENT);
     this.bone = program(gl, SURFACE_VERTEX, SURFACE_FRAGMENT);
     const shapes = { cylinder: cylinder(), cone: cone(), sphere: sphere(), cube: cube() };
     this.shapes = Object.fromEntries(Object.entries(shapes).map(([name, shape]) => [name, new InstancedShape(gl, shape)]));
     this.boneMode = BONE_MODES[0];
-    /** The cross-hair and the distances. @type {import("/assets/cursor.js").Cursor | undefined} */
+    /** Cross-hair and distances. @type {import("/assets/cursor.js").Cursor | undefined} */
     this.cursor = undefined;
     /** @type {import("/assets/measure.js").Measures | undefined} */
     this.measures = undefined;
     this.dark = false;
     this.pictures = 0;
     gl.enable(gl.DEPTH_TEST);
-    // Colours come multiplied by their opacity.
+    // Colours are premultiplied by their opacity.
     gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
   }
 
@@ -74,7 +74,8 @@ export class SceneView {
     return width / height;
   }
 
-  /** Whether the last picture is still being made: then the next one waits, so that a slow machine is not flooded. */
+  /** Whether the last frame is still being rendered; the next one then waits, so that a slow machine is
+   * not flooded. */
   get busy() {
     if (!this.fence) return false;
     if (this.gl.clientWaitSync(this.fence, 0, 0) === this.gl.TIMEOUT_EXPIRED) return true;
@@ -85,7 +86,7 @@ export class SceneView {
 
   /** @param {import("/assets/model.js").Model} model */
   draw(model) {
-    // What is computed from the state is computed once a picture.
+    // State-dependent values are computed once per frame.
     const { info, poses, second, contacts, bodies, trail } = model;
     const scene = { info, poses, second, contacts, bodies, trail };
     const { gl, camera } = this;
@@ -118,7 +119,7 @@ export class SceneView {
     return list;
   }
 
-  /** @param {import("/assets/tool_model.js").Poses} [before] what stands before this tool fades */
+  /** @param {import("/assets/tool_model.js").Poses} [before] parts in front of this tool fade */
   #drawParts(list, clipFromWorld, before) {
     const { gl, parts } = this;
     gl.useProgram(parts.linked);
@@ -130,7 +131,8 @@ export class SceneView {
     for (const [name, numbers] of Object.entries(list.shapes)) this.shapes[name].draw(numbers);
   }
 
-  /** The arm, which would hide the bone, and the tool of the second log: only their foremost surface. */
+  /** Draws the arm, which would hide the bone, and the tool of the second log: only their foremost
+   * surface. */
   #drawTranslucent({ info, poses, second }, clipFromWorld) {
     const { gl } = this;
     const list = new PartsList();
@@ -149,7 +151,7 @@ export class SceneView {
     gl.depthFunc(gl.LESS);
   }
 
-  /** The arm's meshes, by the program of the parts that is in use: what differs from instance to instance is the same for a whole link. */
+  /** Draws the arm's meshes with the current program; the per-instance attributes are constant for a link. */
   #drawLinks(poses) {
     if (!poses || poses.arm.length === 0) return;
     const { gl } = this;
@@ -164,7 +166,7 @@ export class SceneView {
     }
   }
 
-  /** The place of bone or burr under a place of the picture, else the one nearest to the cross-hair. @param {number} x @param {number} y pixels of the page */
+  /** Returns the point on bone or burr under a pixel, else the one nearest to the cross-hair. @param {number} x @param {number} y pixels of the page */
   placeAt(x, y, model) {
     const { camera, canvas, boneMode } = this;
     const ray = cameraRay(camera, x, y, canvas.clientWidth, canvas.clientHeight);

@@ -1,5 +1,5 @@
 // Field offsets of the hub's messages, read from the `ros2msg` schema text that each channel carries.
-// The messages are C structs without padding, so the fields follow one another in the order of the text.
+// The messages are C structs without padding, so the fields are contiguous in the order of the text.
 
 const SCALARS = {
   bool: [1, "getUint8"], byte: [1, "getUint8"], char: [1, "getUint8"],
@@ -16,7 +16,8 @@ const CDR_HEADER_BYTES = 4;
  * @typedef {{fields: Map<string, Field>, bytes: number}} Layout
  */
 
-/** The schema text's messages: the first is the channel's own, the others follow `MSG: name` lines. */
+/** Splits the schema text into messages: the first is the channel's own, the others follow `MSG: name`
+ * lines. */
 function blocks(text) {
   const found = new Map();
   text.split(/^=+\s*$/m).forEach((part, i) => {
@@ -29,7 +30,7 @@ function blocks(text) {
 }
 
 /**
- * Offsets of every scalar, `t_world_link[3].position_m[0]` and so on, up to the first sequence of open length.
+ * Returns the offsets of all scalars, such as `t_world_link[3].position_m[0]`, up to the first sequence of variable length.
  * Offsets count from the start of the payload, its CDR header included.
  * @param {string} text a `ros2msg` schema @returns {Layout}
  */
@@ -61,7 +62,7 @@ export function layoutOf(text) {
 }
 
 /**
- * A function that reads one field of a message as a number, or undefined where the layout has none.
+ * Returns a function that reads one field of a message as a number, or undefined if the layout lacks it.
  * @param {Layout} layout @param {string} path @returns {((view: DataView) => number) | undefined}
  */
 export function reader(layout, path) {

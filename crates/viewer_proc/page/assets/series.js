@@ -1,11 +1,11 @@
-// Samples over time in a ring: full rate in, minimum and maximum of each pixel column out.
+// A ring buffer of samples over time: full rate in, minimum and maximum of each pixel column out.
 
-/** Room for the longest window at 1 kHz. */
+/** Capacity: the longest window at 1 kHz. */
 export const CAPACITY = 1 << 16;
 
-/** Several values that share one time axis (seconds of simulated time, rising). */
+/** Several values that share one time axis (seconds of simulated time, ascending). */
 export class Series {
-  /** @param {number} width values in a sample */
+  /** @param {number} width values per sample */
   constructor(width) {
     this.times = new Float64Array(CAPACITY);
     this.values = Array.from({ length: width }, () => new Float32Array(CAPACITY));
@@ -22,7 +22,7 @@ export class Series {
     return this.end > this.first ? this.times[(this.end - 1) % CAPACITY] : undefined;
   }
 
-  /** Adds a sample. Time that goes back (a scrub, a log that starts again) takes what was later away. */
+  /** Adds a sample. If time goes backward (a scrub, a restarted log), later samples are dropped. */
   push(time, ...sample) {
     while (this.end > this.first && this.times[(this.end - 1) % CAPACITY] >= time) this.end -= 1;
     const slot = this.end % CAPACITY;
@@ -55,7 +55,7 @@ export class Series {
   }
 
   /**
-   * Least, greatest and mean value of each column of a window, so that no peak is lost.
+   * Passes minimum, maximum and mean of each column of a window to `draw`, so that no peak is lost.
    * @param {number} which @param {number} from seconds @param {number} to seconds @param {number} columns
    * @param {(column: number, low: number, high: number, mean: number) => void} draw
    */

@@ -1,6 +1,6 @@
 // The two shader programs: tool parts (instanced) and bone surface (blocks).
 
-/** Light that comes with the camera, and the sky's. */
+/** Headlight that moves with the camera, and skylight. */
 const LIGHT = `
 vec3 shade(vec3 colour, vec3 normal, vec3 toEye, float gloss) {
   vec3 key = normalize(toEye + vec3(0.25, -0.2, 0.55));
@@ -43,7 +43,7 @@ uniform vec3 u_tip;
 uniform float u_fade;
 out vec4 colour;
 ${LIGHT}
-/** 0 to 1: how near to the line of sight to the tool a point before it lies, within u_fade metres. */
+/** 0 to 1: how close a point in front of the tool is to the line of sight, within u_fade metres. */
 float beforeTool(vec3 point) {
   vec3 sight = normalize(point - u_eye);
   float most = 0.0;
@@ -77,7 +77,7 @@ void main() {
   gl_Position = u_clipFromWorld * vec4(v_world, 1.0);
 }`;
 
-/** `u_side`: 0 everything, +1 what lies behind the cut, -1 what lies before it. `u_glass`: 1 translucent. */
+/** `u_side`: 0 everything, +1 behind the cut, -1 in front of it. `u_glass`: 1 translucent. */
 export const SURFACE_FRAGMENT = `#version 300 es
 precision highp float;
 in vec3 v_world;

@@ -17,7 +17,7 @@ function ring(shape, radiusLow, radiusHigh, zLow, zHigh, slope) {
   }
 }
 
-/** A disc across z. @param {number} up +1 or -1: where it looks */
+/** A disc perpendicular to z. @param {number} up +1 or -1: direction of its normal */
 function disc(shape, z, up) {
   const start = shape.positions.length / 3;
   shape.positions.push(0, 0, z);

@@ -1,9 +1,9 @@
-// What keys and buttons do to slices, distances and the X-ray's size.
+// Actions of keys and buttons for slices, distances and the X-ray's size.
 
-/** The element of `index.html`, whose kind the page's author knows. @param {string} id @returns {any} */
+/** An element of `index.html`, of a kind known here. @param {string} id @returns {any} */
 const element = (id) => document.getElementById(id);
 
-/** @param {string} className @param {string} button whose state it is */
+/** @param {string} className @param {string} button the button that shows the state */
 function toggleBody(className, button) {
   const on = document.body.classList.toggle(className);
   element(button).setAttribute("aria-pressed", String(on));
@@ -28,13 +28,13 @@ export function sliceCommands(page) {
   };
   return [
     { id: "slices", group: "Slices", keys: ["4"], text: "show or hide the slices", when: there, run: () => slices.toggle() },
-    { id: "slices-follow", group: "Slices", keys: ["0"], text: "cross-hair on the tip, or where it is", when: there, run: () => cursor.toggle() },
+    { id: "slices-follow", group: "Slices", keys: ["0"], text: "cross-hair: follow the tip, or stay", when: there, run: () => cursor.toggle() },
     { id: "slices-closer", group: "Slices", keys: [], text: "closer", when: there, run: () => slices.zoom(0.8) },
     { id: "slices-wider", group: "Slices", keys: [], text: "wider", when: there, run: () => slices.zoom(1.25) },
     { id: "measure", group: "Slices", keys: ["u"], text: "measure: two clicks in slices, 3D view or X-ray", run: () => measures.toggle() },
-    { id: "measure-clear", group: "Slices", keys: ["Delete"], text: "take all distances away", run: () => measures.clear() },
-    { id: "x-ray-large", group: "X-ray", keys: ["z"], text: "large or small", run: enlarge },
+    { id: "measure-clear", group: "Slices", keys: ["Delete"], text: "delete all distances", run: () => measures.clear() },
+    { id: "x-ray-large", group: "X-ray", keys: ["z"], text: "enlarge or shrink", run: enlarge },
     { id: "x-ray-small", group: "X-ray", keys: ["Escape"], text: "small", when: large, run: enlarge },
-    { id: "x-ray-plan", group: "X-ray", keys: [], text: "plan and tool over it", run: plan },
+    { id: "x-ray-plan", group: "X-ray", keys: [], text: "overlay plan and tool", run: plan },
   ];
 }

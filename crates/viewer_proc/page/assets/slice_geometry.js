@@ -1,4 +1,4 @@
-// A plane through the tool: where it cuts cylinders and balls.
+// Intersections of a plane with cylinders and balls of the tool.
 
 import { add, cross, dot, length, scale, subtract, unit } from "/assets/vector.js";
 
@@ -8,10 +8,10 @@ import { add, cross, dot, length, scale, subtract, unit } from "/assets/vector.j
 
 const AROUND = 24;
 
-/** Away from the reader. @param {Plane} plane */
+/** Normal, pointing away from the viewer. @param {Plane} plane */
 export const normal = (plane) => cross(plane.right, plane.down);
 
-/** To the right, down and behind the plane, metres. @param {Plane} plane @param {Vector} point @returns {Vector} */
+/** Coordinates to the right, down and behind the plane, metres. @param {Plane} plane @param {Vector} point @returns {Vector} */
 export function place(plane, point) {
   const away = subtract(point, plane.centre);
   return [dot(away, plane.right), dot(away, plane.down), dot(away, normal(plane))];
@@ -20,7 +20,7 @@ export function place(plane, point) {
 /** @param {Plane} plane @param {Point} at @returns {Vector} */
 export const pointAt = (plane, [right, down]) => add(plane.centre, add(scale(plane.right, right), scale(plane.down, down)));
 
-/** The hull of points, in order around it. @param {Point[]} points @returns {Point[]} */
+/** Returns the convex hull of points, in order. @param {Point[]} points @returns {Point[]} */
 function hull(points) {
   const sorted = [...points].sort((a, b) => a[0] - b[0] || a[1] - b[1]);
   const half = (list) => {
@@ -38,7 +38,7 @@ function hull(points) {
 }
 
 /**
- * What a plane cuts out of a closed cylinder: the hull of the places where it crosses the edges of a prism of as many sides.
+ * Returns the section of a closed cylinder: the hull of the points where the plane crosses the edges of an inscribed prism.
  * @param {Plane} plane @param {Vector} from @param {Vector} to @param {number} radius metres @returns {Point[]} empty: nothing
  */
 export function cutCylinder(plane, from, to, radius) {

@@ -1,4 +1,4 @@
-// One slice: the newest picture of a plane, and what is drawn over it.
+// One slice: the newest image of a plane, and the overlay on it.
 
 import { distanceText } from "/assets/measure.js";
 import { cutBall, cutCylinder, normal, place, pointAt } from "/assets/slice_geometry.js";
@@ -14,13 +14,13 @@ import { add, dot, scale, subtract, transform } from "/assets/vector.js";
 
 const MAGIC = 0x434c5354;
 const HEADER_BYTES = 24;
-/** Minus the least 16-bit number. */
+/** Minimum of a 16-bit integer, negated. */
 const LEAST = 32768;
-/** How far from the plane a path is drawn as lying in it. */
+/** Distance from the plane within which a path is drawn as lying in it. */
 const NEAR_M = 0.0015;
-/** Planes are asked for in such steps along their normal. */
+/** Planes are requested in steps of this size along their normal. */
 const STEP_M = 0.0001;
-/** The cross-hair stays within this share of the picture's half. */
+/** The cross-hair stays within this fraction of the image's half size. */
 const INNER = 0.7;
 const DRILLED_RGB = [178, 128, 20];
 const OUTSIDE_RGB = [92, 98, 106];
@@ -28,18 +28,18 @@ const OUTSIDE_RGB = [92, 98, 106];
 /** @param {import("/assets/parts_list.js").Colour} colour */
 const css = ([r, g, b]) => `rgb(${[r, g, b].map((part) => Math.round(part * 255)).join(" ")})`;
 
-/** A `trabecula.slice` answer. @param {DataView} data @returns {Omit<Picture, "plane" | "side">} */
+/** Decodes a `trabecula.slice` message. @param {DataView} data @returns {Omit<Picture, "plane" | "side">} */
 export function decodeSlice(data) {
-  if (data.getUint32(0, true) !== MAGIC || data.getUint32(4, true) !== 1) throw new Error("a slice of another format");
+  if (data.getUint32(0, true) !== MAGIC || data.getUint32(4, true) !== 1) throw new Error("unsupported slice format");
   const [columns, rows] = [data.getUint32(8, true), data.getUint32(12, true)];
   const from = data.byteOffset + HEADER_BYTES;
   const values = new Int16Array(data.buffer.slice(from, from + 2 * columns * rows));
   return { columns, rows, removed: Number(data.getBigUint64(16, true)), values };
 }
 
-/** An opaque pixel as the canvas holds it, in the order of this machine's bytes. @param {number[]} rgb */
+/** An opaque canvas pixel, in native byte order. @param {number[]} rgb */
 const pixel = ([r, g, b]) => new Uint32Array(new Uint8ClampedArray([r, g, b, 255]).buffer)[0];
-/** Every value's pixel, from the least 16-bit number on, for one window at a time. */
+/** Pixel of every value from the lowest 16-bit integer on, for one window at a time. */
 const table = { key: "", pixels: new Uint32Array(2 * LEAST) };
 
 /** @param {HuWindow} hu @param {{outside: number, drilled: number}} limits */
@@ -71,31 +71,31 @@ export class SliceTile {
     this.canvas.id = `slice-${view.name.replaceAll(" ", "-")}`;
     this.canvas.tabIndex = 0;
     this.canvas.setAttribute("role", "application");
-    this.canvas.setAttribute("aria-label", `CT, ${view.name}. Arrow keys move the cross-hair, Page up and Page down go through the slices.`);
+    this.canvas.setAttribute("aria-label", `CT, ${view.name}. Arrow keys move the cross-hair, Page up and Page down scroll through the slices.`);
     this.caption = this.element.appendChild(document.createElement("figcaption"));
     this.picture = document.createElement("canvas");
     this.layer = document.createElement("canvas");
     /** @type {Picture | undefined} */
     this.shown = undefined;
-    /** Middle of the picture. @type {Vector | undefined} */
+    /** Centre of the image. @type {Vector | undefined} */
     this.centre = undefined;
     this.asking = false;
     this.askedAt = 0;
     this.key = "";
-    /** Another one whenever the picture has changed. */
+    /** Incremented when the image changes. */
     this.version = 0;
-    /** Of the canvas: pixels of the page, and of the screen for each of them. */
+    /** Canvas size in page pixels, and screen pixels per page pixel. */
     this.size = [1, 1];
     this.ratio = 1;
   }
 
-  /** Looks how large the canvas is: once a picture, since the browser may have to lay out the page for it. */
+  /** Measures the canvas: once per frame, because this can force the browser to lay out the page. */
   measure() {
     this.size = [this.canvas.clientWidth || 1, this.canvas.clientHeight || 1];
     this.ratio = Math.min(window.devicePixelRatio || 1, 2);
   }
 
-  /** The plane through the cross-hair; its middle moves only where the cross-hair would leave it. @param {Vector} point @param {number} field metres */
+  /** Returns the plane through the cross-hair; its centre moves only if the cross-hair would leave the image. @param {Vector} point @param {number} field metres */
   planeAt(point, field) {
     const { right, down } = this.view;
     const half = [field / 2, (field / 2) * this.aspect];
@@ -105,7 +105,8 @@ export class SliceTile {
     const moved = off.map((distance, i) => Math.sign(distance) * Math.max(0, Math.abs(distance) - INNER * half[i]));
     this.centre = add(centre, add(scale(right, moved[0]), scale(down, moved[1])));
     const n = normal({ centre, right, down });
-    // A tool that trembles at the edge of a step would ask for two planes in turn, for ever: a plane stays until the cross-hair is a step away.
+    // A tool that trembles at the edge of a step would request two planes in turn: a plane stays until the
+    // cross-hair is a step away.
     if (Math.abs(dot(subtract(point, this.centre), n)) > STEP_M) {
       const behind = Math.round(dot(point, n) / STEP_M) * STEP_M - dot(this.centre, n);
       this.centre = add(this.centre, scale(n, behind));
@@ -117,7 +118,7 @@ export class SliceTile {
     return this.size[1] / this.size[0];
   }
 
-  /** What to ask the server for. @param {Plane} plane @param {number} field */
+  /** Returns the request to the server. @param {Plane} plane @param {number} field */
   request(plane, field) {
     const size = this.size.map((n) => n * this.ratio);
     const fit = Math.min(1, this.limits.most_pixels / Math.max(...size));
@@ -132,7 +133,7 @@ export class SliceTile {
     this.paint(hu);
   }
 
-  /** Greys of the newest picture. @param {HuWindow} hu */
+  /** Converts the newest image to grey levels. @param {HuWindow} hu */
   paint(hu) {
     if (!this.shown) return;
     const { columns, rows, values } = this.shown;
@@ -146,7 +147,7 @@ export class SliceTile {
     this.version += 1;
   }
 
-  /** Hounsfield units of the newest picture at a place; undefined outside of it, text where there is no number. @param {Vector} point */
+  /** Returns the newest image's Hounsfield units at a point; undefined outside the image, a text if there is no number. @param {Vector} point */
   valueAt(point) {
     if (!this.shown) return undefined;
     const { plane, side, columns, rows, values } = this.shown;
@@ -155,11 +156,11 @@ export class SliceTile {
     const row = Math.floor((down / side[1] + 0.5) * rows);
     if (column < 0 || row < 0 || column >= columns || row >= rows) return undefined;
     const value = values[row * columns + column];
-    if (value === this.limits.outside) return "outside of the CT";
+    if (value === this.limits.outside) return "outside the CT";
     return value === this.limits.drilled ? "drilled" : `${value} HU`;
   }
 
-  /** The place under a pointer. @param {{offsetX: number, offsetY: number}} event @param {number} field @returns {Vector} */
+  /** Returns the point under the pointer. @param {{offsetX: number, offsetY: number}} event @param {number} field @returns {Vector} */
   pointOf(event, field, behind = 0) {
     const { right, down } = this.view;
     const { clientWidth: width, clientHeight: height } = this.canvas;
@@ -169,7 +170,7 @@ export class SliceTile {
     return behind ? add(point, scale(normal(plane), behind)) : point;
   }
 
-  /** Where a place is seen, pixels of the page. @param {Vector} point @param {number} field */
+  /** Projects a point, page pixels. @param {Vector} point @param {number} field */
   pixelOf(point, field) {
     const { clientWidth: width, clientHeight: height } = this.canvas;
     const [right, down] = place({ centre: this.centre ?? [0, 0, 0], ...this.view }, point);
@@ -195,7 +196,7 @@ export class SliceTile {
       return [width / 2 + right * scaleBy, height / 2 + down * scaleBy, behind];
     };
     this.#drawPicture(context, at, scaleBy);
-    // Letters and lines grow with the page's text.
+    // Letters and lines scale with the page's text.
     const mark = ratio * textScale();
     const paint = { context, at, ratio: mark, scaleBy, width, height, plane };
     if (scene.poses && scene.tool) this.#drawTool(paint, scene.poses, scene.tool);
@@ -216,7 +217,7 @@ export class SliceTile {
     context.drawImage(this.picture, x - w / 2, y - h / 2, w, h);
   }
 
-  /** Outlines of what the plane cuts of the holder, of shaft and links together, and of the burr. */
+  /** Outlines where the plane cuts the holder, shaft and links together, and the burr. */
   #drawTool({ context, plane, ratio, scaleBy, width, height }, poses, tool) {
     const cylinders = [{ from: poses.base.position, to: transform(poses.base, [0, 0, tool.shaft?.length_m ?? 0]), radius: tool.shaft?.radius_m ?? 0.003 }];
     const front = holderFront(poses, tool);
@@ -234,7 +235,7 @@ export class SliceTile {
     };
     const body = cylinders.flatMap(({ from, to, radius }) => {
       const corners = cutCylinder(plane, from, to, radius);
-      // A ball at the joint closes the gap that a bend opens.
+      // A ball at the joint closes the gap opened by a bend.
       return [...(corners.length > 0 ? [polygon(corners.map(pixels))] : []), ...ball(from, radius)];
     });
     if (holder.length > 0) this.#outline(context, [polygon(holder.map(pixels))], css(COLOURS.shaft), ratio);
@@ -243,7 +244,7 @@ export class SliceTile {
     this.#outline(context, burr, css(COLOURS.burr), ratio);
   }
 
-  /** The outline of a union: its parts are stroked, then what lies inside any of them is taken away. @param {Path2D[]} parts */
+  /** Outlines a union: strokes its parts, then erases the inside of each. @param {Path2D[]} parts */
   #outline(context, parts, colour, ratio) {
     if (parts.length === 0) return;
     const layer = this.layer.getContext("2d");
@@ -260,7 +261,7 @@ export class SliceTile {
     context.drawImage(this.layer, 0, 0);
   }
 
-  /** Solid where the path lies in the plane, dashed where it runs before or behind it. */
+  /** Draws the path solid where it lies in the plane and dashed in front of or behind it. */
   #drawPath({ context, at, ratio }, path) {
     if (path.length < 2) return;
     const points = path.map(at);
@@ -299,7 +300,7 @@ export class SliceTile {
     drawMeasures(context, measures, at, ratio);
   }
 
-  /** The cross-hair, open in the middle. */
+  /** The cross-hair, with an open centre. */
   #drawCross({ context, at, ratio, width, height }, cursor) {
     const [x, y] = at(cursor);
     const gap = 9 * ratio;
@@ -349,7 +350,7 @@ function polygon(corners) {
   return path;
 }
 
-/** A text that shows on any ground. */
+/** Draws a text that is readable on any background. */
 export function outlined(context, text, x, y, colour, ratio) {
   context.lineWidth = 3 * ratio;
   context.lineJoin = "round";
@@ -360,8 +361,8 @@ export function outlined(context, text, x, y, colour, ratio) {
 }
 
 /**
- * Distances over a picture. @param {CanvasRenderingContext2D} context @param {import("/assets/measure.js").Measures} measures
- * @param {(point: Vector) => number[] | undefined} at pixels of a place; undefined: not to be seen @param {number} ratio
+ * Draws distances over an image. @param {CanvasRenderingContext2D} context @param {import("/assets/measure.js").Measures} measures
+ * @param {(point: Vector) => number[] | undefined} at pixels of a point; undefined: not visible @param {number} ratio
  */
 export function drawMeasures(context, measures, at, ratio) {
   /** @param {number[]} place */

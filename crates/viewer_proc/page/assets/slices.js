@@ -1,4 +1,4 @@
-// The panel of slices: which planes are shown, what is asked of the viewer, and what pointer and keys do.
+// The slices panel: the planes shown, requests to the viewer, pointer and keys.
 
 import { placeText } from "/assets/guidance.js";
 import { CLICK_PX } from "/assets/measure.js";
@@ -8,19 +8,19 @@ import { add, scale } from "/assets/vector.js";
 
 /** @typedef {import("/assets/vector.js").Vector} Vector */
 
-/** The element of `index.html`, whose kind the page's author knows. @param {string} id @returns {any} */
+/** An element of `index.html`, of a kind known here. @param {string} id @returns {any} */
 const element = (id) => document.getElementById(id);
-/** Time between two pictures of the slices: 16 a second, so that the 3D view stays smooth beside them. */
+/** Minimum time between two drawings of the slices: 16 per second, so that the 3D view stays smooth. */
 const DRAW_MS = 60;
-/** The tool is drawn again when a part of it has moved by so many pixels of the page. */
+/** The tool is redrawn when a part of it has moved by this many page pixels. */
 const VISIBLE_PX = 0.5;
-/** Time between two requests for the same slice. */
+/** Minimum time between two requests for the same slice. */
 const ASK_MS = 150;
-/** A refused request is made again after this. */
+/** Delay before a refused request is repeated. */
 const AGAIN_MS = 700;
 const FIELD_M = [0.01, 0.6];
 const STEP_M = 0.0005;
-/** Hounsfield units that are black and white: level and width as radiologists give them. */
+/** Hounsfield windows: level and width as used in radiology. */
 export const HU_WINDOWS = { bone: { low: -200, width: 1500 }, "soft tissue": { low: -160, width: 400 }, all: { low: -1000, width: 4000 } };
 const LEAST_WIDTH = 20;
 
@@ -38,29 +38,29 @@ export class Slices {
     this.changed = changed;
     /** @type {SliceTile[]} */
     this.tiles = [];
-    /** Places of a plan that can be moved. @type {import("/assets/plan_edit.js").PlanEdit | undefined} */
+    /** Points of a plan that can be moved. @type {import("/assets/plan_edit.js").PlanEdit | undefined} */
     this.edit = undefined;
     this.on = true;
     this.field = 0.08;
     this.window = { ...HU_WINDOWS.bone };
-    /** Why there is no picture. */
+    /** Why there is no image. */
     this.refused = "";
     this.asked = 0;
     this.drawnAt = 0;
-    /** When the next picture is asked for without another reason. */
+    /** Time of the next request if nothing else triggers one. */
     this.due = Infinity;
     /** @type {ReturnType<typeof setTimeout> | undefined} */
     this.coming = undefined;
-    /** What the pictures show. */
+    /** State shown in the images. */
     this.key = "";
-    /** Pictures that were drawn. */
+    /** Number of images drawn. */
     this.pictures = 0;
     element("slice-window").addEventListener("change", (event) => this.setWindow({ ...HU_WINDOWS[event.target.value] }));
   }
 
-  /** The planes of a new scene. */
+  /** Sets up the planes of a new scene. */
   takeInfo() {
-    // Until the volume is here, or where it is not that of the log, there is nothing to slice.
+    // Until the volume is loaded, or if it is not that of the log, there is nothing to slice.
     const slices = this.model.info?.volume ? this.model.info.slices : undefined;
     const key = JSON.stringify(slices ?? null);
     if (key !== this.made) {
@@ -68,7 +68,7 @@ export class Slices {
       element("slice-tiles").replaceChildren();
       this.tiles = (slices?.planes ?? []).map((view) => this.#listen(new SliceTile(element("slice-tiles"), view, slices)));
     }
-    // A pilot hole that has moved is another picture of the same plane.
+    // A moved pilot hole changes the image of the same plane.
     const holes = JSON.stringify(this.model.info?.scene?.predrill ?? []);
     if (holes !== this.holes) this.tiles.forEach((tile) => (tile.key = ""));
     this.holes = holes;
@@ -76,7 +76,7 @@ export class Slices {
     this.show();
   }
 
-  /** Whether there is something to show. */
+  /** Whether there is anything to show. */
   get there() {
     return this.tiles.length > 0;
   }
@@ -108,13 +108,13 @@ export class Slices {
     this.changed();
   }
 
-  /** Goes through the slices. @param {SliceTile} tile @param {number} metres */
+  /** Scrolls through the slices. @param {SliceTile} tile @param {number} metres */
   #through(tile, metres) {
     const { point } = this.cursor;
     if (point) this.cursor.place(add(point, scale(normal({ centre: point, ...tile.view }), metres)));
   }
 
-  /** Asks for a picture later, unless one comes before. @param {number} milliseconds */
+  /** Schedules a redraw, unless an earlier one is due. @param {number} milliseconds */
   #later(milliseconds) {
     const due = performance.now() + milliseconds;
     if (this.due <= due) return;
@@ -123,7 +123,7 @@ export class Slices {
     this.coming = setTimeout(() => ((this.due = Infinity), this.changed()), milliseconds);
   }
 
-  /** Draws what has changed, and not more often than can be seen. */
+  /** Draws what has changed, no more often than is visible. */
   draw() {
     if (!this.on || !this.there) return;
     const { model, cursor } = this;
@@ -145,7 +145,7 @@ export class Slices {
     this.#facts(point);
   }
 
-  /** All that the pictures depend on; places in steps that can be seen. @param {import("/assets/slice_geometry.js").Plane[]} planes @param {import("/assets/tool_model.js").Poses | undefined} poses */
+  /** Everything that the images depend on; points are rounded to visible steps. @param {import("/assets/slice_geometry.js").Plane[]} planes @param {import("/assets/tool_model.js").Poses | undefined} poses */
   #key(planes, poses) {
     const step = (VISIBLE_PX * this.field) / Math.max(...this.tiles.map((tile) => tile.size[0]));
     /** @param {Vector | undefined} point */
@@ -156,7 +156,7 @@ export class Slices {
     return [this.made, this.edit?.version, this.refused, this.field, low, width, this.measures.version, this.cursor.follows, place(this.cursor.point), tool, tiles].join();
   }
 
-  /** Asks for a tile's picture if it has another one or none; one request of a tile is under way at a time. */
+  /** Requests a tile's image if the current one is outdated or missing; one request per tile at a time. */
   #request(tile, plane) {
     const request = tile.request(plane, this.field);
     const key = JSON.stringify([request, this.model.removed]);
@@ -169,7 +169,7 @@ export class Slices {
     this.asked += 1;
     this.ask(request).then((answer) => {
       tile.asking = false;
-      this.refused = answer.bytes ? "" : (answer.error ?? "no slice came");
+      this.refused = answer.bytes ? "" : (answer.error ?? "no slice received");
       if (answer.bytes) {
         tile.key = key;
         tile.take(request, answer.bytes, this.window);
@@ -227,7 +227,7 @@ export class Slices {
     return tile;
   }
 
-  /** Moves level and width by pixels of a drag. */
+  /** Moves level and width by a drag, in pixels. */
   #adjust(down, right) {
     const { low, width } = this.window;
     const level = low + width / 2 + down * width * 0.004;

@@ -1,21 +1,22 @@
-// Surfaces in pieces: the bone's, one mesh for each block of the volume, replaced when its bone was drilled; the arm's, one for each link.
+// Surfaces in pieces: one bone mesh per block of the volume, replaced when that bone was drilled, and one
+// mesh per arm link.
 
 const MAGIC = 0x48534d54;
 const VERSION = 1;
 const HEADER_BYTES = 36;
 
 /**
- * A `trabecula.mesh` message. @param {DataView} data
+ * Decodes a `trabecula.mesh` message. @param {DataView} data
  * @returns {{block: number, vertices: number, indexCount: number, origin: number[], scale: number, positions: Uint16Array,
  *   normals: Int8Array, indices: Uint32Array}}
  */
 export function decodeMesh(data) {
   const word = (at) => data.getUint32(at, true);
-  if (word(0) !== MAGIC || word(4) !== VERSION) throw new Error("a surface message of another format");
+  if (word(0) !== MAGIC || word(4) !== VERSION) throw new Error("unsupported surface message format");
   const [block, vertices, indexCount] = [word(8), word(12), word(16)];
   const origin = [20, 24, 28].map((at) => data.getFloat32(at, true));
   const scale = data.getFloat32(32, true);
-  // The bytes are copied: a message's start in the socket's buffer is not aligned.
+  // The bytes are copied because the payload is not aligned in the socket's buffer.
   const bytes = data.buffer.slice(data.byteOffset + HEADER_BYTES);
   const normalsAt = Math.ceil((vertices * 6) / 4) * 4;
   return {
@@ -49,7 +50,7 @@ export class Surface {
     this.blocks.delete(id);
   }
 
-  /** Takes a block's new mesh; an empty one removes it. @param {DataView} data */
+  /** Replaces a block's mesh; an empty one removes it. @param {DataView} data */
   update(data) {
     const { gl } = this;
     const mesh = decodeMesh(data);
@@ -69,7 +70,7 @@ export class Surface {
       return buffer;
     });
     const { origin, scale, indexCount, positions, indices } = mesh;
-    // Positions and indices stay here for what is clicked on.
+    // Positions and indices are kept for picking.
     this.blocks.set(mesh.block, { vertexArray, buffers, origin, scale, indexCount, positions, indices });
     this.triangles += indexCount / 3;
   }

@@ -1,13 +1,13 @@
-// The tables: connected parts, and the difference of two logs.
+// The tables: connected parts, and the differences between two logs.
 
-/** The element of `index.html`, whose kind the page's author knows. @param {string} id @returns {any} */
+/** An element of `index.html`, of a kind known here. @param {string} id @returns {any} */
 const element = (id) => document.getElementById(id);
 
 function row(cells) {
   const line = document.createElement("tr");
   cells.forEach((text, column) => {
     const cell = line.appendChild(document.createElement("td"));
-    // A field's name breaks between its words, not within them; a number does not break.
+    // A field name wraps between its words, not within them; a number does not wrap.
     const parts = column === 0 ? text.split(/(?<=[_.])/) : [text];
     parts.forEach((part, i) => cell.append(...(i > 0 ? [document.createElement("wbr"), part] : [part])));
   });
@@ -16,7 +16,7 @@ function row(cells) {
 
 const rate = (hz) => (hz == null ? "–" : hz >= 100 ? `${hz.toFixed(0)} Hz` : `${hz.toFixed(1)} Hz`);
 const age = (ms) => (ms == null ? "–" : ms < 1000 ? `${ms.toFixed(0)} ms` : `${(ms / 1000).toFixed(1)} s`);
-/** A number with at most six digits that say something. */
+/** Formats a number with at most six significant digits. */
 export const short = (value) => (typeof value === "number" ? Number(value.toPrecision(6)).toString() : String(value ?? "–"));
 
 /** @param {{name: string, rate_hz: number, age_ms: number, state: string}[]} parts */
@@ -24,7 +24,7 @@ export function showParts(parts) {
   element("parts").replaceChildren(...parts.map((part) => row([part.name, rate(part.rate_hz), age(part.age_ms), part.state ?? ""])));
 }
 
-/** After the end of the run none of its parts is active. */
+/** Marks all parts as inactive after the end of the run. */
 export function endParts() {
   for (const state of document.querySelectorAll("#parts td:last-child")) state.textContent = "ended";
 }

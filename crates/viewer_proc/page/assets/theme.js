@@ -1,9 +1,9 @@
-// Light or dark: the system's choice until the user makes one.
+// Light or dark theme: the system's setting until the user chooses one.
 
 const KEY = "trabecula-theme";
 const system = window.matchMedia("(prefers-color-scheme: dark)");
 
-/** The user's choice, if storage may be used. */
+/** The user's choice, if storage is available. */
 function chosen() {
   try {
     return localStorage.getItem(KEY);
@@ -29,7 +29,7 @@ export class Theme {
     try {
       localStorage.setItem(KEY, other);
     } catch {
-      // Without storage the choice lasts as long as the page.
+      // Without storage the choice lasts until the page is closed.
     }
     this.#apply(other);
   }

@@ -1,18 +1,20 @@
-// The time axis that all plots and the tick strip share: the newest seconds of a run, a whole log, or a span that was chosen.
+// The time axis shared by all plots and the tick strip: the last seconds of a run, a whole log, or a selected
+// span.
 
-/** Lengths of the time axis of a run to choose from, seconds. */
+/** Selectable lengths of a run's time axis, seconds. */
 const WINDOWS = [1, 2, 5, 10, 20, 60];
-/** The shortest span, seconds: some ticks. */
+/** Minimum span, seconds: a few ticks. */
 const SHORTEST_S = 0.005;
-/** Where in the span a log's position comes to stand when it has left it. */
+/** Where a log's position is placed in the span after it has left it. */
 const PAGE_SHARE = 0.1;
 
 export class TimeAxis {
   constructor() {
     this.seconds = 10;
-    /** The chosen span; none: the newest seconds, or the whole log. @type {[number, number] | undefined} */
+    /** The selected span; undefined: the last seconds, or the whole log. @type {[number, number] |
+     * undefined} */
     this.chosen = undefined;
-    /** First and last time of a log, seconds; none for a run. @type {[number, number] | undefined} */
+    /** First and last time of a log, seconds; undefined for a run. @type {[number, number] | undefined} */
     this.log = undefined;
     /** The newest time of a run, or the position in a log, seconds. */
     this.now = 0;
@@ -26,7 +28,7 @@ export class TimeAxis {
     return [end - this.seconds, end];
   }
 
-  /** Time went on: a log's chosen span turns its page when the position leaves it. @param {number} now seconds */
+  /** Updates the time; a log's selected span pages on when the position leaves it. @param {number} now seconds */
   move(now) {
     const before = this.now;
     this.now = now;
@@ -45,7 +47,7 @@ export class TimeAxis {
     this.chosen = length >= whole && this.log ? undefined : [begin, begin + length];
   }
 
-  /** Makes the span shorter or longer about a time. @param {number} factor @param {number} about seconds */
+  /** Zooms the span about a time. @param {number} factor @param {number} about seconds */
   zoom(factor, about) {
     const [from, to] = this.range();
     const at = Math.min(Math.max(about, from), to);
@@ -58,12 +60,12 @@ export class TimeAxis {
     this.#choose(from + by, to - from);
   }
 
-  /** Back to the newest seconds, or the whole log. */
+  /** Resets to the last seconds, or the whole log. */
   reset() {
     this.chosen = undefined;
   }
 
-  /** The next longer or shorter time axis. @param {1 | -1} direction */
+  /** Selects the next longer or shorter time axis. @param {1 | -1} direction */
   step(direction) {
     if (this.log || this.chosen) return this.zoom(direction > 0 ? 2 : 0.5, this.now);
     const at = WINDOWS.indexOf(this.seconds) + direction;

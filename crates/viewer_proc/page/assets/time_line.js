@@ -11,11 +11,11 @@ const MARKS = {
   gap: { letter: "G", name: "gap", colour: "--cause-fault" },
 };
 const SMALL_LETTER_PX = 10;
-/** How long after the last movement of the thumb it counts as held. */
+/** Time after its last movement during which the thumb counts as held. */
 const DRAGGED_MS = 400;
 const STEPS = 10000;
 
-/** The element of `index.html`, whose kind the page's author knows. @param {string} id @returns {any} */
+/** An element of `index.html`, of a kind known here. @param {string} id @returns {any} */
 const element = (id) => document.getElementById(id);
 const seconds = (ns) => `${(ns / 1e9).toFixed(3)} s`;
 
@@ -32,7 +32,7 @@ export class TimeLine {
     scrub.max = String(STEPS);
     scrub.addEventListener("input", () => {
       this.scrubbing = performance.now();
-      // Time may have gone on and stopped meanwhile: the thumb then stands elsewhere.
+      // Playback may have moved and stopped meanwhile, which leaves the thumb elsewhere.
       setTimeout(redraw, DRAGGED_MS + 20);
       const share = Number(scrub.value) / STEPS;
       this.send({ action: "seek", time_ns: Math.round(this.state.begin_ns + share * (this.state.end_ns - this.state.begin_ns)) });
@@ -40,7 +40,7 @@ export class TimeLine {
     element("playback-speed").addEventListener("change", (event) => this.send({ action: "speed", speed: Number(event.target.value) }));
   }
 
-  /** @param {object} state a `/view/playback` message; events only when they changed */
+  /** @param {object} state a `/view/playback` message; events only if they have changed */
   take(state) {
     this.state = { ...this.state, ...state };
     if (state.events) this.events = state.events;
@@ -50,7 +50,7 @@ export class TimeLine {
     this.send({ action: this.state.playing ? "pause" : "play" });
   }
 
-  /** Plays faster or slower: the next choice of the list. @param {1 | -1} direction */
+  /** Plays faster or slower: selects the next entry of the list. @param {1 | -1} direction */
   changeSpeed(direction) {
     const list = element("playback-speed");
     list.selectedIndex = Math.max(0, Math.min(list.options.length - 1, list.selectedIndex + direction));
@@ -63,7 +63,7 @@ export class TimeLine {
     element("play").textContent = playing ? "Pause" : "Play";
     element("playback-time").textContent = `${seconds(time_ns)} of ${seconds(end_ns)}`;
     const scrub = element("scrub");
-    // While the user drags, the server's answers do not move the thumb.
+    // While the user drags, the server's messages do not move the thumb.
     if (!(performance.now() - (this.scrubbing ?? -Infinity) < DRAGGED_MS)) scrub.value = String(Math.round(((time_ns - begin_ns) / span) * STEPS));
     scrub.setAttribute("aria-valuetext", seconds(time_ns));
     this.#marks(begin_ns, span, time_ns, colours);
@@ -76,7 +76,7 @@ export class TimeLine {
     context.textAlign = "center";
     context.textBaseline = "top";
     const lastLetter = {};
-    // A frame's note must not hide what matters: notes are drawn first, short and without a letter.
+    // Notes must not hide more important marks: they are drawn first, short and without a letter.
     const ordered = [...this.events.filter(({ kind }) => kind === "note"), ...this.events.filter(({ kind }) => kind !== "note")];
     for (const { time_ns, kind } of ordered) {
       const mark = MARKS[kind] ?? MARKS.event;

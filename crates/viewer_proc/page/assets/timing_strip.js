@@ -1,36 +1,36 @@
-// Ticks on a strip: how long the step took of its period, and the misses with their cause as colour and letter.
+// Ticks on a strip: step time relative to the period, and misses with their cause as colour and letter.
 
 import { MARGIN, addTimes, axisFont, prepare, textScale } from "/assets/plot.js";
 
 /**
- * Causes of a miss by the letter that the server gives (`recorder_proc::misses`).
+ * Causes of a miss by the server's letter (`recorder_proc::misses`).
  * @type {{letter: string, name: string, colour: string}[]}
  */
 const LIST = [
   { letter: "O", name: "own computation", colour: "--cause-step" },
-  { letter: "Q", name: "run queue: others had the core", colour: "--cause-core" },
+  { letter: "Q", name: "run queue: core in use by others", colour: "--cause-core" },
   { letter: "S", name: "stolen by the hypervisor", colour: "--cause-host" },
-  { letter: "T", name: "throttled: quota used up", colour: "--cause-core" },
+  { letter: "T", name: "throttled: CPU quota used up", colour: "--cause-core" },
   { letter: "P", name: "stopped or frozen", colour: "--cause-host" },
   { letter: "F", name: "page fault", colour: "--cause-fault" },
   { letter: "B", name: "blocked", colour: "--series-3" },
   { letter: "C", name: "late controller", colour: "--series-4" },
-  { letter: "R", name: "waited for the recorder", colour: "--series-4" },
+  { letter: "R", name: "waiting for the recorder", colour: "--series-4" },
   { letter: "U", name: "unknown", colour: "--muted" },
 ];
 const UNKNOWN = LIST[LIST.length - 1];
 
-/** All of them, for the legend. */
+/** All causes, for the legend. */
 export const CAUSES = LIST;
 
-/** @param {string} letter @returns {{letter: string, name: string, colour: string}} unknown for any other letter */
+/** @param {string} letter @returns {{letter: string, name: string, colour: string}} "unknown" for any other letter */
 export const causeOf = (letter) => LIST.find((cause) => cause.letter === letter) ?? UNKNOWN;
 
 /** At the text size of a small screen. */
 const SMALL_LETTER_PX = 13;
 
 /**
- * @typedef {{time: number, letter: string, count: number}} Miss  seconds; `count` late ticks lie there
+ * @typedef {{time: number, letter: string, count: number}} Miss  seconds; `count`: number of late ticks
  * @param {HTMLCanvasElement} canvas @param {import("/assets/plot.js").Samples} steps ns @param {Miss[]} misses
  * @param {import("/assets/plot.js").Times} times @param {number} periodNs @param {Record<string, string>} colours
  */
@@ -45,7 +45,7 @@ export function drawTimingStrip(canvas, steps, misses, { from, to, now }, period
   const toX = (time) => box.x + ((time - from) / (to - from)) * box.width;
   drawAxes(context, box, { from, to, toX }, periodNs, colours);
   context.fillStyle = colours["--series-1"];
-  // A bar is as wide as the ticks that it stands for, so that no gap is seen where there is none.
+  // A bar is as wide as the ticks it covers, so that no false gaps appear.
   const wide = Math.max(1, Math.ceil((steps.spacing / (to - from)) * box.width));
   steps.each(from, to, Math.max(1, Math.floor(box.width)), (time, _low, high) => {
     const bar = Math.max(1, Math.min(1, high / periodNs) * box.height);
@@ -71,7 +71,7 @@ export function drawTimingStrip(canvas, steps, misses, { from, to, now }, period
   }
 }
 
-/** Time below; step time at the left, from 0 to the period, which is a dashed line. */
+/** Draws the axes: time below; step time at the left, from 0 to the period, which is a dashed line. */
 function drawAxes(context, box, times, periodNs, colours) {
   context.font = axisFont(box.size);
   context.fillStyle = colours["--muted"];
@@ -91,7 +91,7 @@ function drawAxes(context, box, times, periodNs, colours) {
   context.setLineDash([]);
 }
 
-/** Misses of each cause in a window, by letter. @param {Miss[]} misses @returns {Map<string, number>} */
+/** Counts the misses of each cause in a window, by letter. @param {Miss[]} misses @returns {Map<string, number>} */
 export function countCauses(misses, from, to) {
   const counts = new Map();
   for (const { time, letter, count } of misses) {

@@ -6,7 +6,7 @@ import { add, length, rotate, scale, subtract, transform } from "/assets/vector.
 /** @typedef {import("/assets/vector.js").Pose} Pose */
 /** @typedef {import("/assets/parts_list.js").PartsList} PartsList */
 
-/** Radii with which the arm is drawn, from its base: thinner than the robot, so that it hides little. */
+/** Radii of the drawn arm, from its base: thinner than the robot, so that it hides little. */
 const ARM_RADII_M = [0.03, 0.028, 0.025, 0.02, 0.018, 0.016];
 /** Length of a force arrow. */
 export const ARROW_M_PER_N = 0.002;
@@ -23,7 +23,7 @@ export const COLOURS = {
 
 /** @typedef {{arm: Pose[], flange: Pose, base: Pose, links: Pose[], burr: Pose}} Poses */
 
-/** The way that the burr has gone. */
+/** The path of the burr. */
 export class Trail {
   /** @type {{point: import("/assets/vector.js").Vector, time: number}[]} */
   steps = [];
@@ -32,7 +32,8 @@ export class Trail {
     return this.steps.map((step) => step.point);
   }
 
-  /** Adds a place. Time that goes back takes what was later away; a leap (a reset, a scrub) begins anew. */
+  /** Adds a point. If time goes backward, later points are dropped; after a jump (a reset, a scrub) the
+   * path restarts. */
   add(point, time) {
     while (this.steps.length > 0 && this.steps.at(-1).time >= time) this.steps.pop();
     const gone = this.steps.length > 0 ? length(subtract(point, this.steps.at(-1).point)) : Infinity;
@@ -66,20 +67,20 @@ export function addTool(list, poses, tool, one) {
     const link = tool.links?.[i] ?? { length_m: 0.001, outer_radius_m: 0.003 };
     const colour = one ?? (i % 2 === 0 ? COLOURS.linkEven : COLOURS.linkOdd);
     list.cylinder(pose.position, transform(pose, [0, 0, link.length_m]), link.outer_radius_m, colour);
-    // A ball in each joint: a bend would open a gap between the ends of two cylinders.
+    // A ball in each joint, because a bend would open a gap between two cylinders.
     list.sphere(pose.position, link.outer_radius_m, colour);
   });
   for (const { centre, radius } of burrBalls(poses, tool)) list.sphere(centre, radius, one ?? COLOURS.burr);
 }
 
-/** The balls of the burr, from its front to its back. @param {Poses} poses @param {any} [tool] of `/view/info` */
+/** The balls of the burr, from front to back. @param {Poses} poses @param {any} [tool] of `/view/info` */
 export function burrBalls(poses, tool) {
   const balls = tool?.burr_balls ?? [{ behind_m: 0, radius_m: 0.003 }];
   return balls.map((ball) => ({ centre: transform(poses.burr, [0, 0, -ball.behind_m]), radius: ball.radius_m }));
 }
 
 /**
- * The arm as tubes between its frames, but for links that have a mesh: link i ends at frame i.
+ * Adds the arm as tubes between its frames, except for links that have a mesh: link i ends at frame i.
  * @param {PartsList} list @param {Poses} poses @param {{has: (link: number) => boolean}} meshed
  */
 export function addArm(list, poses, meshed) {
@@ -90,7 +91,7 @@ export function addArm(list, poses, meshed) {
   }
 }
 
-/** Where the holder on the flange ends and the bare shaft begins; undefined if the tool's base is on the flange. @param {Poses} poses @param {any} tool of `/view/info` */
+/** Returns the point where the holder on the flange ends and the bare shaft begins; undefined if the tool's base is on the flange. @param {Poses} poses @param {any} tool of `/view/info` */
 export function holderFront(poses, tool) {
   if (!tool.holder) return undefined;
   const way = subtract(poses.base.position, poses.flange.position);
@@ -116,12 +117,12 @@ export function addBodies(list, bodies, poses) {
   });
 }
 
-/** The plane in which the tool bends, through its base, looking at the eye. @param {Pose} base @param {number[]} eye */
+/** Returns the plane in which the tool bends, through its base, facing the eye. @param {Pose} base @param {number[]} eye */
 export function bendingPlane(base, eye) {
   return planeTowards(base.position, rotate(base.rotation, [0, 1, 0]), eye);
 }
 
-/** Contacts of a state: point, and normal and friction force together. @param {Record<string, Function>} read @param {DataView} state */
+/** Returns the contacts of a state: point, and sum of normal and friction force. @param {Record<string, Function>} read @param {DataView} state */
 export function contactsOf(read, state) {
   return Array.from({ length: read.contactCount(state) }, (_, i) => {
     const at = read.contacts[i];

@@ -1,8 +1,8 @@
-// How a field's numbers are shown: the unit ends its name, as in every message.
+// Display of a field's numbers: the unit is the suffix of its name, as in every message.
 
 const DEGREES = 180 / Math.PI;
 
-/** End of the name, unit on the page, factor. The first that fits counts. @type {[RegExp, string, number][]} */
+/** Suffix of the name, displayed unit, factor. The first match applies. @type {[RegExp, string, number][]} */
 const UNITS = [
   [/burr_speed\w*_rad_per_s$/, "rpm", 60 / (2 * Math.PI)],
   [/_rad_per_s$/, "°/s", DEGREES],
@@ -23,13 +23,13 @@ export function unitOf(path) {
   return found ? { unit: found[1], scale: found[2] } : { unit: "", scale: 1 };
 }
 
-/** A field's name for a heading: its words, without the unit. @param {string} path */
+/** Formats a field's name for a heading: its words, without the unit. @param {string} path */
 export function labelOf(path) {
   const words = path.split(".").map((part) => part.replace(/_(rad_per_s|m_per_s|rad|n_m|ns|mm|m|n|s)(?=\[|$)/, "").replace(/_/g, " "));
   return words.join(", ");
 }
 
-/** Two digits behind the point for small numbers, a power of ten for tiny and huge ones; no minus before a zero. */
+/** Formats a number: two decimals if small, scientific notation if tiny or huge; never a negative zero. */
 export function written(value) {
   const size = Math.abs(value);
   if (size >= 1e7 || (size > 0 && size < 0.005)) return value.toPrecision(3);

@@ -16,7 +16,7 @@ export const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 export const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
 /** @param {Vector} a */
 export const length = (a) => Math.hypot(a[0], a[1], a[2]);
-/** The unit vector; zero stays zero. @param {Vector} a @returns {Vector} */
+/** Normalises a vector; zero stays zero. @param {Vector} a @returns {Vector} */
 export const unit = (a) => scale(a, 1 / (length(a) || 1));
 
 /** @param {Quaternion} q @param {Vector} v @returns {Vector} */
@@ -26,7 +26,7 @@ export function rotate(q, v) {
   return add(add(v, scale(t, w)), cross([x, y, z], t));
 }
 
-/** First b, then a. @param {Quaternion} a @param {Quaternion} b @returns {Quaternion} */
+/** Applies b, then a. @param {Quaternion} a @param {Quaternion} b @returns {Quaternion} */
 export function product([ax, ay, az, aw], [bx, by, bz, bw]) {
   return [
     aw * bx + ax * bw + ay * bz - az * by, aw * by - ax * bz + ay * bw + az * bx,
@@ -34,17 +34,17 @@ export function product([ax, ay, az, aw], [bx, by, bz, bw]) {
   ];
 }
 
-/** Where a point of the child frame lies in the parent frame. @param {Pose} pose @param {Vector} point */
+/** Transforms a point from the child frame to the parent frame. @param {Pose} pose @param {Vector} point */
 export const transform = (pose, point) => add(pose.position, rotate(pose.rotation, point));
 
-/** Perspective onto the cube -1..1 of OpenGL. @param {number} fovRad vertical angle */
+/** Perspective projection onto OpenGL's clip cube -1..1. @param {number} fovRad vertical angle */
 export function perspective(fovRad, aspect, near, far) {
   const f = 1 / Math.tan(fovRad / 2);
   const d = 1 / (near - far);
   return [f / aspect, 0, 0, 0, 0, f, 0, 0, 0, 0, (near + far) * d, -1, 0, 0, 2 * near * far * d, 0];
 }
 
-/** World to camera for a camera at `eye` that looks at `centre`. @param {Vector} eye @param {Vector} centre @param {Vector} up */
+/** World-to-camera matrix for a camera at `eye` looking at `centre`. @param {Vector} eye @param {Vector} centre @param {Vector} up */
 export function lookAt(eye, centre, up) {
   const back = unit(subtract(eye, centre));
   const right = unit(cross(up, back));

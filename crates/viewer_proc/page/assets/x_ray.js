@@ -1,9 +1,9 @@
-// Frames: decoding, window and level, and the difference of two.
+// Frames: decoding, window and level, and the difference of two frames.
 
 const LEVELS = 65536;
-/** Shares of the pixels that the automatic window leaves out. */
+/** Fractions of the pixels that the automatic window leaves out. */
 const CLIPPED = { dense: 0.01, soft: 0.3 };
-/** A grey this near to an end of the range, as a share of it, is air or metal. */
+/** A grey value within this fraction of an end of the range is air or metal. */
 const AT_THE_END = 0.02;
 
 /**
@@ -11,7 +11,7 @@ const AT_THE_END = 0.02;
  * @typedef {{level: number, width: number}} Window in grey values
  */
 
-/** A sensor_msgs/msg/Image with mono16 pixels, CDR. @param {DataView} data @param {number} start of its body @returns {Image} */
+/** Decodes a sensor_msgs/msg/Image with mono16 pixels, CDR. @param {DataView} data @param {number} start of its body @returns {Image} */
 export function decodeImage(data, start = 4) {
   let at = start;
   const align = (n) => (at = start + Math.ceil((at - start) / n) * n);
@@ -30,7 +30,7 @@ export function decodeImage(data, start = 4) {
   text();
   const [height, width] = [word(), word()];
   const encoding = text();
-  if (encoding !== "mono16") throw new Error(`a frame in ${encoding} instead of mono16`);
+  if (encoding !== "mono16") throw new Error(`unsupported frame encoding ${encoding}; expected mono16`);
   at += 1;
   word();
   const bytes = word();
@@ -39,8 +39,8 @@ export function decodeImage(data, start = 4) {
 }
 
 /**
- * The window that spreads the greys of bone: without what is at the ends of the detector's range (air, metal), the shares of the pixels
- * that it leaves out at the dense end and at the other one, where soft tissue may be as bright as air.
+ * Returns the window that spreads the grey levels of bone. Leaves out values at the ends of the detector's range (air, metal) and a fraction
+ * of the pixels at the dense end and at the other one, where soft tissue may be as bright as air.
  * @param {Image} image @param {boolean} [denseIsBright] @returns {Window}
  */
 export function automaticWindow({ pixels }, denseIsBright = false) {
@@ -49,7 +49,7 @@ export function automaticWindow({ pixels }, denseIsBright = false) {
   const [first, last] = [LEVELS * AT_THE_END, LEVELS * (1 - AT_THE_END)].map(Math.round);
   let inside = 0;
   for (let value = first; value < last; value++) inside += counts[value];
-  // A frame of air or metal alone.
+  // A frame with only air or metal.
   if (inside < pixels.length * CLIPPED.dense) return { level: LEVELS / 2, width: LEVELS };
   const quantile = (share) => {
     let value = first;
@@ -60,7 +60,7 @@ export function automaticWindow({ pixels }, denseIsBright = false) {
   return { level: (low + high) / 2, width: Math.max(16, high - low) };
 }
 
-/** Opaque greys as canvas words. @param {number} grey 0 to 255 */
+/** An opaque grey as a canvas word. @param {number} grey 0 to 255 */
 const word = (grey) => (0xff000000 | (grey << 16) | (grey << 8) | grey) >>> 0;
 
 export class XRay {
@@ -73,12 +73,12 @@ export class XRay {
     this.image = undefined;
     /** @type {Image | undefined} */
     this.second = undefined;
-    /** Stays in place of the newest. @type {Image | undefined} */
+    /** Shown instead of the newest. @type {Image | undefined} */
     this.held = undefined;
     /** @type {"first" | "both" | "second" | "difference"} */
     this.shows = "first";
     this.inverted = false;
-    /** As the scene's display says. */
+    /** Set by the scene's display. */
     this.denseIsBright = false;
     this.window = { level: LEVELS / 2, width: LEVELS };
     this.table = new Uint32Array(LEVELS);
@@ -97,7 +97,7 @@ export class XRay {
     this.changed();
   }
 
-  /** Shows an image until another one or none is to be held. @param {Image | undefined} image */
+  /** Holds an image on screen, or releases it if undefined. @param {Image | undefined} image */
   hold(image) {
     this.held = image;
     this.changed();
@@ -114,7 +114,7 @@ export class XRay {
     this.#windowChanged();
   }
 
-  /** Moves level and width by shares of the width. */
+  /** Moves level and width by fractions of the width. */
   adjust(level, width) {
     this.window.level = Math.max(0, Math.min(LEVELS, this.window.level + level * this.window.width));
     this.window.width = Math.max(16, Math.min(2 * LEVELS, this.window.width * Math.exp(width)));
@@ -156,7 +156,7 @@ export class XRay {
     this.context.putImageData(this.data, 0, 0);
   }
 
-  /** The canvas' pixels, four bytes each, made anew when the size changes. */
+  /** The canvas's pixels, four bytes each, reallocated when the size changes. */
   #words(width, height) {
     if (this.data?.width !== width || this.data?.height !== height) {
       Object.assign(this.canvas, { width, height });

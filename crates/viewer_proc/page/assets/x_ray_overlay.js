@@ -1,4 +1,5 @@
-// What is drawn over the X-ray by the frame's own projection: plan, tool and tip as they were at the frame, cross-hair, distances.
+// Overlay on the X-ray in the frame's own projection: plan, tool and tip at the time of the frame,
+// cross-hair, distances.
 
 import { CLICK_PX } from "/assets/measure.js";
 import { textScale } from "/assets/plot.js";
@@ -11,7 +12,7 @@ import { transform } from "/assets/vector.js";
 
 /** @param {import("/assets/parts_list.js").Colour} colour */
 const css = ([r, g, b]) => `rgb(${[r, g, b].map((part) => Math.round(part * 255)).join(" ")})`;
-/** In a run a state this many ticks from a frame's stands for it; of a log the frame's own comes. */
+/** In a run, a state within this many ticks of a frame is used for it; a log sends the frame's own state. */
 const NEAR_TICKS = 30;
 
 export class XRayOverlay {
@@ -30,14 +31,14 @@ export class XRayOverlay {
     this.#listen();
   }
 
-  /** The frame that is shown, if it says how it was taken. */
+  /** The shown frame, if its projection is known. */
   get frame() {
     const { xRay, model } = this;
     const frame = xRay.held ? model.heldFrame : model.frame;
     return xRay.shows === "second" || !frame?.projection ? undefined : frame;
   }
 
-  /** Where the picture lies in its element: pixels a pixel, and the upper left corner. */
+  /** Position of the image in its element: scale in pixels, and upper left corner. */
   #fit(width, height) {
     const { width: columns, height: rows } = this.xRay.canvas;
     const scale = Math.min(width / columns, height / rows);
@@ -72,7 +73,7 @@ export class XRayOverlay {
     context.restore();
   }
 
-  /** The first log's picture; the second one's lies beside it. */
+  /** The first log's image; the second log's is next to it. */
   #size() {
     const { width, height } = this.xRay.canvas;
     return { columns: this.xRay.shows === "both" && this.xRay.second ? width / 2 : width, rows: height };
@@ -106,7 +107,7 @@ export class XRayOverlay {
   }
 
   #drawTool(paint, frame) {
-    // Kept with the frame: a frame that is held outlives the states.
+    // Kept with the frame: a held frame outlives the states.
     frame.poses ??= this.model.posesAt(frame.tick, this.model.info?.kind === "log" ? 0 : NEAR_TICKS);
     const { poses } = frame;
     const tool = this.model.info?.tool;
@@ -145,7 +146,7 @@ export class XRayOverlay {
     context.stroke();
   }
 
-  /** The place under a pointer, in the plane parallel to the detector through the cross-hair. @param {PointerEvent} event @returns {Vector | undefined} */
+  /** Returns the point under the pointer, in the plane parallel to the detector through the cross-hair. @param {PointerEvent} event @returns {Vector | undefined} */
   pointOf(event) {
     const { frame } = this;
     const middle = this.cursor.point ?? this.model.info?.c_arm?.isocentre_m;
@@ -158,7 +159,8 @@ export class XRayOverlay {
     return unproject(frame.projection, column - 0.5, row - 0.5, depth);
   }
 
-  /** A click moves the cross-hair or measures; drags are the window's, which the X-ray itself takes. */
+  /** A click moves the cross-hair or measures; drags adjust the window and are handled by the X-ray
+   * itself. */
   #listen() {
     const { canvas } = this.xRay;
     let travelled = 0;

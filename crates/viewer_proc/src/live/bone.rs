@@ -1,4 +1,4 @@
-//! The bone's surface of a running session, meshed in its own thread, which borrows the volume in place.
+//! The bone's surface of a running session, meshed in a separate thread that borrows the volume in place.
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -25,14 +25,14 @@ use crate::surface::bone::Bone;
 
 /// Time between two polls of the removals; the queue holds half a second of them at 1 kHz.
 const POLL_PERIOD: Duration = Duration::from_millis(4);
-/// Most removals applied before the bone is meshed.
+/// Maximum number of removals applied before the bone is meshed.
 const ROUND: usize = 4096;
-/// Time between two meshings.
+/// Time between two meshing passes.
 const MESH_PERIOD: Duration = Duration::from_millis(50);
 /// Time between two searches of the log for removals from before the viewer joined.
 const LOG_PERIOD: Duration = Duration::from_millis(500);
 
-/// What the thread needs.
+/// Inputs of the thread.
 pub(super) struct BoneThread {
     pub session: PathBuf,
     pub threshold_hu: i16,
@@ -43,7 +43,7 @@ pub(super) struct BoneThread {
 }
 
 impl BoneThread {
-    /// Starts the thread; calls `known` with the volume's grid as soon as it has arrived.
+    /// Starts the thread and calls `known` with the volume's grid once it has arrived.
     pub(super) fn start(self, known: impl FnOnce(&VoxelGrid) + Send + 'static) {
         std::thread::spawn(move || {
             if let Err(error) = self.run(known) {
@@ -103,7 +103,7 @@ enum BoneError {
     Grid(#[from] GridError),
 }
 
-/// The voxels in place, or a copy if they are not aligned.
+/// Returns the voxels in place, or a copy if they are not aligned.
 fn voxels(bytes: &[u8]) -> Cow<'_, [i16]> {
     match <[i16]>::ref_from_bytes(bytes) {
         Ok(hu) => Cow::Borrowed(hu),
@@ -115,7 +115,7 @@ fn voxels(bytes: &[u8]) -> Cow<'_, [i16]> {
     }
 }
 
-/// Removals in sequence order. Those from before the viewer joined come from the log being recorded.
+/// Removals in sequence order. Those from before the viewer joined are read from the log being recorded.
 struct Removals {
     messages: Subscriber<Removed>,
     status: Subscriber<RunStatus>,
@@ -153,12 +153,13 @@ impl Removals {
         Ok(())
     }
 
-    /// Reads missing removals from the log. The newest may not be on disk yet; they are read next time.
+    /// Reads missing removals from the log. The newest may not be on disk yet; they are read in the next
+    /// pass.
     fn read_log(&mut self, board: &Board) {
         let Some(path) = &self.log else {
-            // Without a log nobody knows what was drilled before; continues from what is here.
+            // Without a log, earlier removals are unknown: continue from the first one received.
             self.queue.go_on();
-            let text = "nothing is recorded: bone that was drilled before the viewer joined is shown whole";
+            let text = "the run is not recorded: bone drilled before the viewer joined is shown intact";
             return self.say_incomplete(text, board);
         };
         let Ok(mut stream) = MessageStream::open_topics(
@@ -176,7 +177,7 @@ impl Removals {
             }
         }
         if self.queue.step_over_lost(logged) {
-            self.say_incomplete("removals are missing in the log: bone that they took is shown whole", board);
+            self.say_incomplete("removals are missing from the log: their bone is shown intact", board);
         }
     }
 
@@ -195,7 +196,7 @@ impl Removals {
 #[derive(Default)]
 struct RemovalQueue {
     waiting: BTreeMap<u64, (Removed, Vec<u32>)>,
-    /// Sequence number of the last one returned.
+    /// Sequence number of the last removal returned.
     last: u64,
     /// Highest sequence number known to have been sent.
     sent: u64,
@@ -214,15 +215,15 @@ impl RemovalQueue {
         self.sent > self.last && !self.waiting.contains_key(&(self.last + 1))
     }
 
-    /// Skips to the first removal that is here.
+    /// Skips to the first removal received.
     fn go_on(&mut self) {
         if let Some(first) = self.waiting.keys().next() {
             self.last = first - 1;
         }
     }
 
-    /// Skips lost removals. A log holds removals in order, so the next one will never come if the log, read up to number `logged`, is past
-    /// it. Returns whether any were skipped.
+    /// Skips lost removals. A log holds removals in order, so the next one is lost if the log, read up to
+    /// number `logged`, is past it. Returns whether any were skipped.
     fn step_over_lost(&mut self, logged: u64) -> bool {
         let lost = self.lacks_next() && logged > self.last;
         if lost {
@@ -253,7 +254,7 @@ mod tests {
         keep(&mut queue, 1);
         assert!(!queue.step_over_lost(1) && queue.next().is_some());
         assert!(queue.lacks_next() && !queue.step_over_lost(1) && queue.next().is_none());
-        // Continues with 3: 2 will never come, 4 may.
+        // Continues with 3: 2 is lost, 4 may still arrive.
         [1, 3].into_iter().for_each(|sequence| keep(&mut queue, sequence));
         assert!(queue.step_over_lost(3));
         assert_eq!(queue.next().map(|(removed, voxels)| (removed.sequence, voxels)), Some((3, vec![3])));

@@ -15,11 +15,11 @@ use crate::board::Board;
 use crate::channels::PACE;
 use crate::services::{Action, Control as Request, Outcome, Reply};
 
-/// Most ticks in one step.
+/// Maximum number of ticks in one step.
 const MAX_STEP_TICKS: u64 = 1_000_000;
 /// Time between two steps of a paced run.
 const STEP_PERIOD: Duration = Duration::from_millis(20);
-/// How far a paced run may fall behind, in steps.
+/// Maximum backlog of a paced run, in steps.
 const MAX_BACKLOG_STEPS: u32 = 10;
 /// Speed limit.
 const MAX_SPEED: f64 = 1000.0;
@@ -31,9 +31,9 @@ pub(super) struct Control {
     requests: Publisher<RunControl>,
     replies: Subscriber<RunControlReply>,
     physics: Waker,
-    /// Whether the physics has been heard; requests sent before that are lost.
+    /// Whether the physics has sent a message; requests sent before that are lost.
     listens: bool,
-    /// Requests to send once the physics has been heard.
+    /// Requests to send once the physics has sent a message.
     unsent: Vec<RunControl>,
     next_id: u64,
     waiting: BTreeMap<u64, Answer>,
@@ -43,21 +43,23 @@ pub(super) struct Control {
     told: Option<f64>,
 }
 
-/// Runs the simulation slower: pauses it and requests as many ticks as the elapsed time allows. Pure: the caller supplies the elapsed time.
+/// Slows the simulation down: pauses it and requests as many ticks as the elapsed time allows. Pure: the
+/// caller supplies the elapsed time.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Pace {
     speed: f64,
     /// Ticks due, fractional part.
     due: f64,
-    /// The tick that the requested steps lead to.
+    /// The tick at which the requested steps end.
     goal: u64,
 }
 
 impl Pace {
-    /// Ticks to request now. Limited to a backlog of [`MAX_BACKLOG_STEPS`] steps; what exceeds it is dropped.
+    /// Returns the number of ticks to request now. The backlog is limited to [`MAX_BACKLOG_STEPS`] steps; any
+    /// excess is dropped.
     fn ticks(&mut self, elapsed: Duration, tick: u64, dt_ns: u64) -> u64 {
         let of = |time: Duration| self.speed * time.as_nanos() as f64 / dt_ns.max(1) as f64;
-        // Time lost in a stall is not made up.
+        // Time lost in a stall is not caught up.
         let (due, most) = (
             self.due + of(elapsed.min(MAX_BACKLOG_STEPS * STEP_PERIOD)),
             of(MAX_BACKLOG_STEPS * STEP_PERIOD),
@@ -79,7 +81,7 @@ impl Control {
             physics: session.waker(Reader::Physics)?,
             listens: false,
             unsent: Vec::new(),
-            // Other senders start from other numbers.
+            // Other senders start at other numbers.
             next_id: u64::from(std::process::id()) << 32,
             waiting: BTreeMap::new(),
             pace: None,
@@ -88,7 +90,7 @@ impl Control {
         })
     }
 
-    /// Sends a request; answers once the physics has replied.
+    /// Sends a request and answers once the physics has replied.
     pub(super) fn ask(&mut self, request: &Request, answer: Answer) {
         let outcome = match request.action {
             Action::Speed => self.set_speed(request.speed),
@@ -97,7 +99,7 @@ impl Control {
                     self.pace = None;
                     self.send(ControlAction::Step, ticks)
                 }
-                ticks => Err(format!("`ticks` is {ticks}, allowed is 1 to {MAX_STEP_TICKS}")),
+                ticks => Err(format!("`ticks` is {ticks}; allowed: 1 to {MAX_STEP_TICKS}")),
             },
             Action::Reset => self.send(ControlAction::Reset, 0),
             Action::Pause | Action::Resume | Action::Stop => {
@@ -114,7 +116,7 @@ impl Control {
             Ok(id) => {
                 self.waiting.insert(id, answer);
             }
-            // The client may have left.
+            // The client may have disconnected.
             Err(error) => drop(answer.send(Err(error))),
         }
     }
@@ -130,7 +132,7 @@ impl Control {
                 self.paced = Instant::now();
                 self.send(ControlAction::Pause, 0)
             }
-            Some(speed) => Err(format!("`speed` is {speed}, allowed is 0 (unlimited) to {MAX_SPEED}")),
+            Some(speed) => Err(format!("`speed` is {speed}; allowed: 0 (unlimited) to {MAX_SPEED}")),
         }
     }
 
@@ -143,12 +145,12 @@ impl Control {
         } else if self.unsent.len() < services::RUN_CONTROL.queue_length {
             self.unsent.push(request);
         } else {
-            return Err("the physics has not started yet, and earlier requests wait for it".to_owned());
+            return Err("the physics has not started yet, and its request queue is full".to_owned());
         }
         Ok(self.next_id)
     }
 
-    /// The physics has been heard, so it receives requests.
+    /// Sends the pending requests: the physics has sent a message, so it receives requests.
     pub(super) fn physics_listens(&mut self) -> Result<(), PortError> {
         self.listens = true;
         for request in self.unsent.drain(..) {
@@ -158,9 +160,9 @@ impl Control {
         Ok(())
     }
 
-    /// Takes replies, and steps a paced run.
+    /// Takes replies and steps a paced run.
     pub(super) fn poll(&mut self, board: &Board, dt_ns: u64) -> Result<(), PortError> {
-        // Published before the answer, so that a client with an answer finds the speed on the board.
+        // Published before the reply, so that a client that has the reply finds the speed on the board.
         let speed = self.pace.map(|pace| pace.speed);
         if speed != self.told {
             self.told = speed;
@@ -227,14 +229,18 @@ mod tests {
         let most = 100 * 20 * u64::from(MAX_BACKLOG_STEPS);
         let asked: u64 = (0..1000).map(|_| pace.ticks(STEP_PERIOD, 7, 1_000_000)).sum();
         assert_eq!(asked, most);
-        assert_eq!(pace.ticks(STEP_PERIOD, 7 + most, 1_000_000), 2000, "it goes on when they are made");
-        // A tick takes long at a low speed: one step at a time, none while one is pending.
+        assert_eq!(
+            pace.ticks(STEP_PERIOD, 7 + most, 1_000_000),
+            2000,
+            "requests resume once earlier ticks are done"
+        );
+        // A tick takes long at a low speed: one step at a time, and no new one while one is pending.
         let mut slow = Pace { speed: 0.1, due: 0.0, goal: 0 };
         let steps: u64 = (0..90).map(|_| slow.ticks(STEP_PERIOD, 3, 100_000_000)).sum();
         assert_eq!(steps, 1);
     }
 
-    /// A speed requested while the physics starts must not be lost, or the page waits 10 s for an answer that never comes.
+    /// A speed requested while the physics starts must not be lost, or the page waits in vain for 10 s.
     #[test]
     fn what_is_asked_before_the_physics_listens_is_sent_when_it_is_heard_of() {
         let plan = SessionPlan {
@@ -260,7 +266,7 @@ mod tests {
         let replies = host.session.publisher::<RunControlReply>(&services::RUN_CONTROL_REPLY).unwrap();
         let board = Board::new(Channels::new(&[], &[]));
         control.poll(&board, 1_000_000).unwrap();
-        assert!(physics.receive().unwrap().is_none(), "not before it is heard of");
+        assert!(physics.receive().unwrap().is_none(), "no command before the client is seen");
         control.physics_listens().unwrap();
         let request = *physics.receive().unwrap().unwrap().message();
         assert_eq!(

@@ -15,24 +15,28 @@ use crate::board::Board;
 use crate::info::{CONTROLLER, unit};
 use crate::services::{CArm, Call, Drive, Reply, Request};
 
-/// Dead-man timeout: without a request for this long the insertion stops, because whoever held the key is gone.
+/// Dead-man timeout: without a request for this long the insertion stops, because the client that held the
+/// key is gone.
 const HAND_LIMIT: Duration = Duration::from_millis(300);
 /// Longest time between two polls for calls.
 const POLL_PERIOD: Duration = Duration::from_millis(20);
-/// Feed while the insertion is stopped: its path limit, which must be above 0.
+/// Feed while the insertion is stopped: the path limit must be above 0.
 const LEAST_FEED_M_PER_S: f64 = 1e-3;
-const HOW: &str = "the scene has no controller for the viewer; add\n[[controller]]\nname = \"viewer\"\ndrives = [\"tendon\", \"arm\", \"burr\", \"c_arm\"]\nexternal = true\noptional = true\nto it, without what other controllers drive";
+const HOW: &str = "the scene has no controller for the viewer; add\n\
+    [[controller]]\nname = \"viewer\"\ndrives = [\"tendon\", \"arm\", \"burr\", \"c_arm\"]\n\
+    external = true\noptional = true\n\
+    to it, without the parts that other controllers drive";
 
 /// Handle to the driving thread.
 pub(super) struct Driver {
     calls: Option<mpsc::Sender<Call>>,
-    /// Where frames are asked for; none if the viewer drives the C-arm, and asks as a controller.
+    /// Receives frame requests; `None` if the viewer drives the C-arm and requests frames as a controller.
     frames: Option<FrameRequests>,
 }
 
 impl Driver {
-    /// Starts the thread if the scene names the controller. A tick waits for an optional controller only after its first command, so the
-    /// thread joins on first use.
+    /// Starts the thread if the scene names the controller. A tick waits for an optional controller only
+    /// after its first command, so the thread joins on first use.
     pub(super) fn start(session: &Path, scene: &Scene, over: Arc<AtomicBool>, board: Arc<Board>) -> Driver {
         let frames =
             (!turns_the_c_arm(scene)).then(|| FrameRequests::start(session, scene, Arc::clone(&over)));
@@ -55,17 +59,16 @@ impl Driver {
         Driver { calls: Some(calls), frames }
     }
 
-    /// Passes on a `/drive` or `/frame` call.
+    /// Forwards a `/drive` or `/frame` call.
     pub(super) fn hand_over(&self, call: Call) {
         if let (Request::Frame(_), Some(frames)) = (&call.request, &self.frames) {
             return frames.hand_over(call);
         }
         let refused = match &self.calls {
             None => Some((call, HOW)),
-            Some(calls) => calls
-                .send(call)
-                .err()
-                .map(|error| (error.0, "the viewer no longer drives: the run has ended")),
+            Some(calls) => {
+                calls.send(call).err().map(|error| (error.0, "the viewer cannot drive: the run has ended"))
+            }
         };
         if let Some((call, text)) = refused {
             call.refuse(text);
@@ -177,7 +180,7 @@ impl DriveThread {
             | Request::Playback(_)
             | Request::Series(_)
             | Request::Slice(_)
-            | Request::Plan(_) => Err("no request for the controller".to_owned()),
+            | Request::Plan(_) => Err("not a request for the controller".to_owned()),
         }
     }
 }
@@ -195,17 +198,17 @@ fn within(name: &str, value: f64, lowest: f64, highest: f64) -> Result<f64, Stri
     if (lowest..=highest).contains(&value) {
         return Ok(value);
     }
-    Err(format!("`{name}` is {value}, allowed is {lowest} to {highest}"))
+    Err(format!("`{name}` is {value}; allowed: {lowest} to {highest}"))
 }
 
 impl Inputs {
-    /// The inputs after a request, which is accepted or refused as a whole.
+    /// Returns the inputs after a request, which is accepted or refused as a whole.
     fn with(mut self, drive: &Drive, drives: &[Drives]) -> Result<Inputs, String> {
         if let Some(tension) = &drive.tendon_n {
             allowed(drives, Drives::Tendon, "tendon")?;
             let values = tension.values();
             if values.len() > 4 {
-                return Err(format!("`tendon_n` has {} values, there are 4 tendons at most", values.len()));
+                return Err(format!("`tendon_n` has {} values; there are 4 tendons", values.len()));
             }
             let tension_n = self.tension_n.get_or_insert([0.0; 4]);
             for (slot, value) in tension_n.iter_mut().zip(values) {
@@ -224,7 +227,7 @@ impl Inputs {
         Ok(self)
     }
 
-    /// Fills in the command that answers a state. The insertion advances at its speed; a reset restarts it.
+    /// Fills in the command for a state. The insertion advances at its speed; a reset restarts it.
     fn fill(&mut self, state: &State, command: &mut Command, axis: [f64; 3], dt_s: f64) {
         if state.sim_time_s < self.sim_time_s {
             *self = Inputs::default();
@@ -249,8 +252,9 @@ impl Inputs {
     }
 }
 
-/// Pose of a C-arm from DICOM's angles (DICOM PS3.3, C.8.7.5.1.2): primary 0 puts the detector in front of the chest and grows toward the
-/// patient's left, secondary grows toward the head. Axes: rows to the right, columns down, z to the source.
+/// Returns a C-arm's pose from its DICOM angles (DICOM PS3.3, C.8.7.5.1.2): primary 0 puts the detector in
+/// front of the chest and increases toward the patient's left; secondary increases toward the head. Axes:
+/// rows to the right, columns down, z to the source.
 pub(super) fn c_arm_pose(c_arm: &CArm, drr: &Drr) -> Result<Pose, String> {
     let angle = |given: Option<f64>, scene: f64, name: &str| {
         within(name, given.unwrap_or(scene), -180.0, 180.0).map(f64::to_radians)
@@ -267,7 +271,7 @@ pub(super) fn c_arm_pose(c_arm: &CArm, drr: &Drr) -> Result<Pose, String> {
     })
 }
 
-/// Unit quaternion of the rotation matrix with these columns (Shepperd's method).
+/// Returns the unit quaternion of the rotation matrix with these columns (Shepperd's method).
 fn quaternion([x, y, z]: [[f64; 3]; 3]) -> [f64; 4] {
     // Four times each component squared, less 1: x, y, z, w.
     let squares = [x[0] - y[1] - z[2], y[1] - x[0] - z[2], z[2] - x[0] - y[1], x[0] + y[1] + z[2]];
@@ -313,7 +317,7 @@ mod tests {
         );
         state.sim_time_s = 0.0;
         inputs.fill(&state, &mut command, [0.0, 0.0, 1.0], 1e-3);
-        assert_eq!((inputs.insert_m_per_s, inputs.depth_m), (None, 0.0), "a reset lets go");
+        assert_eq!((inputs.insert_m_per_s, inputs.depth_m), (None, 0.0), "a reset clears the inputs");
     }
 
     #[test]
@@ -329,13 +333,17 @@ mod tests {
         refused(r#"{"insert_m_per_s": 5}"#, &[Drives::Arm], "-1 to 1");
     }
 
-    /// Checked against the definition of the angles: AP has the detector in front of the chest, 90° at the patient's left.
+    /// Checked against the definition of the angles: AP has the detector in front of the chest, 90° at the
+    /// patient's left.
     #[test]
     fn the_c_arm_turns_by_dicoms_angles() {
         let text =
             "rate_hz = 0.0\nisocentre_mm = [10.0, 0.0, 0.0]\ncolumns = 64\nrows = 64\npixel_pitch_mm = 1.0\n";
         let scene = format!(
-            "name = \"x\"\n[run]\nmode = \"lockstep\"\nduration_s = 1.0\n[volume]\nphantom = \"block\"\n[tool]\nburr_start_mm = [0.0, 0.0, 0.0]\ndirection = [0.0, 0.0, 1.0]\nbend_toward = [1.0, 0.0, 0.0]\n[drr]\n{text}"
+            "name = \"x\"\n[run]\nmode = \"lockstep\"\nduration_s = 1.0\n\
+             [volume]\nphantom = \"block\"\n[tool]\nburr_start_mm = [0.0, 0.0, 0.0]\n\
+             direction = [0.0, 0.0, 1.0]\n\
+             bend_toward = [1.0, 0.0, 0.0]\n[drr]\n{text}"
         );
         let drr = Scene::parse(&scene, Path::new("x.toml")).unwrap().drr.unwrap();
         for (primary, secondary, to_source) in [

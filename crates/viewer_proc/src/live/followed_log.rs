@@ -1,4 +1,4 @@
-//! The log of a run that is being watched: where it is, and whether it is whole.
+//! The log of the run being watched: its location, and whether it is complete.
 
 use std::path::{Path, PathBuf};
 
@@ -7,13 +7,13 @@ use run_log::EndReason;
 
 use crate::log::file::LogFile;
 
-/// The folder in which a session is recorded; `None` if it is not, or not yet said. The launcher says so in the session's folder, which
-/// goes with the run.
+/// Returns the folder in which a session is recorded, or `None` if it is not recorded or not yet known. The
+/// launcher writes it to the session's folder, which is deleted with the run.
 pub(super) fn recorded_in(session: &Path) -> Option<PathBuf> {
     std::fs::read_to_string(session.join(OUTPUT_FILE)).ok().map(PathBuf::from)
 }
 
-/// Where a run is recorded.
+/// Location of a run's recording.
 pub(super) struct FollowedLog {
     session: PathBuf,
     folder: Option<PathBuf>,
@@ -24,7 +24,7 @@ impl FollowedLog {
         FollowedLog { session: session.to_owned(), folder: None }
     }
 
-    /// Reads where it is, unless that is known.
+    /// Reads the location unless it is known.
     pub(super) fn look(&mut self) {
         if self.folder.is_none() {
             self.folder = recorded_in(&self.session);
@@ -35,7 +35,8 @@ impl FollowedLog {
         self.folder.is_some()
     }
 
-    /// The run's folder, once both files have their index, which is written last; and why the run ended, as its log has it.
+    /// Returns the run's folder and, if logged, the reason why the run ended; `None` until both files are
+    /// complete (their index is written last).
     pub(super) fn whole(&self) -> Option<(PathBuf, Option<EndReason>)> {
         let folder = self.folder.as_ref()?;
         let [run, timing] = ["run.mcap", "timing.mcap"].map(|name| LogFile::open(&folder.join(name)).ok());

@@ -1,4 +1,4 @@
-//! Frames that the page asks for where it is no controller of the C-arm: as any observer may.
+//! Frame requests of a page that is not a controller of the C-arm. Any observer may send them.
 
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -13,21 +13,21 @@ use super::drive::c_arm_pose;
 use crate::info::CONTROLLER;
 use crate::services::{CArm, Call, Reply, Request};
 
-/// How long to wait for the session.
+/// Timeout for joining the session.
 const JOIN_LIMIT: Duration = Duration::from_secs(2);
-/// How often the thread looks for the end.
+/// Interval at which the thread checks for the end.
 const LOOK_PERIOD: Duration = Duration::from_millis(100);
 
-/// Whether the viewer is a controller that drives the C-arm; otherwise it asks for frames as an observer.
+/// Whether the viewer is a controller that drives the C-arm; if not, it requests frames as an observer.
 pub(super) fn turns_the_c_arm(scene: &Scene) -> bool {
     let own = scene.controller.iter().find(|controller| controller.name == CONTROLLER);
     own.is_some_and(|controller| controller.external && controller.drives.contains(&Drives::CArm))
 }
 
-/// Asks for a frame from a pose of the C-arm.
+/// Requests a frame from a pose of the C-arm.
 ///
 /// # Errors
-/// No X-ray in the scene, an angle out of range, the session's.
+/// No X-ray in the scene, an angle out of range, or an error of the session.
 pub(super) fn ask_frame(client: &mut Client, c_arm: &CArm, drr: Option<&Drr>) -> Result<(), String> {
     let drr = drr.ok_or("the scene has no X-ray ([drr])")?;
     let pose = match c_arm.pose {
@@ -37,7 +37,7 @@ pub(super) fn ask_frame(client: &mut Client, c_arm: &CArm, drr: Option<&Drr>) ->
     client.request_frame(Some(&pose), 0).map(drop).map_err(|error| error.to_string())
 }
 
-/// Handle to the thread that asks; it joins the session at the first request.
+/// Handle to the requesting thread, which joins the session at the first request.
 pub(super) struct FrameRequests(mpsc::Sender<Call>);
 
 impl FrameRequests {
@@ -54,10 +54,10 @@ impl FrameRequests {
         FrameRequests(calls)
     }
 
-    /// Passes a `/frame` call on.
+    /// Forwards a `/frame` call.
     pub(super) fn hand_over(&self, call: Call) {
         if let Err(mpsc::SendError(call)) = self.0.send(call) {
-            // The client may have left.
+            // The client may have disconnected.
             let _ = call.answer.send(Err("the run has ended".to_owned()));
         }
     }
@@ -81,7 +81,7 @@ fn serve(connection: &Connection, drr: Option<&Drr>, called: &mpsc::Receiver<Cal
             client = Some(joined);
             asked.map(|()| Reply::Done)
         });
-        // The client may have left.
+        // The client may have disconnected.
         let _ = call.answer.send(outcome);
     }
 }

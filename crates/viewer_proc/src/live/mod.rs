@@ -36,17 +36,18 @@ use subscriptions::Subscriptions;
 
 /// Time between two polls of the queues, which hold half a second.
 const POLL_PERIOD: Duration = Duration::from_millis(4);
-/// Most calls queued.
+/// Maximum number of queued calls.
 pub(crate) const CALL_QUEUE: usize = 64;
 const ALIVE_LOOK: Duration = Duration::from_millis(200);
-/// How long a log may take to be finished: as long as the launcher gives the recorder.
+/// Timeout for completing a log: as long as the launcher gives the recorder.
 const LOG_LIMIT: Duration = Duration::from_secs(130);
-/// The page knows a regular end by these words.
+/// The page recognizes a regular end by this string.
 const RUN_ENDED: &str = "the run has ended";
-const HUB_DIED: &str = "the hub has died: its launcher is gone, and the run with it";
+const HUB_DIED: &str = "the hub has died: its launcher and the run are gone";
 
-/// Watches the session in a folder until it ends or the process is asked to end. Calls `shapes` for those of tool and arm, and `ready` when
-/// pages can be opened. Returns the log of the run, whole, if the run came to its end, was recorded, and somebody is still watching.
+/// Watches the session in a folder until it ends or the process is asked to end. Calls `shapes` to get the
+/// shapes of tool and arm, and `ready` when pages can be opened. Returns the run's complete log if the run
+/// ended regularly, was recorded, and a client is still connected.
 ///
 /// # Errors
 /// The session cannot be joined.
@@ -57,11 +58,11 @@ pub fn view(
     ready: impl FnOnce(),
     end: &EndRequest,
 ) -> Result<Option<PathBuf>, ViewerError> {
-    // The viewer must come to its end even if the host was killed while it made a segment.
+    // The viewer must end even if the host was killed while it was creating a segment.
     let _sweeper = HalfMadeSweeper::after_host(folder);
     let session = Session::join(folder)?;
     let mut log = FollowedLog::of(folder);
-    // A short run may be over, and its folder gone, before the next look.
+    // A short run may be over, and its folder deleted, before the next poll.
     log.look();
     let scene = session_scene(folder)?;
     let board = Arc::new(Board::new(Channels::new(&scene.controller_names(), &scene.sensor)));
@@ -97,7 +98,7 @@ pub fn view(
     let serving = std::thread::spawn(move || server.serve());
     let mut live = Live { board, subscriptions, control, driver, slices, called, log, dt_ns: scene.dt_ns() };
     let watched = live.watch(&session, end).map(|ended| live.whole_log(ended, end));
-    // The last messages are still on their way to the clients.
+    // Leaves time for the last messages to reach the clients.
     std::thread::sleep(Duration::from_millis(200));
     over.store(true, Ordering::Relaxed);
     let served = serving.join().unwrap_or(Ok(()));
@@ -109,7 +110,7 @@ struct Live {
     subscriptions: Subscriptions,
     control: Control,
     driver: Driver,
-    /// To the thread that reads the volume; none: the scene has no volume.
+    /// Sends to the thread that reads the volume; `None` if the scene has no volume.
     slices: Option<mpsc::SyncSender<Call>>,
     called: Calls,
     log: FollowedLog,
@@ -119,12 +120,12 @@ struct Live {
 /// How a session ended.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Ended {
-    /// The run said that it came to its end.
+    /// The run reported its end.
     Heard,
-    /// Its host has put it away, or another has cleared it away after a host that died: only its log knows. A short run may be over before
-    /// this viewer listens.
+    /// The host removed the session, or another program cleaned up after a host that died; only the log has
+    /// the reason. A short run may end before this viewer receives anything.
     Unheard,
-    /// Its host died, or the viewer was asked to end.
+    /// The host died, or the viewer was asked to end.
     Otherwise,
 }
 
@@ -145,7 +146,7 @@ impl Live {
                 return Ok(Ended::Heard);
             }
             if end.is_set() {
-                self.board.notice("info", "the viewer has been ended");
+                self.board.notice("info", "the viewer was stopped");
                 return Ok(Ended::Otherwise);
             }
             if alive_seen.elapsed() > ALIVE_LOOK || self.subscriptions.run_has_ended() {
@@ -158,9 +159,10 @@ impl Live {
         }
     }
 
-    /// What has become of a session whose host is gone. A host that ends puts its session away before it lets go of it.
+    /// Determines how a session whose host is gone has ended. A host that ends regularly removes its session
+    /// before it releases it.
     fn without_host(&mut self, session: &Session) -> Result<Ended, ViewerError> {
-        // What it sent since the last poll.
+        // Messages sent since the last poll.
         self.subscriptions.poll(&self.board)?;
         if self.has_said_its_end(session) {
             return Ok(Ended::Heard);
@@ -172,15 +174,15 @@ impl Live {
         if !self.log.is_known() {
             self.board.notice(
                 "warning",
-                "the session is gone, and nobody said how its run ended; it is not recorded",
+                "the session is gone without reporting how its run ended; it was not recorded",
             );
             return Ok(Ended::Otherwise);
         }
         Ok(Ended::Unheard)
     }
 
-    /// Whether the run has said that it came to its end. A killed host leaves its announcement behind; the physics then ends too, and
-    /// reports it.
+    /// Returns whether the run has reported its end. A killed host leaves its announcement behind; the
+    /// physics then ends too, and reports it.
     fn has_said_its_end(&mut self, session: &Session) -> bool {
         let said = self.subscriptions.run_has_ended() && (session.host_is_alive() || !session.is_announced());
         if said {
@@ -189,17 +191,17 @@ impl Live {
         said
     }
 
-    /// Waits for the log of a run that has ended, as long as somebody watches.
+    /// Waits for the log of an ended run while a client is connected.
     fn whole_log(&mut self, ended: Ended, end: &EndRequest) -> Option<PathBuf> {
         let began = Instant::now();
-        // A page that comes from the plan of a short run may still be on its way.
+        // A page that was showing the plan of a short run may still be reconnecting.
         let mut left = Left::default();
         while ended != Ended::Otherwise && !end.is_set() && began.elapsed() < LOG_LIMIT {
             if !self.log.is_known() || left.is_over(self.board.client_count()) {
                 return None;
             }
             if let Some((log, reason)) = self.log.whole() {
-                // Another program may have cleared the session of a killed host away before this one looked.
+                // Another program may have cleaned up the session of a killed host before this one checked.
                 if matches!(&reason, Some(EndReason::PartDied(part)) if part == Part::Host.name()) {
                     self.board.notice("error", HUB_DIED);
                     return None;
@@ -213,7 +215,7 @@ impl Live {
             while let Ok(call) = self.called.try_recv() {
                 match call.request {
                     Request::Slice(_) => self.slice(call),
-                    _ => call.refuse("the run has ended; its log is being finished"),
+                    _ => call.refuse("the run has ended; its log is being completed"),
                 }
             }
             std::thread::sleep(ALIVE_LOOK / 4);
@@ -227,7 +229,7 @@ impl Live {
             Request::Drive(_) | Request::Frame(_) => self.driver.hand_over(call),
             Request::Slice(_) => self.slice(call),
             Request::Playback(_) | Request::Series(_) => call.refuse("a running session has no time line"),
-            Request::Plan(_) => call.refuse("the run has begun: its plan cannot be changed any more"),
+            Request::Plan(_) => call.refuse("the run has started: its plan can no longer be changed"),
         }
     }
 

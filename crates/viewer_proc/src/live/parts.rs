@@ -12,7 +12,7 @@ use crate::board::Board;
 use crate::channels::PARTS;
 
 const PERIOD: Duration = Duration::from_secs(1);
-/// A part silent for longer is shown as silent.
+/// A part without messages for longer than this is shown as silent.
 const SILENT: Duration = Duration::from_secs(2);
 
 #[derive(Debug, Clone, Copy, Default)]
@@ -67,7 +67,7 @@ impl Parts {
         let part = self.parts.get(name)?;
         let age = part.last.map(|last| last.elapsed());
         let state = match age {
-            None => "not heard of yet",
+            None => "no messages yet",
             Some(age) if age > SILENT => "silent",
             Some(_) => "active",
         };

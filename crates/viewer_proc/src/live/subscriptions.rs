@@ -21,10 +21,10 @@ use crate::channels::ASKED_FRAME;
 use crate::info::{CONTROLLER, ToolShape};
 use crate::scene_update::Drawer;
 
-/// Most messages taken from one queue before polling the others.
+/// Maximum number of messages taken from one queue before the others are polled.
 const ROUND: usize = 1024;
 
-/// Most requested frames to wait for; with more, the first have been lost.
+/// Maximum number of requested frames to wait for; beyond that, the oldest count as lost.
 const MOST_ASKED: usize = 64;
 
 /// The subscriptions.
@@ -36,13 +36,14 @@ pub(super) struct Subscriptions {
     progress: Subscriber<Progress>,
     commands: Vec<(String, Subscriber<Command>)>,
     others: Vec<Box<dyn Forward>>,
-    /// The viewer's index among the controllers, if it asks for frames as one of them and not as an observer.
+    /// The viewer's index among the controllers, if it requests frames as a controller rather than as an
+    /// observer.
     own_index: Option<ControllerIndex>,
     /// Request numbers of the viewer's frames that have not arrived yet.
     asked: BTreeSet<u64>,
     parts: Parts,
     drawer: Drawer,
-    /// The newest state, until drawn.
+    /// The newest state not yet drawn.
     newest: Option<State>,
     dt_ns: u64,
     tick: u64,
@@ -65,8 +66,8 @@ impl<M: Logged> Forward for Forwarded<M> {
     }
 }
 
-/// Forwards queued messages: all of them if anybody subscribes to the topic, otherwise only the newest. Skips malformed ones. Returns how
-/// many arrived.
+/// Forwards queued messages: all of them if a client subscribes to the topic, otherwise only the newest.
+/// Skips malformed ones. Returns the number received.
 fn forward<M: Message>(
     subscriber: &Subscriber<M>,
     topic: &str,
@@ -142,17 +143,17 @@ impl Subscriptions {
         })
     }
 
-    /// Whether the run's status says it has ended.
+    /// Whether the run's status has reported its end.
     pub(super) fn run_has_ended(&self) -> bool {
         self.ended
     }
 
-    /// Whether the physics has been heard.
+    /// Whether the physics has sent a message.
     pub(super) fn physics_is_heard(&self) -> bool {
         self.physics_heard
     }
 
-    /// Takes what has arrived since the last poll.
+    /// Takes the messages received since the last poll.
     pub(super) fn poll(&mut self, board: &Board) -> Result<(), PortError> {
         self.look_at_states(board)?;
         let time_ns = self.time_ns();
@@ -197,7 +198,7 @@ impl Subscriptions {
             tick = state.tick;
             *newest = Some(*state);
         })?;
-        // Also the last state of a paused run, for clients that subscribe later.
+        // Also draws the last state of a paused run, for clients that subscribe later.
         if self.drawer.is_due(board)
             && let Some(state) = self.newest.take()
         {
@@ -223,7 +224,7 @@ impl Subscriptions {
             if self.asked.remove(&frame.sequence) {
                 board.publish_cdr(ASKED_FRAME, time_ns, &[received.bytes()]);
             }
-            // A frame that has been superseded is not worth publishing.
+            // A superseded frame is not published.
             if !frames.has_message() {
                 board.publish_cdr(Topic::DrrFrame.name(), time_ns, &[zerocopy::IntoBytes::as_bytes(frame)]);
                 board.publish_cdr(Topic::DrrImage.name(), time_ns, &[received.tail()]);

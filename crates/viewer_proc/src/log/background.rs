@@ -1,4 +1,4 @@
-//! Reads a log from end to end, beside the one that shows it: what a log of an hour takes minutes for.
+//! Reads a log from end to end while it is being shown; for a log of an hour this takes minutes.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -15,36 +15,36 @@ use zerocopy::FromBytes;
 use super::marks::{Events, Mark, Outline, part};
 use super::series::{Lane, LogSeries};
 
-/// How often a reader that has nothing to read looks for new work.
+/// Interval at which an idle reader checks for new work.
 const LOOK_PERIOD: Duration = Duration::from_millis(20);
-/// Messages between two notes of how far it has come.
+/// Number of messages between two progress updates.
 const NOTE_EVERY: u64 = 4096;
 
-/// What the background has found.
+/// A result of the background thread.
 pub(super) enum Found {
-    /// Of the run lane, read whole.
+    /// Outline of the complete run lane.
     Outline(Box<Outline>),
     /// Marks of the timing lane.
     Marks(Vec<Mark>),
-    /// Where the two logs part.
+    /// Where the two logs diverge.
     Divergence(Mark),
-    /// The volume that the run drilled.
+    /// The run's volume.
     Volume(Box<Volume>),
-    /// There is none: why it is not shown; nothing if the scene has none.
+    /// The volume is not available, with the reason; `None` if the scene has no volume.
     NoVolume(Option<String>),
-    /// Something for the user to know.
+    /// A notice for the user.
     Notice(String),
 }
 
-/// Reads one log, and again for fields that are asked for later.
+/// Reads one log, and again for fields requested later.
 pub(super) struct Reader {
     pub(super) header: LogHeader,
     pub(super) run: PathBuf,
     pub(super) timing: PathBuf,
     pub(super) series: Arc<LogSeries>,
-    /// Whether the viewer ends.
+    /// Set when the viewer ends.
     pub(super) over: Arc<AtomicBool>,
-    /// Where marks go; none for a second log, of which only fields are shown.
+    /// Receives the results; `None` for a second log, of which only fields are shown.
     pub(super) found: Option<Sender<Found>>,
 }
 
@@ -59,7 +59,8 @@ impl Reader {
                 if !topics.is_empty() || is_outline {
                     self.series.set_reading(Some(0.0));
                     let mut topics: Vec<String> = topics.into_iter().collect();
-                    // A log without an end, or damaged, is read as far as it goes, and its outline says so.
+                    // A log without an end, or a damaged one, is read as far as possible, and its outline
+                    // reports that.
                     let _ = match (lane, is_outline) {
                         (Lane::Run, true) => self.outline(&mut topics),
                         (Lane::Timing, true) => self.events(&mut topics),
@@ -86,7 +87,8 @@ impl Reader {
         }
     }
 
-    /// One pass over a file for the fields of some topics; `each` gets every message too. Returns the stream at its end.
+    /// Makes one pass over a file for the fields of some topics; `each` also gets every message. Returns the
+    /// stream at its end.
     fn pass(
         &self,
         path: &Path,
@@ -97,7 +99,7 @@ impl Reader {
         let (begin_ns, end_ns) = self.series.bounds_ns();
         let span = (end_ns - begin_ns).max(1) as f64;
         let mut count = 0u64;
-        // A read error is among the faults of the stream's verdict.
+        // Read errors are among the faults in the stream's verdict.
         while let Ok(Some(message)) = stream.next_message() {
             self.series.add(message.topic, message.log_time_ns, message.body);
             each(message.known, message.log_time_ns, message.body);
@@ -136,10 +138,10 @@ impl Reader {
     }
 }
 
-/// Where two logs part: reads both side by side, up to there.
+/// Finds where two logs diverge: reads both in step, up to there.
 ///
 /// # Errors
-/// One of them cannot be read.
+/// One of the logs cannot be read.
 pub(super) fn divergence(first: &Path, second: &Path, over: &AtomicBool) -> Result<Option<Mark>, LogError> {
     let open = |path: &Path| {
         let topics = [Topic::State.name().to_owned()];

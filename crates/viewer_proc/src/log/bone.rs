@@ -23,8 +23,8 @@ impl LogBone {
         LogBone { bone: Bone::new(volume.grid, threshold_hu), hu: volume.hu, removals, taken: 0 }
     }
 
-    /// Brings the bone to a time. Going forward applies the removals in between. Going backward restarts at the last reset before that
-    /// time, because the log says what was removed but not what a reset restored.
+    /// Moves the bone to a time. Forward, applies the removals in between. Backward, restarts at the last
+    /// reset before that time, because the log records what was removed but not what a reset restored.
     pub(super) fn go_to(&mut self, time_ns: u64) {
         let wanted = self.removals.partition_point(|(time, _, _)| *time <= time_ns);
         if wanted < self.taken {
@@ -48,12 +48,12 @@ impl LogBone {
         self.removals[from..to].iter().for_each(|(_, removed, voxels)| self.bone.apply(removed, voxels));
     }
 
-    /// Answers requests for slices at the time that is shown.
+    /// Answers slice requests at the shown time.
     pub(super) fn answer(&self, slicer: &mut Slicer) {
         slicer.answer(self.bone.field(), &self.hu, now_ns());
     }
 
-    /// Meshes what has changed; returns whether more is pending.
+    /// Meshes the changed blocks; returns whether more are pending.
     pub(super) fn publish(&mut self, board: &Board) -> bool {
         self.bone.publish(&self.hu, board)
     }

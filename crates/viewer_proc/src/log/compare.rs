@@ -1,4 +1,4 @@
-//! What differs between two logs.
+//! Comparison of two logs.
 
 use std::collections::BTreeSet;
 
@@ -10,10 +10,10 @@ use serde_json::{Value, json};
 
 use super::file::{LogFile, PlayError};
 
-/// Most rows in a comparison.
+/// Maximum number of rows in a comparison.
 const MOST_ROWS: usize = 40;
 
-/// The first difference where two logs diverge: the previous tick's command, or else the state.
+/// Returns the first difference where two logs diverge: in the previous tick's command, or else in the state.
 pub(super) fn first_difference(a: &LogFile, b: &LogFile, time_ns: u64) -> Result<String, PlayError> {
     let looks = [
         (Topic::Latched, Latched::DESCRIPTION, time_ns.saturating_sub(1)),
@@ -30,8 +30,9 @@ pub(super) fn first_difference(a: &LogFile, b: &LogFile, time_ns: u64) -> Result
     Ok(String::new())
 }
 
-/// Fields in which two states differ, at most [`MOST_ROWS`]. The state's own fields come before those of its poses and contacts; within
-/// each group the largest relative difference comes first. For an array, its most different element.
+/// Returns the fields in which two states differ, at most [`MOST_ROWS`]. The state's own fields come before
+/// those of its poses and contacts; within each group the largest relative difference comes first. An array
+/// is represented by its most different element.
 fn differing_fields(a: &[u8], b: &[u8]) -> Vec<Value> {
     let number = |scalar: Option<Scalar>| scalar.map(Scalar::nearest_f64);
     let mut rows: Vec<(f64, String, f64, f64)> = difference::all_differences(State::DESCRIPTION, a, b)
@@ -54,7 +55,7 @@ fn differing_fields(a: &[u8], b: &[u8]) -> Vec<Value> {
     rows.into_iter().map(row).collect()
 }
 
-/// The comparison at a time: the fields that differ, or which of the logs has ended before it.
+/// Returns the comparison at a time: the differing fields, or which of the logs has already ended.
 pub(super) fn comparison(a: &LogFile, b: &LogFile, now: u64) -> Result<Value, PlayError> {
     let ended = |log: &LogFile| log.bounds_ns().1 < now;
     let (first, second) = (ended(a), ended(b));

@@ -13,13 +13,13 @@ use mcap::sans_io::summary_reader::{SummaryReadEvent, SummaryReader};
 use mcap::{Summary, parse_record};
 use run_log::{END_RECORD, EndMarker, EndReason, Topic};
 
-/// Longest record accepted as valid, bytes.
+/// Maximum length of a valid record, bytes.
 const MAX_RECORD: usize = 1 << 30;
 
-/// A record of why a run ended has fewer bytes.
+/// Maximum length of the record with a run's end reason, bytes.
 const END_BYTES: usize = 1 << 20;
 
-/// Bytes read at once.
+/// Bytes read per call.
 const READ_BYTES: usize = 1 << 22;
 
 /// Why a log cannot be played.
@@ -34,7 +34,7 @@ pub enum PlayError {
         cause: std::io::Error,
     },
     /// The index or a chunk is damaged, or the index is missing.
-    #[error("{}: {cause}; `trabecula log repair` writes one that can be played", path.display())]
+    #[error("{}: {cause}; `trabecula log repair` writes a playable copy", path.display())]
     Damaged {
         /// The file.
         path: PathBuf,
@@ -61,7 +61,7 @@ impl Logged {
     }
 }
 
-/// Struct and tail of a message with its CDR header.
+/// Returns struct and tail of a message with its CDR header.
 pub fn body_of(payload: &[u8]) -> &[u8] {
     payload.strip_prefix(CDR_LITTLE_ENDIAN.as_slice()).unwrap_or_default()
 }
@@ -94,7 +94,7 @@ impl LogFile {
             match event.map_err(|error| damaged(error.to_string()))? {
                 SummaryReadEvent::ReadRequest(bytes) => {
                     if bytes > MAX_RECORD {
-                        return Err(damaged(format!("an index of {bytes} bytes")));
+                        return Err(damaged(format!("index record too large: {bytes} bytes")));
                     }
                     let read = file.read(reader.insert(bytes)).map_err(read_error)?;
                     reader.notify_read(read);
@@ -103,11 +103,11 @@ impl LogFile {
             }
         }
         let summary = reader.finish().filter(|summary| !summary.chunk_indexes.is_empty());
-        let summary = summary.ok_or_else(|| damaged("the log has no index: it was cut".to_owned()))?;
+        let summary = summary.ok_or_else(|| damaged("the log has no index: it is truncated".to_owned()))?;
         Ok(LogFile { path: path.to_owned(), file: Arc::new(file), summary: Arc::new(summary) })
     }
 
-    /// Why the run ended; none where the log does not say.
+    /// Returns why the run ended, or `None` if the log does not contain it.
     pub fn end_reason(&self) -> Option<EndReason> {
         /// Opcode and length of a record.
         const HEAD: usize = 1 + size_of::<u64>();
@@ -132,7 +132,7 @@ impl LogFile {
         (first, last)
     }
 
-    /// The messages of some topics (empty: all) after a time, oldest first.
+    /// Returns the messages of some topics (empty: all) after a time, oldest first.
     ///
     /// # Errors
     /// [`PlayError`].
@@ -144,7 +144,7 @@ impl LogFile {
         self.reading(options, topics)
     }
 
-    /// The newest message of a topic at or before a time.
+    /// Returns the newest message of a topic at or before a time.
     ///
     /// # Errors
     /// [`PlayError`].
@@ -174,7 +174,8 @@ impl LogFile {
     fn chunk(&self, offset: u64, length: usize) -> Result<Vec<u8>, PlayError> {
         let read_error = |cause| PlayError::Read { path: self.path.clone(), cause };
         let mut bytes = Vec::new();
-        // A forged length must not allocate memory: it grows only as bytes are read. Several threads read, so none moves the file's position.
+        // A forged length must not allocate memory: the buffer grows only as bytes are read. `read_at` leaves
+        // the file's position alone, because several threads read.
         while bytes.len() < length {
             let begin = bytes.len();
             bytes.resize(begin + READ_BYTES.min(length - begin), 0);
@@ -191,7 +192,7 @@ impl LogFile {
 }
 
 impl Reading {
-    /// The next message.
+    /// Returns the next message.
     ///
     /// # Errors
     /// [`PlayError`].
@@ -203,7 +204,8 @@ impl Reading {
         })
     }
 
-    /// The next message, without a copy: what `take` makes of its topic, its time and its CDR header, struct and tail.
+    /// Returns the result of `take` on the next message, without a copy; `take` gets its topic, its time, and
+    /// its CDR header, struct and tail.
     ///
     /// # Errors
     /// [`PlayError`].

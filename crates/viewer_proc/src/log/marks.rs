@@ -6,9 +6,9 @@ use run_log::{LogHeader, Topic, Verdict, voxel_indices, voxels_of};
 use serde_json::{Value, json};
 use zerocopy::FromBytes;
 
-/// Most marks of one kind; the first ones are kept.
+/// Maximum number of marks of one kind; the first ones are kept.
 const MOST: usize = 2000;
-/// Most removed voxels kept, over all resets: 1 GiB.
+/// Maximum number of removed voxels kept, over all resets: 1 GiB.
 const MOST_REMOVED: u64 = 1 << 28;
 
 /// A mark on the time line.
@@ -16,7 +16,7 @@ const MOST_REMOVED: u64 = 1 << 28;
 pub struct Mark {
     /// Simulated time, ns.
     pub time_ns: u64,
-    /// `event`, `note` (an event that only informs), `miss`, `divergence` or `gap`.
+    /// `event`, `note` (an informational event), `miss`, `divergence` or `gap`.
     pub kind: &'static str,
     /// Text for the user.
     pub text: String,
@@ -29,7 +29,7 @@ impl Mark {
     }
 }
 
-/// What one pass over a run lane has found.
+/// Result of one pass over a run lane.
 #[derive(Debug, Clone)]
 pub struct Outline {
     /// The log's header.
@@ -52,7 +52,7 @@ pub struct Outline {
 }
 
 impl Outline {
-    /// Nothing read yet.
+    /// Creates an empty outline.
     pub(super) fn new(header: LogHeader) -> Outline {
         Outline {
             header,
@@ -67,11 +67,11 @@ impl Outline {
         }
     }
 
-    /// Takes what was wrong with the file, at its end.
+    /// Adds the file's faults, at its end.
     pub(super) fn end(&mut self, verdict: &Verdict) {
         self.notices.extend(verdict.faults.iter().map(ToString::to_string));
         if !self.has_frames {
-            self.notices.push("the log holds no X-ray frames".to_owned());
+            self.notices.push("the log has no X-ray frames".to_owned());
         }
     }
 
@@ -104,24 +104,24 @@ impl Outline {
         }
     }
 
-    /// Keeps a removal while the total is physically possible and fits into memory: an untrusted log may pack any number of them into few
-    /// bytes.
+    /// Keeps a removal while the total is physically possible and fits into memory: an untrusted log can pack
+    /// any number of removals into few bytes.
     fn remove(&mut self, time_ns: u64, removed: Removed, voxels: Vec<u32>) {
-        // A removal without voxels takes memory too.
+        // Counts at least one, because a removal without voxels takes memory too.
         let count = voxels.len().max(1) as u64;
         if removed.restore_first != 0 {
             self.since_reset = 0;
         }
         self.since_reset += count;
         self.kept += count;
-        // One spare, because a reset's own message may hold no voxel.
+        // One extra, because a reset's own message may contain no voxel.
         let impossible = self.since_reset > voxels_of(&self.header).saturating_add(1);
         if (impossible || self.kept > MOST_REMOVED) && !self.cut_short {
             self.cut_short = true;
             let tick = removed.tick;
             let cause = if impossible { "the volume has" } else { "a viewer can hold" };
             self.notices.push(format!(
-                "the bone is shown as of before tick {tick}: more voxels are removed than {cause}"
+                "the bone is shown as it was before tick {tick}: more voxels are removed than {cause}"
             ));
         }
         if !self.cut_short {
@@ -130,8 +130,8 @@ impl Outline {
     }
 }
 
-/// The first tick that both logs have with different chained hashes, or the first tick after the shorter log's end. A gap in one log is no
-/// divergence: the chain continues after it.
+/// Returns the first tick that both logs have with different chained hashes, or the first tick after the end
+/// of the shorter log. A gap in one log is not a divergence: the chain continues after it.
 pub(super) fn part(
     first: impl Iterator<Item = (u64, [u64; 2])>,
     second: impl Iterator<Item = (u64, [u64; 2])>,
@@ -143,7 +143,7 @@ pub(super) fn part(
             (Some((x, _)), Some((y, _))) if x < y => a = first.next(),
             (Some((x, _)), Some((y, _))) if x > y => b = second.next(),
             (Some((_, x)), Some((_, y))) if x == y => (a, b) = (first.next(), second.next()),
-            (Some((tick, _)), Some(_)) => return Some((tick, "part at")),
+            (Some((tick, _)), Some(_)) => return Some((tick, "diverge at")),
             (Some((tick, _)), None) => return Some((tick, "differ in length: the second ends before")),
             (None, Some((tick, _))) => return Some((tick, "differ in length: the first ends before")),
             (None, None) => return None,
@@ -151,8 +151,8 @@ pub(super) fn part(
     }
 }
 
-/// Events and missed ticks of a timing lane. Each is placed at the tick it names, because the log's own time is when the recorder received
-/// it.
+/// Events and missed ticks of a timing lane. Each is placed at the tick it refers to, because the log time is
+/// when the recorder received it.
 pub(super) struct Events {
     dt_ns: u64,
     events: Vec<Mark>,
@@ -161,7 +161,7 @@ pub(super) struct Events {
 }
 
 impl Events {
-    /// None yet.
+    /// Creates an empty list.
     pub(super) fn new(dt_ns: u64) -> Events {
         Events { dt_ns, events: Vec::new(), misses: Vec::new(), causes: Misses::default() }
     }
@@ -182,7 +182,7 @@ impl Events {
                 let cause = self.causes.add(&timing)?.main_cause();
                 let time_ns = timing.tick.saturating_mul(self.dt_ns);
                 let late_us = timing.wake_lateness_ns as f64 * 1e-3;
-                let text = format!("tick {} began {late_us:.0} µs late: {}", timing.tick, cause.name());
+                let text = format!("tick {} started {late_us:.0} µs late: {}", timing.tick, cause.name());
                 push(&mut self.misses, Mark { time_ns, kind: "miss", text });
                 Some((time_ns, cause.letter()))
             }
@@ -260,7 +260,7 @@ mod tests {
         all.iter().map(|(tick, hash)| (*tick, [*hash, 0])).collect()
     }
 
-    /// States must be compared by tick: after a gap in one log, their positions in the files no longer match.
+    /// States must be compared by tick: after a gap in one log, positions in the two files no longer match.
     #[test]
     fn two_logs_part_where_a_tick_of_both_differs_and_not_where_one_has_a_gap() {
         let first = states(&[(0, 1), (1, 2), (2, 3), (3, 4), (4, 5)]);
@@ -274,8 +274,8 @@ mod tests {
         };
         assert_eq!(told(&[(0, 1), (1, 2), (2, 3), (3, 4), (4, 5)]), None);
         assert_eq!(told(&[(0, 1), (3, 4), (4, 5)]), None, "a gap");
-        assert_eq!(told(&[(0, 1), (1, 2), (2, 9), (3, 9), (4, 9)]), Some((2, "part at")));
-        assert_eq!(told(&[(0, 1), (3, 9), (4, 9)]), Some((3, "part at")));
+        assert_eq!(told(&[(0, 1), (1, 2), (2, 9), (3, 9), (4, 9)]), Some((2, "diverge at")));
+        assert_eq!(told(&[(0, 1), (3, 9), (4, 9)]), Some((3, "diverge at")));
         assert_eq!(told(&[(0, 1), (1, 2)]), Some((2, "differ in length: the second ends before")));
     }
 }

@@ -1,7 +1,7 @@
 //! Logs on a time line: play, seek, step, plot, and compare two of them.
 //!
-//! A log opens from its index. What needs all of it (marks, drilled voxels, fields for plots) is read in the background, so that a log of an
-//! hour opens as quickly as one of a second.
+//! A log opens from its index. Everything that needs the complete log (marks, drilled voxels, fields for
+//! plots) is read in the background, so that a log of an hour opens as quickly as one of a second.
 
 mod background;
 mod bone;
@@ -43,18 +43,18 @@ pub struct LogOptions {
     pub log: PathBuf,
     /// A second log to compare with.
     pub second: Option<PathBuf>,
-    /// Whether to end once nobody has watched for a while.
+    /// Whether to end once no client has been connected for a while.
     pub until_left: bool,
 }
 
-/// Makes the volume of a scene, or says why there is none to show; on a thread of its own.
+/// Loads the volume of a scene, or returns an error text; runs on its own thread.
 pub type VolumeSource<'a> = dyn Fn(&Scene) -> Result<Option<Ct>, String> + Sync + 'a;
 
-/// What only the command line program knows about a scene.
+/// Callbacks into the command line program.
 pub struct SceneHelp<'a> {
-    /// The shapes of tool and arm.
+    /// Returns the shapes of tool and arm.
     pub shapes: &'a dyn Fn(&Scene) -> (ToolShape, ArmLooks),
-    /// The volume, or why there is none to show.
+    /// Loads the volume.
     pub volume: &'a VolumeSource<'a>,
 }
 
@@ -70,7 +70,7 @@ impl OpenLog {
         let path = log_path(given);
         let header = MessageStream::open(&LogSource::at(&path), ReadOptions::default())?.header().clone();
         let run = LogFile::open(&path)?;
-        // A timing lane that was cut is still read for marks, but cannot be played.
+        // A truncated timing lane is still read for marks but cannot be played.
         let timing = Some(timing_of(&path)).filter(|path| path.exists());
         let timing = timing.and_then(|path| LogFile::open(&path).ok());
         let series = Arc::new(LogSeries::new(run.bounds_ns(), header.dt_ns));
@@ -89,7 +89,7 @@ impl OpenLog {
     }
 }
 
-/// The timing lane beside a run lane.
+/// Returns the timing lane next to a run lane.
 fn timing_of(run: &Path) -> PathBuf {
     run.with_file_name("timing.mcap")
 }
@@ -150,7 +150,7 @@ pub fn view(
     })
 }
 
-/// The volume of the log's scene, if it is the run's.
+/// Loads the volume of the log's scene and checks that it is the run's.
 fn find_volume(scene: &Scene, header: &LogHeader, volume: &VolumeSource<'_>, found: &Sender<Found>) {
     let refused = match volume(scene) {
         Ok(Some(ct)) if header.volume_sha256.is_none_or(|sha256| sha256 == ct.sha256) => {
@@ -158,7 +158,7 @@ fn find_volume(scene: &Scene, header: &LogHeader, volume: &VolumeSource<'_>, fou
             let _ = found.send(Found::Volume(Box::new(ct.volume)));
             return;
         }
-        Ok(Some(_)) => Some("the scene's volume is not the one of the run; its SHA-256 differs".to_owned()),
+        Ok(Some(_)) => Some("the scene's volume is not that of the run: the SHA-256 differs".to_owned()),
         Ok(None) => None,
         Err(text) => Some(text),
     };
@@ -170,6 +170,6 @@ fn find_divergence(both: Option<(PathBuf, PathBuf)>, found: &Sender<Found>, over
     let _ = found.send(match divergence(&first, &second, over) {
         Ok(Some(mark)) => Found::Divergence(mark),
         Ok(None) => return,
-        Err(error) => Found::Notice(format!("the two logs are not compared: {error}")),
+        Err(error) => Found::Notice(format!("the two logs cannot be compared: {error}")),
     });
 }

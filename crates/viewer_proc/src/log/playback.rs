@@ -33,65 +33,66 @@ use crate::surface::bone::volume_box;
 const POLL_PERIOD: Duration = Duration::from_millis(8);
 /// Minimum time between two playback messages.
 const PLAYBACK_PERIOD: Duration = Duration::from_millis(33);
-/// A longer jump shows only its destination, not everything in between.
+/// Longer jumps show only their destination, not everything in between.
 const LONGEST_STRIDE_NS: u64 = 500_000_000;
-/// Slots of the playback topic: a new client gets the marks first, then the position.
+/// Slots of the playback topic: a new client gets first the marks, then the position.
 const MARKS_SLOT: u32 = 0;
 const POSITION_SLOT: u32 = 1;
-/// How much history other viewers get after a jump, and how long after it. The delay, because dragging the slider makes many jumps.
+/// How much history other viewers get after a jump, and when. The delay is there because dragging the slider
+/// causes many jumps.
 const HISTORY_NS: u64 = 10_000_000_000;
 const HISTORY_STATES: u64 = 400;
 const HISTORY_DELAY: Duration = Duration::from_millis(150);
 /// Topics whose newest message is shown at the current time.
 const SHOWN: [Topic; 5] = [Topic::Latched, Topic::State, Topic::DrrReply, Topic::DrrFrame, Topic::DrrImage];
-/// Answers to a request for a slice: the drilled voxels are not known yet, or there is no volume to show.
+/// Replies to a slice request while the drilled voxels are unknown, or if there is no volume to show.
 const READING: &str = "the log is being read";
-const OTHER_VOLUME: &str = "the run's volume is not here; the messages say why";
-/// Requests for fields that may wait.
+const OTHER_VOLUME: &str = "the run's volume is not available; see the messages";
+/// Maximum number of waiting field requests.
 const SERIES_QUEUE: usize = 16;
-/// How often the thread that answers them looks for the end.
+/// Interval at which the thread that answers them checks for the end.
 const ANSWER_LOOK: Duration = Duration::from_millis(100);
 
-/// A log that is shown.
+/// A log being shown.
 pub(super) struct Shown {
     pub(super) run: LogFile,
     pub(super) timing: Option<LogFile>,
     pub(super) series: Arc<LogSeries>,
 }
 
-/// Both logs, for the thread that answers requests for fields.
+/// Both logs, for the thread that answers field requests.
 pub(super) type Logs = Arc<(Shown, Option<Shown>)>;
 
 pub(super) struct LogPlayback {
     board: Arc<Board>,
     logs: Logs,
     player: Player,
-    /// What the background finds, and what it has found that waits for more.
+    /// Receives the background results. A result waits here until the other one that it needs has arrived.
     found: Receiver<Found>,
     outline: Option<Outline>,
     volume: Option<Volume>,
     threshold_hu: i16,
     bone: Option<LogBone>,
     slicer: Slicer,
-    /// Why there are no slices as long as there is no bone.
+    /// Reply to slice requests while there is no bone.
     no_slices: &'static str,
-    /// Makes the scene's message with the volume's box.
+    /// Builds the scene message with the volume's box.
     info: Box<dyn Fn(&VolumeBox) -> Value>,
-    /// Time up to which messages are on the board; `None` before the first.
+    /// Time up to which messages have been published; `None` before the first.
     shown_ns: Option<u64>,
-    /// Cursors through the logs; none after a jump, until the time moves on from there.
+    /// Cursors through the logs; empty after a jump until the time moves on.
     streams: Vec<Stream>,
     drawer: Drawer,
-    /// Whether the current position still has to be drawn for other viewers.
+    /// Whether the current position is yet to be drawn for other viewers.
     undrawn: bool,
     /// Time of the last jump, until its history has been sent.
     jumped: Option<Instant>,
     told: Option<(Instant, Told)>,
-    /// Whether the marks have changed since they were told.
+    /// Whether the marks have changed since they were last published.
     new_marks: bool,
 }
 
-/// What the page was told last.
+/// The playback status last published.
 #[derive(Clone, PartialEq)]
 struct Told {
     time_ns: u64,
@@ -108,7 +109,7 @@ struct Stream {
     ahead: Option<Logged>,
 }
 
-/// What the scene says of the objects that the page shows.
+/// The scene's settings for the displayed objects.
 pub(super) struct Scenery {
     pub(super) threshold_hu: i16,
     pub(super) drawer: Drawer,
@@ -205,14 +206,14 @@ impl LogPlayback {
             Request::Series(_) => {
                 if let Err(full) = asked.try_send(call) {
                     let (mpsc::TrySendError::Full(call) | mpsc::TrySendError::Disconnected(call)) = full;
-                    let _ = call.answer.send(Err("busy with earlier requests for fields".to_owned()));
+                    let _ = call.answer.send(Err("busy with earlier field requests".to_owned()));
                 }
                 return;
             }
             Request::Slice(_) => return self.slicer.add(call),
-            _ => Err("this is a log: what has happened cannot be steered".to_owned()),
+            _ => Err("this is a log: a recorded run cannot be controlled".to_owned()),
         };
-        // The client may have left.
+        // The client may have disconnected.
         let _ = call.answer.send(outcome);
     }
 
@@ -243,7 +244,7 @@ impl LogPlayback {
             },
             Found::Notice(text) => self.board.notice("warning", &text),
         }
-        // The bone needs both: its voxels, and which of them were drilled when.
+        // The bone needs both its voxels and the times at which they were drilled.
         if self.volume.is_some()
             && let Some(outline) = &mut self.outline
         {
@@ -282,7 +283,7 @@ impl LogPlayback {
         self.draw(now)
     }
 
-    /// Draws the tool for other viewers: at once if one is subscribed, otherwise when one subscribes.
+    /// Draws the tool for other viewers: at once if one is subscribed, otherwise as soon as one subscribes.
     fn draw(&mut self, now: u64) -> Result<(), PlayError> {
         self.undrawn = !self.drawer.is_due(&self.board);
         if !self.undrawn
@@ -346,7 +347,8 @@ impl LogPlayback {
         Ok(())
     }
 
-    /// Sends other viewers, which plot what they receive, the history before a jump: a sample of the states, all tick timings.
+    /// Sends the history before a jump to other viewers, which plot what they receive: a sample of the states
+    /// and all tick timings.
     fn send_history(&mut self) -> Result<(), PlayError> {
         if self.jumped.is_none_or(|jumped| jumped.elapsed() < HISTORY_DELAY) {
             return Ok(());
@@ -370,8 +372,8 @@ impl LogPlayback {
         self.show_newest(now)
     }
 
-    /// Publishes the position if it has changed, and with it the state and the comparison of that very time, so that slider, readouts and
-    /// table agree. The marks only when they have changed.
+    /// Publishes the position if it has changed, with the state and the comparison at that time, so that
+    /// slider, readouts and table agree. Publishes the marks only if they have changed.
     fn tell(&mut self) -> Result<(), PlayError> {
         let now = Told {
             time_ns: self.player.time_ns(),
@@ -424,7 +426,7 @@ impl LogPlayback {
     }
 }
 
-/// Publishes the state of the tick at which a frame was taken: the tool may have moved on since.
+/// Publishes the state of the tick at which a frame was taken; the tool may have moved since.
 fn publish_frame_state(board: &Board, log: &LogFile, dt_ns: u64, frame: &Logged) -> Result<(), PlayError> {
     let Ok((frame, _)) = Frame::read_from_prefix(frame.body()) else { return Ok(()) };
     if let Some(state) = log.newest(Topic::State, frame.tick.saturating_mul(dt_ns))? {
@@ -433,7 +435,7 @@ fn publish_frame_state(board: &Board, log: &LogFile, dt_ns: u64, frame: &Logged)
     Ok(())
 }
 
-/// Answers requests for fields until the viewer ends.
+/// Answers field requests until the viewer ends.
 fn answer_series(logs: &Logs, asked: &Receiver<Call>, over: &AtomicBool) {
     while !over.load(Ordering::Relaxed) {
         let Ok(call) = asked.recv_timeout(ANSWER_LOOK) else { continue };
@@ -444,7 +446,7 @@ fn answer_series(logs: &Logs, asked: &Receiver<Call>, over: &AtomicBool) {
 
 fn answer(logs: &Logs, request: &SeriesRequest) -> Result<String, String> {
     let (first, second) = logs.as_ref();
-    let shown = if request.second { second.as_ref().ok_or("there is no second log")? } else { first };
+    let shown = if request.second { second.as_ref().ok_or("no second log is open")? } else { first };
     shown.series.answer(request, |lane| match lane {
         Lane::Run => Some(&shown.run),
         Lane::Timing => shown.timing.as_ref(),

@@ -34,9 +34,9 @@ enum Side {
 }
 
 impl Player {
-    /// Paused at the beginning.
+    /// Creates a player that is paused at the beginning.
     pub fn new(begin_ns: u64, end_ns: u64, dt_ns: u64, mut marks: Vec<Mark>) -> Player {
-        // An untrusted index may claim that a log ends before it begins.
+        // The index of an untrusted log may have its end before its beginning.
         let end_ns = end_ns.max(begin_ns);
         marks.sort_by_key(|mark| mark.time_ns);
         Player {
@@ -73,7 +73,7 @@ impl Player {
     /// Executes a client's request.
     ///
     /// # Errors
-    /// What is wrong with the request.
+    /// An error text for the user.
     pub fn apply(&mut self, request: &Playback) -> Result<(), String> {
         match request.action {
             PlaybackAction::Play => {
@@ -87,7 +87,7 @@ impl Player {
             PlaybackAction::Pause => self.playing = false,
             PlaybackAction::Speed => self.set_speed(request.speed)?,
             PlaybackAction::Seek => {
-                let to = request.time_ns.ok_or("`time_ns` is missing: where to?")?;
+                let to = request.time_ns.ok_or("`time_ns` is missing")?;
                 self.go_to(to as f64);
             }
             PlaybackAction::Step => {
@@ -108,14 +108,14 @@ impl Player {
                 self.speed = speed;
                 Ok(())
             }
-            Some(speed) => Err(format!("`speed` is {speed}, allowed is -{MAX_SPEED} to {MAX_SPEED}, not 0")),
+            Some(speed) => Err(format!("`speed` is {speed}; allowed: -{MAX_SPEED} to {MAX_SPEED}, not 0")),
         }
     }
 
-    /// To the nearest mark of a kind on one side of the current time.
+    /// Jumps to the nearest mark of a kind on one side of the current time.
     fn jump(&mut self, kind: Option<&str>, side: Side) -> Result<(), String> {
         let now = self.time_ns();
-        // Notes are no events to go to, unless the log has nothing else.
+        // Notes do not count as events, unless the log has nothing else.
         let only_notes = kind == Some("event") && !self.marks.iter().any(|mark| mark.kind == "event");
         let kind = if only_notes { Some("note") } else { kind };
         let fits = |mark: &&Mark| kind.is_none_or(|kind| kind == mark.kind);
@@ -128,7 +128,7 @@ impl Player {
             Side::After => "after",
             Side::Before => "before",
         };
-        let time_ns = found.ok_or_else(|| format!("there is no {what} {side} this time"))?.time_ns;
+        let time_ns = found.ok_or_else(|| format!("no {what} {side} this time"))?.time_ns;
         self.playing = false;
         self.go_to(time_ns as f64);
         Ok(())

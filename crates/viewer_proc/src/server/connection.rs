@@ -23,9 +23,9 @@ use crate::protocol::{self, ClientText, Level};
 use crate::services::{Call, NO_TOKEN, Outcome, Request, SERVICES, SLICE, read_request, response, same};
 use crate::slice::MOST_UNDER_WAY;
 
-/// Longest client message, bytes.
+/// Maximum length of a client message, bytes.
 pub const MAX_CLIENT_MESSAGE: usize = 64 << 10;
-/// Write timeout: how long a client may read nothing.
+/// Write timeout: a client that reads nothing for this long is disconnected.
 const WRITE_LIMIT: Duration = Duration::from_secs(10);
 /// Bytes written to the socket before reading from the client again.
 const BATCH_BYTES: usize = 512 << 10;
@@ -35,7 +35,8 @@ const END_CHECK_PERIOD: Duration = Duration::from_millis(100);
 
 type Socket = WebSocketStream<TcpStream>;
 
-/// Answers a request, and serves the WebSocket if it opens one. A client with permission to watch is no longer a pending connection.
+/// Answers a request, and serves the WebSocket if it opens one. A client with permission to watch is no
+/// longer a pending connection.
 pub(super) async fn answer(
     mut stream: TcpStream,
     head: Result<Option<Head>, Refusal>,
@@ -62,7 +63,7 @@ pub(super) async fn answer(
         shared.watch_by_anyone || head.query("token").is_some_and(|given| same(given, &shared.token));
     let _place = match may_watch.then(|| Arc::clone(&shared.room).try_acquire_owned()) {
         Some(Err(_)) => {
-            let text = format!("{MAX_CLIENTS} clients are connected, which is the limit");
+            let text = format!("too many clients: {MAX_CLIENTS} are connected, which is the limit");
             return refuse(&mut stream, &Refusal::new("503 Service Unavailable", text)).await;
         }
         Some(Ok(place)) => {
@@ -93,11 +94,11 @@ async fn send_file(stream: &mut TcpStream, head: &Head, shared: &Shared) {
             let body = if head.method == "GET" { Body::Sent } else { Body::HeadOnly };
             send(stream, "200 OK", file.media_type, &file.bytes, body).await;
         }
-        None => refuse(stream, &Refusal::new("404 Not Found", format!("there is no {}", head.path))).await,
+        None => refuse(stream, &Refusal::new("404 Not Found", format!("not found: {}", head.path))).await,
     }
 }
 
-/// Whether an answer carries its content, which that to a HEAD request does not.
+/// Whether a response carries its content; a response to a HEAD request does not.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Body {
     Sent,
@@ -113,13 +114,13 @@ async fn send(stream: &mut TcpStream, status: &str, media_type: &str, bytes: &[u
         }
         stream.shutdown().await
     };
-    // A client that does not read the answer has left.
+    // A client that does not read the response has disconnected.
     let _ = tokio::time::timeout(WRITE_LIMIT, write).await;
 }
 
 /// Why a connection ends.
 enum End {
-    /// The client has left or does not read.
+    /// The client has disconnected or does not read.
     Gone,
     /// The server closes it, with a reason.
     Close(CloseCode, String),
@@ -136,8 +137,8 @@ impl From<Error> for End {
     }
 }
 
-/// Serves a client. One without permission to watch gets only the reason: a browser shows the page the reason for a closed WebSocket, but
-/// none for one that never opened.
+/// Serves a client. One without permission to watch gets only the reason: a browser shows the page the reason
+/// for a closed WebSocket, but not for one that was never opened.
 async fn serve(mut socket: Socket, shared: &Shared, may_watch: bool) {
     let end = match may_watch {
         true => {
@@ -149,7 +150,7 @@ async fn serve(mut socket: Socket, shared: &Shared, may_watch: bool) {
         false => Err(End::Close(CloseCode::Policy, NO_TOKEN.to_owned())),
     };
     if let Err(End::Close(code, reason)) = end {
-        // A close frame holds 123 bytes.
+        // A close frame holds at most 123 bytes.
         let mut length = reason.len().min(120);
         while !reason.is_char_boundary(length) {
             length -= 1;
@@ -167,7 +168,7 @@ async fn session(socket: &mut Socket, client: &Arc<Client>, shared: &Shared) -> 
     say(socket, Message::text(protocol::advertise_services(&SERVICES))).await?;
     loop {
         let more = session.send_waiting(socket).await?;
-        // With more to send, only polls for client messages.
+        // If there is more to send, only polls for client messages.
         let pause = if more { Duration::ZERO } else { END_CHECK_PERIOD };
         tokio::select! {
             biased;
@@ -190,7 +191,7 @@ async fn session(socket: &mut Socket, client: &Arc<Client>, shared: &Shared) -> 
     }
 }
 
-/// Sends with a timeout: a client that reads nothing has gone.
+/// Sends with a timeout: a client that reads nothing counts as disconnected.
 async fn say(socket: &mut Socket, message: Message) -> Result<(), End> {
     tokio::time::timeout(WRITE_LIMIT, socket.send(message)).await.map_err(|_| End::Gone)?.map_err(End::from)
 }
@@ -198,9 +199,10 @@ async fn say(socket: &mut Socket, message: Message) -> Result<(), End> {
 struct ClientSession<'a> {
     client: &'a Arc<Client>,
     shared: &'a Shared,
-    /// Channel for the answers to calls, with the service's number.
+    /// Channel for the replies to calls, with the service's number.
     answers: mpsc::UnboundedSender<(u32, Message)>,
-    /// Slices asked for and not sent yet: what a client holds up is limited, because it reads them before it asks on.
+    /// Slices requested and not yet sent. Limits what a client can hold up, because it must read them before
+    /// it requests more.
     slices: usize,
 }
 
@@ -231,13 +233,13 @@ impl ClientSession<'_> {
 
     async fn handle(&mut self, socket: &mut Socket, message: Message) -> Result<(), End> {
         if !self.client.may_send() {
-            let text = format!("more than {MAX_MESSAGES_PER_S} messages within a second");
+            let text = format!("rate limit exceeded: {MAX_MESSAGES_PER_S} messages per second");
             return Err(End::Close(CloseCode::Policy, text));
         }
         match message {
             Message::Text(text) => match serde_json::from_str::<ClientText>(&text) {
                 Ok(text) => self.handle_text(socket, text).await,
-                Err(error) => warn(socket, &format!("not a message of the protocol: {error}")).await,
+                Err(error) => warn(socket, &format!("malformed message: {error}")).await,
             },
             Message::Binary(bytes) => self.call(socket, &bytes).await,
             Message::Close(_) => Err(End::Gone),
@@ -258,7 +260,7 @@ impl ClientSession<'_> {
                 .filter_map(|id| board.unsubscribe(self.client, id).err())
                 .collect(),
             ClientText::Other => {
-                vec!["this server offers only subscriptions and services".to_owned()]
+                vec!["unsupported operation: this server offers only subscriptions and services".to_owned()]
             }
         };
         match refused.split_first() {
@@ -270,7 +272,7 @@ impl ClientSession<'_> {
 
     async fn call(&mut self, socket: &mut Socket, bytes: &[u8]) -> Result<(), End> {
         let Some(call) = protocol::service_call(bytes) else {
-            return warn(socket, "a binary message that is not a service call").await;
+            return warn(socket, "unsupported binary message: not a service call").await;
         };
         if call.encoding != "json" {
             let text = format!("expected a JSON request, got `{}`", call.encoding);
@@ -280,7 +282,7 @@ impl ClientSession<'_> {
         let answer = match read_request(service, call.payload, &self.shared.token) {
             Err(error) => Err(error),
             Ok(Request::Slice(_)) if self.slices >= MOST_UNDER_WAY => {
-                Err(format!("{MOST_UNDER_WAY} slices are under way, which is the limit: wait for one"))
+                Err(format!("{MOST_UNDER_WAY} slices are in progress, which is the limit: wait for one"))
             }
             Ok(request) => {
                 let is_slice = matches!(request, Request::Slice(_));
@@ -291,9 +293,7 @@ impl ClientSession<'_> {
                         self.answer_later(service, number, answered);
                         return Ok(());
                     }
-                    Err(_) => {
-                        Err("the viewer is busy with earlier requests, or has nothing to command".to_owned())
-                    }
+                    Err(_) => Err("the viewer is busy with earlier requests or is shutting down".to_owned()),
                 }
             }
         };
@@ -305,9 +305,9 @@ impl ClientSession<'_> {
         tokio::task::spawn_local(async move {
             let outcome = match tokio::time::timeout(CALL_LIMIT, answered).await {
                 Ok(Ok(outcome)) => outcome,
-                Ok(Err(_)) | Err(_) => Err("no answer: the run may have ended".to_owned()),
+                Ok(Err(_)) | Err(_) => Err("request timed out: the run may have ended".to_owned()),
             };
-            // The client may have left.
+            // The client may have disconnected.
             let _ = answers.send((service, message(service, call, outcome)));
         });
     }

@@ -7,11 +7,13 @@ use tokio_tungstenite::tungstenite::handshake::derive_accept_key;
 
 use crate::protocol::SUBPROTOCOLS;
 
-/// Longest request head, bytes.
+/// Maximum length of a request head, bytes.
 const MAX_HEAD: usize = 8 << 10;
 const MAX_HEADERS: usize = 64;
-/// The page may load nothing from elsewhere. `blob:` is for images that it makes itself.
-const CONTENT_SECURITY_POLICY: &str = "default-src 'self'; img-src 'self' blob: data:; style-src 'self' 'unsafe-inline'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'; object-src 'none'";
+/// The page may load nothing from elsewhere. `blob:` is for images that it creates itself.
+const CONTENT_SECURITY_POLICY: &str = "default-src 'self'; img-src 'self' blob: data:; \
+    style-src 'self' 'unsafe-inline'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'; \
+    object-src 'none'";
 
 /// The head of a request.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -35,33 +37,31 @@ pub struct Refusal {
 }
 
 impl Refusal {
-    /// A refusal with this status and text.
+    /// Creates a refusal with this status and text.
     pub fn new(status: &'static str, text: impl Into<String>) -> Refusal {
         Refusal { status, text: text.into() }
     }
 }
 
 impl Head {
-    /// A header's value; `name` in lower case.
+    /// Returns a header's value; `name` in lower case.
     pub fn header(&self, name: &str) -> Option<&str> {
         self.headers.iter().find(|(known, _)| known == name).map(|(_, value)| value.as_str())
     }
 
-    /// The value of a header that must not repeat, because it decides who is served; `None` if absent.
+    /// Returns the value of a header that must be unique because it decides access, or `None` if absent.
     ///
     /// # Errors
-    /// It occurs several times; another reader, such as a proxy, may use a different one.
+    /// Duplicate header: another reader, such as a proxy, may use the other value.
     fn only(&self, name: &str) -> Result<Option<&str>, Refusal> {
         let mut all = self.headers.iter().filter(|(known, _)| known == name);
         match (all.next(), all.next()) {
             (first, None) => Ok(first.map(|(_, value)| value.as_str())),
-            (_, Some(_)) => {
-                Err(Refusal::new("400 Bad Request", format!("several `{name}` headers, expected one")))
-            }
+            (_, Some(_)) => Err(Refusal::new("400 Bad Request", format!("duplicate `{name}` header"))),
         }
     }
 
-    /// A raw value from the path's query. Not percent-decoded: a token needs no escapes.
+    /// Returns a raw value from the path's query. Not percent-decoded: a token needs no escapes.
     pub fn query(&self, name: &str) -> Option<&str> {
         let (_, query) = self.path.split_once('?')?;
         let mut pairs = query.split('&').filter_map(|pair| pair.split_once('='));
@@ -74,7 +74,7 @@ impl Head {
     }
 }
 
-/// Reads a request's head; `None` if the client left.
+/// Reads a request's head; `None` if the client disconnected.
 ///
 /// # Errors
 /// Too long, or not HTTP.
@@ -90,7 +90,7 @@ pub async fn read_head(stream: &mut (impl AsyncRead + Unpin)) -> Result<Option<H
             return Ok(Some(head));
         }
         if bytes.len() > MAX_HEAD {
-            let text = format!("the request's head is longer than {MAX_HEAD} bytes");
+            let text = format!("the request head is longer than {MAX_HEAD} bytes");
             return Err(Refusal::new("431 Request Header Fields Too Large", text));
         }
     }
@@ -120,31 +120,31 @@ pub fn parse(bytes: &[u8]) -> Result<Option<Head>, Refusal> {
 /// Who can reach the server.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Reach {
-    /// Programs on this machine: only its own address and loopback name it.
+    /// Programs on this machine: only its own address and loopback are valid hosts.
     Loopback,
-    /// Other machines too, so any address of this machine names it.
+    /// Other machines too: any address of this machine is a valid host.
     Network,
 }
 
 /// Which pages may open a WebSocket.
 #[derive(Debug, Clone, Default)]
 pub struct Origins {
-    /// Origins besides the page's own, such as `http://localhost:8080`.
+    /// Origins in addition to the page's own, such as `http://localhost:8080`.
     pub allowed: Vec<String>,
 }
 
 impl Origins {
-    /// Refuses requests from other pages, by the origin that a browser always sends. Also compares the host exactly, so that a foreign name
-    /// pointed at this machine (DNS rebinding) is not taken for ours.
+    /// Refuses requests from other pages by the origin that browsers always send. Also compares the host
+    /// exactly, so that a foreign name that resolves to this machine (DNS rebinding) is not accepted.
     ///
     /// # Errors
-    /// Another host or origin; a header that is missing or repeated.
+    /// Another host or origin; a missing or duplicate header.
     pub fn check(&self, head: &Head, own: SocketAddr, reach: Reach) -> Result<(), Refusal> {
         let Some(host) = head.only("host")? else {
-            return Err(Refusal::new("400 Bad Request", "no header `host`, expected one"));
+            return Err(Refusal::new("400 Bad Request", "missing `host` header"));
         };
         if !is_ours(host, own, reach) {
-            let text = format!("the host is `{host}`, expected {own}");
+            let text = format!("unexpected host `{host}`; expected {own}");
             return Err(Refusal::new("403 Forbidden", text));
         }
         let Some(origin) = head.only("origin")? else { return Ok(()) };
@@ -156,7 +156,8 @@ impl Origins {
     }
 }
 
-/// Whether a request's host is this server: an address or the name of loopback, with its port. Browsers omit port 80.
+/// Returns whether a request's host is this server: an address or the name of loopback, with its port.
+/// Browsers omit port 80.
 fn is_ours(host: &str, own: SocketAddr, reach: Reach) -> bool {
     let name = match host.strip_suffix(&format!(":{}", own.port())) {
         Some(name) => name,
@@ -165,7 +166,7 @@ fn is_ours(host: &str, own: SocketAddr, reach: Reach) -> bool {
     };
     let whole = format!("{name}:{}", own.port());
     let is_address = |it: SocketAddr| {
-        // Only our own spelling: no zone, no other form of a number.
+        // Only the canonical spelling: no zone, no other number format.
         it.to_string() == whole && (it == own || reach == Reach::Network || it.ip().is_loopback())
     };
     name == "localhost" || whole.parse().is_ok_and(is_address)
@@ -174,19 +175,19 @@ fn is_ours(host: &str, own: SocketAddr, reach: Reach) -> bool {
 /// Answers a WebSocket handshake.
 ///
 /// # Errors
-/// Not a handshake, or no subprotocol that we support.
+/// Not a handshake, or no supported subprotocol.
 pub fn websocket_answer(head: &Head) -> Result<String, Refusal> {
     let key = head.only("sec-websocket-key")?.filter(|key| key.len() == 24);
     let opens = head.has_token("connection", "upgrade")
         && head.has_token("upgrade", "websocket")
         && head.only("sec-websocket-version")? == Some("13");
     let Some(key) = key.filter(|_| opens) else {
-        let text = "this address is a WebSocket (version 13)";
+        let text = "this address expects a WebSocket handshake (version 13)";
         return Err(Refusal::new("426 Upgrade Required", text));
     };
     let spoken = SUBPROTOCOLS.iter().find(|name| head.has_token("sec-websocket-protocol", name));
     let Some(spoken) = spoken else {
-        let text = format!("expected a subprotocol of {}", SUBPROTOCOLS.join(", "));
+        let text = format!("unsupported subprotocol; expected one of {}", SUBPROTOCOLS.join(", "));
         return Err(Refusal::new("400 Bad Request", text));
     };
     Ok(format!(
@@ -196,12 +197,13 @@ pub fn websocket_answer(head: &Head) -> Result<String, Refusal> {
     ))
 }
 
-/// The head of an answer; its content follows.
+/// Returns the head of a response, without its content.
 pub fn answer_head(status: &str, media_type: &str, length: usize) -> String {
     format!(
         "HTTP/1.1 {status}\r\nContent-Type: {media_type}\r\nContent-Length: {length}\r\nConnection: close\r\n\
          Cache-Control: no-store\r\nX-Content-Type-Options: nosniff\r\nReferrer-Policy: no-referrer\r\n\
-         Cross-Origin-Opener-Policy: same-origin\r\nContent-Security-Policy: {CONTENT_SECURITY_POLICY}\r\n\r\n"
+         Cross-Origin-Opener-Policy: same-origin\r\n\
+         Content-Security-Policy: {CONTENT_SECURITY_POLICY}\r\n\r\n"
     )
 }
 

@@ -19,7 +19,7 @@ use crate::services::Call;
 use http::{Origins, Reach};
 use pending::{PendingConnection, PendingConnections};
 
-/// Most WebSocket clients at a time; further ones are turned away.
+/// Maximum number of WebSocket clients; further ones are refused.
 pub const MAX_CLIENTS: usize = 32;
 /// Timeout from accepting a connection to its complete request.
 const HEAD_LIMIT: Duration = Duration::from_secs(5);
@@ -32,7 +32,7 @@ pub struct ServerOptions {
     pub bind: IpAddr,
     /// Port; 0 picks a free one.
     pub port: u16,
-    /// Origins besides the page's own that may connect.
+    /// Origins in addition to the page's own that may connect.
     pub allow_origin: Vec<String>,
     /// Whether clients without a token may watch.
     pub watch_by_anyone: bool,
@@ -57,8 +57,8 @@ pub(crate) struct Shared {
     pub end: Arc<AtomicBool>,
 }
 
-/// An open port and the token that belongs to it. What is shown behind it may change (a scene, its run, the run's log); page and address
-/// stay.
+/// An open port and its token. What is shown there can change (a scene, its run, the run's log); page and
+/// address stay the same.
 #[derive(Debug)]
 pub struct Door {
     listener: std::net::TcpListener,
@@ -81,12 +81,12 @@ impl Door {
         Ok(Door { listener, address, token: random_token()?, options: options.clone() })
     }
 
-    /// The page's URL, with the token that permits watching and control.
+    /// Returns the page's URL, with the token that permits watching and control.
     pub fn url(&self) -> String {
         format!("http://{}/#token={}", self.address, self.token)
     }
 
-    /// The address it listens on.
+    /// The address the server listens on.
     pub fn address(&self) -> SocketAddr {
         self.address
     }
@@ -97,7 +97,7 @@ impl Door {
     }
 }
 
-/// A server behind a door, not serving yet.
+/// A server on an open port, not serving yet.
 #[derive(Debug)]
 pub struct Server {
     listener: std::net::TcpListener,
@@ -105,10 +105,10 @@ pub struct Server {
 }
 
 impl Server {
-    /// A server for one thing to show; those who come before it serves wait at the door.
+    /// Creates a server that shows one thing; clients that connect before it serves have to wait.
     ///
     /// # Errors
-    /// [`ViewerError::Port`]: the system has no more handles.
+    /// [`ViewerError::Port`]: the system is out of file handles.
     pub fn behind(
         door: &Door,
         name: &str,
@@ -160,7 +160,7 @@ impl Server {
                 });
                 pending.is_served_by(number, task.abort_handle());
             }
-            // Every client connection checks for the end itself.
+            // Each client connection checks for the end itself.
             let all_have_left = self.shared.room.acquire_many(MAX_CLIENTS as u32);
             let _ = tokio::time::timeout(Duration::from_secs(1), all_have_left).await;
             Ok(())
@@ -169,13 +169,13 @@ impl Server {
 }
 
 async fn serve_connection(mut stream: TcpStream, shared: &Shared, pending_connection: PendingConnection) {
-    // Send without delay (TCP_NODELAY).
+    // Disables Nagle's algorithm.
     let _ = stream.set_nodelay(true);
     let Ok(head) = tokio::time::timeout(HEAD_LIMIT, http::read_head(&mut stream)).await else { return };
     connection::answer(stream, head, shared, pending_connection).await;
 }
 
-/// 128 random bits from the kernel, in hexadecimal.
+/// Returns 128 random bits from the kernel, in hexadecimal.
 fn random_token() -> Result<String, ViewerError> {
     use std::io::Read;
     let mut bytes = [0; 16];

@@ -1,5 +1,6 @@
-//! Pending connections: connections that have not shown the token, such as an incomplete request or a file of the page in transit. Anybody can open
-//! them, so their number is limited and a new one evicts an old one: opening idle connections locks nobody out.
+//! Pending connections: connections that have not presented the token, such as an incomplete request or a
+//! page file in transit. Anyone can open them, so their number is limited and a new one evicts an old one:
+//! idle connections lock no client out.
 
 use std::cell::RefCell;
 use std::collections::HashMap;
@@ -37,7 +38,7 @@ pub(super) struct PendingConnection {
 }
 
 impl PendingConnections {
-    /// Admits a pending connection. If there are too many, closes the oldest pending connection of the address that has the most.
+    /// Admits a pending connection. At the limit, closes the oldest one of the address that has the most.
     pub fn admit(&self, peer: IpAddr) -> PendingConnection {
         let mut list = self.0.borrow_mut();
         if list.entries.len() >= MAX_PENDING
@@ -68,7 +69,7 @@ fn oldest_of_most(entries: &[Entry]) -> Option<usize> {
 }
 
 impl PendingConnection {
-    /// The pending connection's number.
+    /// Returns the pending connection's number.
     pub fn number(&self) -> u64 {
         self.number
     }

@@ -1,4 +1,4 @@
-//! The bone as removals change it, and its surface on the board.
+//! The bone with removals applied, and its surface on the board.
 
 use ipc_types::messages::Removed;
 use voxel_grid::VoxelGrid;
@@ -9,7 +9,7 @@ use crate::board::Board;
 use crate::channels::SURFACE;
 use crate::info::VolumeBox;
 
-/// Blocks meshed per call, before other work gets its turn.
+/// Number of blocks meshed per call, so that other work gets its turn.
 const BLOCKS_AT_ONCE: usize = 64;
 
 /// Voxels, blocks, and the predrilled voxels.
@@ -42,7 +42,7 @@ impl Bone {
         voxels.iter().for_each(|index| self.set(*index, Voxel::Removed));
     }
 
-    /// Restores all but the predrilled voxels.
+    /// Restores all voxels except the predrilled ones.
     pub fn restore(&mut self) {
         let predrilled = self.predrilled.clone();
         self.field.removed().into_iter().for_each(|index| self.set(index, Voxel::Present));

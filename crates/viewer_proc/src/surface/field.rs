@@ -2,7 +2,7 @@
 
 use voxel_grid::VoxelGrid;
 
-/// Which voxels have been drilled away; the Hounsfield units stay where they are.
+/// Which voxels have been drilled away; the Hounsfield units are kept unchanged.
 #[derive(Debug, Clone)]
 pub struct Field {
     grid: VoxelGrid,
@@ -11,17 +11,17 @@ pub struct Field {
     removed_count: u64,
 }
 
-/// Whether a voxel is still there.
+/// Whether a voxel is still present.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Voxel {
-    /// It is.
+    /// Present.
     Present,
-    /// It was drilled away.
+    /// Drilled away.
     Removed,
 }
 
 impl Field {
-    /// A field with nothing drilled.
+    /// Creates a field with nothing drilled.
     pub fn new(grid: VoxelGrid, threshold_hu: i16) -> Field {
         Field { grid, threshold_hu, removed: vec![0; grid.voxel_count().div_ceil(64)], removed_count: 0 }
     }
@@ -52,7 +52,7 @@ impl Field {
         true
     }
 
-    /// Whether a voxel was drilled away; one outside of the grid was not.
+    /// Whether a voxel was drilled away; false outside the grid.
     pub fn is_removed(&self, index: usize) -> bool {
         self.removed.get(index / 64).is_some_and(|word| word >> (index % 64) & 1 != 0)
     }
@@ -66,9 +66,9 @@ impl Field {
         self.removed.iter().enumerate().filter(|(_, bits)| **bits != 0).flat_map(bits).collect()
     }
 
-    /// HU above the threshold at the voxels of a row along i, starting at `first`; negative is outside. Outside the grid there is no bone,
-    /// so the surface is closed. A drilled voxel is as far outside as it was inside, so the surface runs half-way between it and its
-    /// neighbours.
+    /// Fills a row along i, starting at `first`, with the HU above the threshold; negative is outside.
+    /// Outside the grid there is no bone, so the surface is closed. A drilled voxel is as far outside as it
+    /// was inside, so the surface runs half-way between it and its neighbours.
     pub fn row(&self, hu: &[i16], first: [i64; 3], values: &mut [f32]) {
         values.fill(OUTSIDE);
         let [ni, nj, nk] = self.grid.dims();

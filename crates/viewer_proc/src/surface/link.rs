@@ -1,16 +1,17 @@
-//! A link of the arm as a mesh of the page.
+//! A link of the arm as a mesh for the page.
 
 use std::collections::HashMap;
 
 use super::mesh::BlockMesh;
 
-/// Steps along the longest side of a mesh: 16 bits hold one more.
+/// Steps along the longest side of a mesh: one less than 16 bits allow.
 const STEPS: f64 = 65_534.0;
-/// Least length of a step, m: that of a mesh without extent.
+/// Minimum length of a step, m, for a mesh without extent.
 const LEAST_STEP_M: f64 = 1e-9;
 
-/// The mesh of the link that moves with frame `frame` of the arm, from triangles in that frame, m, counterclockwise seen from outside.
-/// Every facet keeps its own normal, so edges of a housing stay sharp.
+/// Returns the mesh of the link that moves with frame `frame` of the arm, from triangles in that frame, m,
+/// counterclockwise seen from outside. Every facet keeps its own normal, so the edges of a housing stay
+/// sharp.
 pub fn link_mesh(frame: u32, triangles_m: &[[[f64; 3]; 3]]) -> BlockMesh {
     let (mut least, mut most) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
     for corner in triangles_m.iter().flatten() {
@@ -38,7 +39,7 @@ pub fn link_mesh(frame: u32, triangles_m: &[[[f64; 3]; 3]]) -> BlockMesh {
     BlockMesh::new(frame, scale_m, &vertices, normals, indices)
 }
 
-/// The outward normal in 127ths; `None`: the triangle has no area.
+/// Returns the outward normal in 127ths, or `None` if the triangle has no area.
 fn normal_of([a, b, c]: &[[f64; 3]; 3]) -> Option<[i8; 3]> {
     let along = |end: &[f64; 3]| -> [f64; 3] { core::array::from_fn(|axis| end[axis] - a[axis]) };
     let (u, v) = (along(b), along(c));

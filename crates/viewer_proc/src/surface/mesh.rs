@@ -27,7 +27,7 @@ impl BlockMesh {
         BlockMesh { block, origin: [0; 3], scale_m: 1.0, positions, normals, indices }
     }
 
-    /// A mesh of vertices given in steps from the patient frame's origin, spanning less than 65536 steps.
+    /// Creates a mesh from vertices in steps from the patient frame's origin, spanning less than 65536 steps.
     pub fn new(
         block: u32,
         scale_m: f64,
@@ -48,19 +48,20 @@ impl BlockMesh {
         }
     }
 
-    /// A vertex in steps from the patient frame's origin; identical in blocks that share it.
+    /// Returns a vertex in steps from the patient frame's origin; identical in all blocks that share it.
     pub fn steps(&self, vertex: u32) -> [i64; 3] {
         let position = self.positions[vertex as usize];
         core::array::from_fn(|axis| self.origin[axis] + i64::from(position[axis]))
     }
 
-    /// A vertex in the patient frame, m.
+    /// Returns a vertex in the patient frame, m.
     pub fn vertex_m(&self, vertex: u32) -> [f64; 3] {
         self.steps(vertex).map(|steps| steps as f64 * self.scale_m)
     }
 
-    /// Wire format, little-endian: magic, version, block, number of vertices and of indices (u32), origin (3 f32, m), scale (f32, m),
-    /// positions (3 u16), padding to 4 bytes, normals (x, y, z, 0 as i8), indices (u32).
+    /// Returns the wire format, little-endian: magic, version, block, number of vertices and of indices
+    /// (u32), origin (3 f32, m), scale (f32, m), positions (3 u16), padding to 4 bytes, normals (x, y, z, 0
+    /// as i8), indices (u32).
     pub fn bytes(&self) -> Vec<u8> {
         let mut bytes = Vec::with_capacity(40 + self.positions.len() * 10 + self.indices.len() * 4);
         let counts = [self.positions.len() as u32, self.indices.len() as u32];

@@ -1,9 +1,10 @@
 //! The bone's surface, block by block: only blocks whose voxels have changed are meshed again.
 //!
-//! Method: surface nets (Gibson, "Constrained Elastic Surface Nets", 1998) without relaxation. Each cell of eight voxel centres that the
-//! surface crosses has one vertex, the mean of the points where the surface crosses the cell's edges. Each edge between voxels on opposite
-//! sides has a quadrilateral of the four cells around it. A cell's vertex depends only on its eight voxels, so blocks meshed at different
-//! times fit together exactly.
+//! Method: surface nets (Gibson, "Constrained Elastic Surface Nets", 1998) without relaxation. Each cell of
+//! eight voxel centres that the surface crosses has one vertex, the mean of the points where the surface
+//! crosses the cell's edges. Each edge between voxels on opposite sides has a quadrilateral of the four cells
+//! around it. A cell's vertex depends only on its eight voxels, so blocks meshed at different times fit
+//! together exactly.
 
 pub mod bone;
 pub mod field;

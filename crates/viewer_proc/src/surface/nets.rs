@@ -1,4 +1,4 @@
-//! Meshing.
+//! Meshing of the blocks.
 
 use std::collections::BTreeSet;
 
@@ -11,7 +11,7 @@ use super::mesh::BlockMesh;
 pub const BLOCK: i64 = 24;
 /// Cells along a block's edge, including those shared with its lower neighbours.
 const CELLS: usize = BLOCK as usize + 1;
-/// Voxels that these cells touch, along an edge.
+/// Voxels along an edge that these cells touch.
 const VOXELS: usize = CELLS + 1;
 
 /// The blocks of a field, and which of them need meshing.
@@ -31,7 +31,8 @@ impl Blocks {
     pub fn new(grid: &VoxelGrid) -> Blocks {
         let counts = grid.dims().map(|n| (n as u64 + 1).div_ceil(BLOCK as u64) as i64);
         let total = counts.iter().product::<i64>() as u32;
-        // The length of a step: a block with its neighbours' cells spans less than 65536 steps in any direction.
+        // The length of a step: a block with its neighbours' cells spans less than 65536 steps in any
+        // direction.
         let largest = grid.spacing_m().iter().fold(0.0f64, |all, spacing| all.max(*spacing));
         let scale_m = largest * VOXELS as f64 * 3f64.sqrt() / 65000.0;
         Blocks { counts, changed: (0..total).collect(), shown: BTreeSet::new(), scale_m }
@@ -49,7 +50,8 @@ impl Blocks {
 
     /// Marks the blocks whose cells touch this voxel for meshing.
     pub fn touch(&mut self, voxel: [usize; 3]) {
-        // Voxel v touches cells v − 1 and v. A block meshes cells from one before its first voxel, and edges from its own voxels.
+        // Voxel v touches cells v − 1 and v. A block meshes cells from one before its first voxel, and edges
+        // from its own voxels.
         let range = |axis: usize| {
             let shifted = voxel[axis] as i64 + 1;
             let last = self.counts[axis] - 1;
@@ -65,7 +67,8 @@ impl Blocks {
         }
     }
 
-    /// Meshes at most `most` of the waiting blocks. A block that has just become empty is returned without vertices.
+    /// Meshes at most `most` of the waiting blocks. A block that has just become empty is returned without
+    /// vertices.
     pub fn mesh_changed(&mut self, field: &Field, hu: &[i16], most: usize) -> Vec<BlockMesh> {
         let mut meshes = Vec::new();
         while meshes.len() < most
@@ -207,7 +210,8 @@ impl Builder<'_> {
         number
     }
 
-    /// Mean of the points where the surface crosses a cell's edges, in voxels from its lowest corner, and the cell's mean gradient.
+    /// Returns the mean of the points where the surface crosses a cell's edges, in voxels from its lowest
+    /// corner, and the cell's mean gradient.
     fn crossing(&self, cell: [usize; 3]) -> ([f64; 3], [f64; 3]) {
         let values: [f64; 8] = core::array::from_fn(|corner| {
             let offset = CORNERS[corner];
@@ -235,13 +239,13 @@ impl Builder<'_> {
     }
 }
 
-/// A gradient per voxel as one per metre of the patient frame.
+/// Converts a gradient per voxel to one per metre in the patient frame.
 fn world_gradient(grid: &VoxelGrid, gradient: [f64; 3]) -> [f64; 3] {
     let (axes, spacing_m) = (grid.axes(), grid.spacing_m());
     core::array::from_fn(|row| (0..3).map(|axis| axes[axis][row] * gradient[axis] / spacing_m[axis]).sum())
 }
 
-/// Outward unit normal in 127ths; values are higher inside the bone.
+/// Returns the outward unit normal in 127ths; values are higher inside the bone.
 fn normal(gradient: [f64; 3]) -> [i8; 3] {
     let length = gradient.iter().map(|x| x * x).sum::<f64>().sqrt();
     if length == 0.0 { [0, 0, 127] } else { gradient.map(|x| (-127.0 * x / length).round() as i8) }

@@ -1,4 +1,4 @@
-//! The server against a WebSocket client that is not ours: the protocol, and what hostile clients are told.
+//! Tests the server with an independent WebSocket client: the protocol, and the replies to hostile clients.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test")]
 
 mod running;
@@ -52,7 +52,7 @@ fn channels_have_the_logs_topics_and_schemas_and_deliver_their_messages() {
         assert_eq!(payload, [CDR_LITTLE_ENDIAN.as_slice(), state.as_bytes()].concat());
         assert_eq!(payload.len(), 4 + State::DESCRIPTION.size);
 
-        // Whoever comes later is given what is newest, of the surface each block.
+        // A client that subscribes later gets the newest message; for the surface, every block.
         running.board.publish_json(INFO, &json!({"kind": "live"}));
         (0..3).for_each(|block| running.board.publish(SURFACE, 0, block, vec![block as u8]));
         let (mut late, channels) = running.client().await;
@@ -63,7 +63,7 @@ fn channels_have_the_logs_topics_and_schemas_and_deliver_their_messages() {
             assert_eq!(next_data(&mut late).await.2, [block]);
         }
 
-        // Of three notices only the last was kept.
+        // Only the newest notices are kept.
         (0..70).for_each(|number| running.board.notice("info", &format!("notice {number}")));
         subscribe(&mut late, 3, channel(&channels, NOTICE)).await;
         for number in 6..70 {
@@ -114,7 +114,7 @@ fn only_a_client_with_the_token_commands() {
     });
 }
 
-/// Any user of the machine can reach the port: states, scene and bone were served to all of them.
+/// Any user of the machine can reach the port; states, scene and bone must not be served to them.
 #[test]
 fn nothing_is_served_to_a_client_without_the_token() {
     with_server(async |running| {
@@ -133,12 +133,12 @@ fn nothing_is_served_to_a_client_without_the_token() {
             assert_eq!(frame.code, CloseCode::Policy, "{query}");
             assert!(frame.reason.contains("token") && frame.reason.contains("printed"), "{}", frame.reason);
         }
-        // The page itself holds nothing of the run.
+        // The page itself contains nothing of the run.
         let page = http(&running, &format!("GET / HTTP/1.1\r\nHost: {}\r\n\r\n", running.address)).await;
         assert!(page.starts_with("HTTP/1.1 200 OK") && !page.contains(&running.token));
         running.client().await;
     });
-    // Where it is chosen so, who has no token watches, and commands nothing.
+    // If so configured, a client without the token can watch but not control.
     with(Running::start(true), async |running| {
         let mut socket = running.open_with("", "foxglove.sdk.v1", None).await.unwrap();
         assert_eq!(next_text(&mut socket).await["op"], "serverInfo");
@@ -161,7 +161,7 @@ fn no_other_origin_connects() {
             assert_eq!(response.status(), 403, "{origin}");
         }
         let Err(Error::Http(response)) = running.open("mqtt", None).await else {
-            panic!("a subprotocol not ours")
+            panic!("an unsupported subprotocol was accepted")
         };
         assert_eq!(response.status(), 400);
     });
@@ -193,12 +193,12 @@ fn the_page_is_served_and_nothing_else() {
     });
 }
 
-/// All connections that the server takes were idle ones, for five seconds and again, and the page did not come.
+/// Idle connections must not use up the server's connections and lock the page out.
 #[test]
 fn idle_connections_keep_nobody_from_the_page() {
     with_server(async |running| {
         let get = format!("GET / HTTP/1.1\r\nHost: {}\r\n\r\n", running.address);
-        // Somebody at another address who is slow.
+        // A slow client at another address.
         let slow = TcpSocket::new_v4().unwrap();
         slow.bind("127.0.0.2:0".parse().unwrap()).unwrap();
         let mut slow = slow.connect(running.address).await.unwrap();
@@ -216,7 +216,7 @@ fn idle_connections_keep_nobody_from_the_page() {
         let mut answer = String::new();
         slow.read_to_string(&mut answer).await.unwrap();
         assert!(answer.starts_with("HTTP/1.1 200 OK"), "{answer}");
-        // Who has the token stays.
+        // The client with the token stays connected.
         subscribe(&mut client, 1, channel(&channels, INFO)).await;
         running.board.publish_json(INFO, &json!({"kind": "live"}));
         assert_eq!(next_data(&mut client).await.2, b"{\"kind\":\"live\"}");
@@ -247,7 +247,7 @@ fn hostile_clients_are_told_and_closed_and_others_go_on() {
         subscribe(&mut good, 1, channel(&channels, Topic::State.name())).await;
 
         let (mut oversized, _) = running.client().await;
-        // The server closes in the middle of it.
+        // The server closes in the middle of the message.
         let _ = oversized.send(Message::text("x".repeat(70 << 10))).await;
         assert_eq!(close_code(&mut oversized).await, CloseCode::Size);
 
@@ -260,7 +260,7 @@ fn hostile_clients_are_told_and_closed_and_others_go_on() {
         let _ = flooding.flush().await;
         assert_eq!(close_code(&mut flooding).await, CloseCode::Policy);
 
-        // What is malformed is answered; the connection stays.
+        // Malformed messages are answered; the connection stays open.
         let (mut malformed, _) = running.client().await;
         for text in [
             "{",
@@ -301,7 +301,7 @@ fn a_client_that_never_reads_holds_nobody_up_and_is_told_what_it_lost() {
         while !running.board.wants(Topic::State.name()) {
             tokio::time::sleep(Duration::from_millis(1)).await;
         }
-        // Much more than its queue and the sockets' buffers hold; publishing never waits.
+        // Much more than its queue and the sockets' buffers hold; publishing never blocks.
         let big = vec![0; 1 << 20];
         let count = 10 * (Limits::default().stream_bytes >> 20) as u64;
         for number in 1..=count {
@@ -322,12 +322,14 @@ fn a_client_that_never_reads_holds_nobody_up_and_is_told_what_it_lost() {
     });
 }
 
-/// A body of a `/slice` request.
+/// Returns the body of a `/slice` request.
 fn slice(columns: u64) -> Value {
-    json!({"centre_m": [0, 0, 0], "right": [1, 0, 0], "down": [0, 1, 0], "side_m": [0.1, 0.1], "columns": columns, "rows": 4})
+    json!({"centre_m": [0, 0, 0], "right": [1, 0, 0], "down": [0, 1, 0], "side_m": [0.1, 0.1],
+        "columns": columns, "rows": 4})
 }
 
-/// A client that asks for a thousand slices has few under way; what it asks for beyond them is refused at once, and it stays connected.
+/// A client that requests a thousand slices has only a few in progress; the rest are refused at once, and it
+/// stays connected.
 #[test]
 fn a_client_has_few_slices_under_way_and_the_rest_is_refused() {
     with_server(async |running| {
@@ -338,11 +340,11 @@ fn a_client_has_few_slices_under_way_and_the_rest_is_refused() {
         for number in MOST_UNDER_WAY as u32..900 {
             let (call, response) = next_response(&mut socket).await;
             assert_eq!(call, number);
-            assert!(response["error"].as_str().unwrap().contains("under way"), "{response}");
+            assert!(response["error"].as_str().unwrap().contains("in progress"), "{response}");
         }
         let waiting: Vec<_> = running.called.try_iter().collect();
         assert_eq!(waiting.len(), MOST_UNDER_WAY);
-        // Each answer makes room for one request.
+        // Each reply makes room for one request.
         for (number, call) in waiting.into_iter().enumerate() {
             assert!(matches!(call.request, Request::Slice(_)));
             call.reply(Reply::Bytes { encoding: ENCODING, bytes: vec![7, number as u8] });
@@ -371,7 +373,7 @@ fn what_is_no_slice_is_refused_and_a_slice_needs_no_token_of_who_may_watch() {
         let mut far = slice(4);
         far["centre_m"][1] = json!(1e300);
         for (body, why) in
-            [(slice(0), "pixels"), (slice(513), "513"), (far, "a slice about"), (json!([]), "malformed")]
+            [(slice(0), "pixels"), (slice(513), "513"), (far, "slice centre"), (json!([]), "malformed")]
         {
             socket.send(call_bytes(SLICE, 5, &body)).await.unwrap();
             let (_, response) = next_response(&mut socket).await;

@@ -1,4 +1,4 @@
-//! A server that runs, and a client's side of the protocol.
+//! A running server, and the client side of the protocol.
 
 use std::rc::Rc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -74,7 +74,7 @@ impl Running {
         Ok(socket)
     }
 
-    /// A client that has heard what there is: itself and the channels by topic.
+    /// Connects a client and reads the server info and the channels by topic.
     pub async fn client(&self) -> (Socket, Vec<Value>) {
         let mut socket = self.open("foxglove.sdk.v1", None).await.unwrap();
         assert_eq!(next_text(&mut socket).await["op"], "serverInfo");
@@ -114,7 +114,7 @@ pub async fn next_text(socket: &mut Socket) -> Value {
     }
 }
 
-/// Subscription, log time and payload of the next message of a channel.
+/// Returns subscription, log time and payload of the next channel message.
 pub async fn next_data(socket: &mut Socket) -> (u32, u64, Vec<u8>) {
     loop {
         match socket.next().await.unwrap().unwrap() {
@@ -149,7 +149,7 @@ pub async fn close_code(socket: &mut Socket) -> CloseCode {
         match socket.next().await {
             Some(Ok(Message::Close(Some(frame)))) => return frame.code,
             Some(Ok(_)) => {}
-            other => panic!("closed without a word: {other:?}"),
+            other => panic!("closed without a reason: {other:?}"),
         }
     }
 }
@@ -164,7 +164,7 @@ pub fn call_bytes(service: u32, call: u32, body: &Value) -> Message {
     Message::binary(bytes)
 }
 
-/// Call's number and the response.
+/// Returns the call's number and the response.
 pub async fn next_response(socket: &mut Socket) -> (u32, Value) {
     loop {
         if let Message::Binary(bytes) = socket.next().await.unwrap().unwrap()
@@ -183,7 +183,7 @@ pub async fn http(running: &Running, request: &str) -> String {
     let mut stream = running.tcp().await;
     stream.write_all(request.as_bytes()).await.unwrap();
     let mut answer = Vec::new();
-    // The server may close before it has taken everything.
+    // The server may close before it has read everything.
     let _ = stream.read_to_end(&mut answer).await;
     String::from_utf8_lossy(&answer).into_owned()
 }

@@ -1,13 +1,16 @@
-//! Decoders of packed pixels, each behind checks that its crate does not make: sizes before memory, and no invented pixels.
+//! Decoders of compressed pixels, each behind checks that its crate lacks: sizes are checked before
+//! allocation, and missing pixels are never invented.
 
 use super::pixels::Shape;
 use crate::error::VolumeError;
 use std::path::Path;
 
-/// Most pixels per byte of JPEG data: 8 in a lossless image, where every pixel takes at least a bit; 512 in one coded in blocks of 64,
-/// where a block's first coefficient takes at least a bit (ITU-T T.81, annexes F to H).
+/// Most pixels per byte of JPEG data: 8 in a lossless image, where every pixel takes at least a bit; 512 in
+/// one coded in blocks of 64, where a block's first coefficient takes at least a bit (ITU-T T.81, annexes F
+/// to H).
 const JPEG_PIXELS_PER_BYTE: u64 = 512;
-/// JPEG-LS codes runs, so the format has no useful bound. This limit is ours, as for bzip2: far above what any image with noise reaches, beyond what an empty slice of 2048 x 2048 pixels needs.
+/// JPEG-LS codes runs, so the format has no useful bound. This limit is our own, as for bzip2: far above what
+/// any image with noise reaches, and above what an empty slice of 2048 x 2048 pixels needs.
 const RUN_PIXELS_PER_BYTE: u64 = 2000;
 const RUN_FREE_PIXELS: u64 = 1 << 22;
 
@@ -21,11 +24,12 @@ pub(super) fn corrupt(path: &Path, codec: &'static str, reason: impl Into<String
     VolumeError::Corrupt { path: path.into(), codec, reason: reason.into() }
 }
 
-/// RLE lossless (PS3.5 annex G): a header of 16 u32, then one PackBits segment a byte plane, most significant first.
+/// RLE lossless (PS3.5 annex G): a header of 16 u32, then one PackBits segment per byte plane, most
+/// significant first.
 pub(super) fn rle(path: &Path, fragment: &[u8], shape: Shape) -> Result<Vec<u32>, VolumeError> {
     let planes = shape.bytes as usize;
     rle_planes(fragment, shape.count(), planes)
-        .ok_or_else(|| corrupt(path, "RLE", "the segments do not hold the pixels"))
+        .ok_or_else(|| corrupt(path, "RLE", "the segments do not contain all pixels"))
 }
 
 fn rle_planes(fragment: &[u8], count: usize, planes: usize) -> Option<Vec<u32>> {
@@ -69,20 +73,21 @@ fn unpack_bits(segment: &[u8], samples: &mut [u32]) -> Option<()> {
     Some(())
 }
 
-/// Whether the data end with the end-of-image marker (EOI, `ff d9`). A fragment is padded to an even
-/// length, by some programs further.
+/// Whether the data end with the end-of-image marker (EOI, `ff d9`). A fragment is padded to even length;
+/// some programs pad further.
 fn is_ended(data: &[u8]) -> bool {
     let padding = data.iter().rev().take_while(|byte| **byte == 0).count();
     data[..data.len() - padding].ends_with(&[0xff, 0xd9])
 }
 
-/// Size of a frame as its own header states it.
+/// Size of a frame as stated in its own header.
 pub(super) struct StatedSize {
     pub rows: usize,
     pub columns: usize,
 }
 
-/// Checks that the data are whole and can hold as many pixels as `shape` says, of a frame whose own header says `stated`.
+/// Checks that the data are complete and large enough for the pixels of `shape`; `stated` is the size in the
+/// frame's own header.
 pub(super) fn check_frame(
     path: &Path,
     codec: &'static str,
@@ -93,8 +98,10 @@ pub(super) fn check_frame(
 ) -> Result<(), VolumeError> {
     let StatedSize { rows, columns } = stated;
     if (rows, columns) != (shape.rows, shape.columns) {
-        let reason =
-            format!("{rows} x {columns} pixels inside, {} x {} in the header", shape.rows, shape.columns);
+        let reason = format!(
+            "{rows} x {columns} pixels in the frame, {} x {} in the header",
+            shape.rows, shape.columns
+        );
         return Err(corrupt(path, codec, reason));
     }
     // If data are missing, decoders invent pixels, and allocate them first.
@@ -103,7 +110,7 @@ pub(super) fn check_frame(
         return Err(corrupt(path, codec, format!("{} bytes cannot hold {pixels} pixels", data.len())));
     }
     if !is_ended(data) {
-        return Err(corrupt(path, codec, "the data end without the mark of their end"));
+        return Err(corrupt(path, codec, "the data end without an end-of-image marker"));
     }
     Ok(())
 }
@@ -127,7 +134,7 @@ impl FrameHeader {
     }
 }
 
-/// The segments up to the scan: marker and content of each. `None` if they are no chain of segments.
+/// The segments up to the scan: marker and content of each. `None` if the chain of segments is broken.
 fn segments(data: &[u8]) -> Option<Vec<(u8, &[u8])>> {
     let mut out = Vec::new();
     let mut at = 2;
@@ -135,7 +142,7 @@ fn segments(data: &[u8]) -> Option<Vec<(u8, &[u8])>> {
         return None;
     }
     loop {
-        // Fill bytes may stand before a marker (T.81 B.1.1.2).
+        // Fill bytes may precede a marker (T.81 B.1.1.2).
         while data.get(at) == Some(&0xff) && data.get(at + 1) == Some(&0xff) {
             at += 1;
         }
@@ -180,7 +187,7 @@ pub(super) fn jpeg(path: &Path, data: &[u8], shape: Shape) -> Result<Vec<u32>, V
     let wide = match info.pixel_format {
         PixelFormat::L8 => false,
         PixelFormat::L16 => true,
-        other => return Err(corrupt(path, "JPEG", format!("{other:?} pixels in a grey image"))),
+        other => return Err(corrupt(path, "JPEG", format!("{other:?} pixels in a greyscale image"))),
     };
     let size = StatedSize { rows: usize::from(info.height), columns: usize::from(info.width) };
     check_frame(path, "JPEG", data, size, shape, most)?;
@@ -197,7 +204,11 @@ fn jpeg_of_12_bits(path: &Path, data: &[u8]) -> Result<Vec<u32>, VolumeError> {
     let image = libjpeg_turbo_rs::precision::decompress_12bit(data)
         .map_err(|e| corrupt(path, "JPEG", e.to_string()))?;
     if image.num_components != 1 {
-        return Err(corrupt(path, "JPEG", format!("{} components in a grey image", image.num_components)));
+        return Err(corrupt(
+            path,
+            "JPEG",
+            format!("{} components in a greyscale image", image.num_components),
+        ));
     }
     // Samples are 0 to 4095.
     Ok(image.data.iter().map(|sample| u32::from(sample.unsigned_abs())).collect())
@@ -206,22 +217,22 @@ fn jpeg_of_12_bits(path: &Path, data: &[u8]) -> Result<Vec<u32>, VolumeError> {
 /// JPEG-LS (ITU-T T.87), lossless and near-lossless, one component.
 pub(super) fn jpeg_ls(path: &Path, data: &[u8], shape: Shape) -> Result<Vec<u32>, VolumeError> {
     let fail = |reason: &str| corrupt(path, "JPEG-LS", reason);
-    let parts = segments(data).ok_or_else(|| fail("no chain of segments up to the scan"))?;
+    let parts = segments(data).ok_or_else(|| fail("broken chain of segments before the scan"))?;
     let header = frame_header(&parts).filter(|header| header.marker == JPEG_LS_FRAME);
     let header = header.ok_or_else(|| fail("no frame header"))?;
     if header.components != 1 || !(2..=16).contains(&header.bits) {
-        let reason = format!("{} components of {} bits in a grey image", header.components, header.bits);
+        let reason = format!("{} components of {} bits in a greyscale image", header.components, header.bits);
         return Err(fail(&reason));
     }
     check_frame(path, "JPEG-LS", data, header.size(), shape, run_limit(data))?;
-    check_presets(&parts, header.bits)
-        .ok_or_else(|| fail("parameters outside of the ranges of ITU-T T.87"))?;
+    check_presets(&parts, header.bits).ok_or_else(|| fail("parameters out of the ranges of ITU-T T.87"))?;
     let (columns, rows) = (header.columns as u32, header.rows as u32);
     let (samples, ..) = jpegls::decode(data, columns, rows).map_err(|e| fail(&e.to_string()))?;
     Ok(samples.into_iter().map(u32::from).collect())
 }
 
-/// Checks what the decoder trusts: the scan's parameters and the presets (T.87, tables C.1 and C.3, section C.2.4.1.1).
+/// Checks what the decoder does not: the scan's parameters and the presets (T.87, tables C.1 and C.3, section
+/// C.2.4.1.1).
 fn check_presets(parts: &[(u8, &[u8])], bits: u8) -> Option<()> {
     let (_, scan) = parts.iter().find(|(marker, _)| *marker == START_OF_SCAN)?;
     // One component, its number and table; NEAR, interleave, point transform.
@@ -232,7 +243,7 @@ fn check_presets(parts: &[(u8, &[u8])], bits: u8) -> Option<()> {
         let values: Vec<u32> =
             values.chunks_exact(2).map(|b| u32::from(u16::from_be_bytes([b[0], b[1]]))).collect();
         let [given_max, t1, t2, t3, reset] = *values.as_slice() else { return None };
-        // Zero stands for the default.
+        // Zero means the default.
         max = if given_max == 0 { max } else { given_max };
         let or = |value: u32, default: u32| if value == 0 { default } else { value };
         let low = u32::from(near) + 1;

@@ -48,7 +48,7 @@ impl<'a> Fields<'a> {
     pub fn numbers<const N: usize>(&self, tag: Tag, name: &str) -> Result<[f64; N], VolumeError> {
         let expected = format!("{N} finite numbers");
         let Some(text) = self.text(tag)? else {
-            return Err(self.wrong(tag, name, "nothing".into(), &expected));
+            return Err(self.wrong(tag, name, "no value".into(), &expected));
         };
         let parsed: Option<Vec<f64>> =
             text.split('\\').map(|word| word.trim().parse().ok().filter(|n: &f64| n.is_finite())).collect();
@@ -64,7 +64,7 @@ impl<'a> Fields<'a> {
         if self.text(tag)?.is_none() { Ok(None) } else { self.number(tag, name).map(Some) }
     }
 
-    /// Refuses colour images and transformed values before reading any pixel.
+    /// Refuses colour images and look-up tables before any pixel is read.
     pub fn refuse_other_layouts(&self) -> Result<(), VolumeError> {
         let samples = self.optional(Tag(0x0028, 0x0002), "SamplesPerPixel")?.unwrap_or(1.0);
         let photometric = self.text(Tag(0x0028, 0x0004))?.unwrap_or_else(|| "MONOCHROME2".into());
@@ -79,20 +79,20 @@ impl<'a> Fields<'a> {
             return Err(VolumeError::unsupported(
                 self.path,
                 "(0028,3000) ModalityLUTSequence",
-                "a look-up table",
+                "a lookup table",
                 "RescaleSlope and RescaleIntercept",
             ));
         }
         Ok(())
     }
 
-    /// The items of a sequence; none if it is absent.
+    /// The items of a sequence; empty if it is absent.
     pub fn items(&self, tag: Tag) -> Vec<Fields<'a>> {
         let items = self.object.element(tag).ok().and_then(|element| element.items()).unwrap_or_default();
         items.iter().map(|object| Fields { path: self.path, object }).collect()
     }
 
-    /// The one item of a sequence; `None` if it is absent or empty.
+    /// The single item of a sequence; `None` if it is absent or empty.
     pub fn item(&self, tag: Tag) -> Option<Fields<'a>> {
         self.items(tag).into_iter().next()
     }

@@ -1,4 +1,5 @@
-//! A DICOM file in memory: with its preamble or without, its data set unpacked and every length in it checked.
+//! A DICOM file in memory, with or without preamble: its data set is decompressed, and every length in it
+//! checked.
 //!
 //! Source: DICOM PS3.10 section 7 (preamble, file meta group), PS3.5 annex A.5 (deflate).
 
@@ -11,11 +12,11 @@ use dicom_transfer_syntax_registry::entries;
 use std::io::Read;
 use std::path::Path;
 
-/// Largest DICOM file accepted: the largest volume, of 16-bit pixels, and its headers.
+/// Largest accepted DICOM file: the largest volume in 16-bit pixels, plus its headers.
 const MAX_FILE_BYTES: u64 = 2 * voxel_grid::MAX_VOXELS as u64 + (64 << 20);
 /// Deflate cannot exceed 1032:1 (zlib technical notes).
 const MOST_DEFLATE: u64 = 1032;
-/// Bytes that tell a DICOM file.
+/// Leading bytes needed to recognize a DICOM file.
 pub(super) const HEAD_BYTES: usize = 136;
 
 /// A file whose structure has been checked.
@@ -23,15 +24,15 @@ pub(super) struct DicomFile {
     pub bytes: Vec<u8>,
     pub transfer: Transfer,
     pub pixels: Option<Pixels>,
-    /// Where the data set begins, and where its pixels do.
+    /// Where the data set begins, and where its pixels begin.
     data_set: std::ops::Range<usize>,
 }
 
-/// What a file begins with.
+/// How a file begins.
 enum Start {
-    /// The file meta group at this byte.
+    /// With a file meta group at this byte.
     Meta(usize),
-    /// The data set at once, as files from older programs do.
+    /// Directly with the data set, as in files from older programs.
     DataSet(Transfer),
 }
 
@@ -48,7 +49,7 @@ fn start(head: &[u8]) -> Option<Start> {
     {
         return Some(Start::Meta(0));
     }
-    // Group 8 comes first in every image; these elements, all short, may lead it.
+    // Group 8 comes first in every image; these elements, all short, can lead it.
     if group != 0x0008 || ![0x0000, 0x0001, 0x0005, 0x0008, 0x0012, 0x0013, 0x0016, 0x0018].contains(&element)
     {
         return None;
@@ -75,7 +76,8 @@ impl DicomFile {
     /// Reads and checks a file.
     ///
     /// # Errors
-    /// `NotAVolume` without any of the known beginnings; `Truncated`, `Header`, `Unsupported` or `Corrupt` by [`scan`].
+    /// `NotAVolume` if the beginning is not recognized; `Truncated`, `Header`, `Unsupported` or `Corrupt`
+    /// from [`scan`].
     pub fn open(path: &Path) -> Result<DicomFile, VolumeError> {
         let bytes = read_bytes(path)?;
         let (transfer, begin) = match start(&bytes) {
@@ -84,7 +86,7 @@ impl DicomFile {
             None => {
                 return Err(VolumeError::not_a_volume(
                     path,
-                    "no `DICM` after 128 bytes, and no data set at the start (not a DICOM file)",
+                    "not a DICOM file: no `DICM` after 128 bytes, and no data set at the start",
                 ));
             }
         };
@@ -124,10 +126,10 @@ fn read_bytes(path: &Path) -> Result<Vec<u8>, VolumeError> {
 }
 
 fn too_long(path: &Path, given: String) -> VolumeError {
-    VolumeError::unsupported(path, "file size", given, format!("at most {MAX_FILE_BYTES} bytes a file"))
+    VolumeError::unsupported(path, "file size", given, format!("at most {MAX_FILE_BYTES} bytes per file"))
 }
 
-/// Unpacks a data set; memory grows with what arrives, up to the largest file.
+/// Inflates a data set; memory grows with the decoded data, up to the largest file.
 fn inflate(path: &Path, packed: &[u8]) -> Result<Vec<u8>, VolumeError> {
     let most = MAX_FILE_BYTES.min(packed.len() as u64 * MOST_DEFLATE);
     let mut bytes = Vec::new();

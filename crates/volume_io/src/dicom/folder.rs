@@ -1,4 +1,4 @@
-//! Which files of a folder belong to the series that is read.
+//! Collects the files of a folder that belong to the series to be read.
 
 use super::file::{HEAD_BYTES, is_dicom};
 use super::series::assemble;
@@ -13,13 +13,14 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use voxel_grid::Volume;
 
-/// Deepest folder below the one named that is looked into, and most entries in all: a CD of one patient stays far below both.
+/// Limits of the search below a folder: depth, and number of entries in all. A CD of one patient stays far
+/// below both.
 const MAX_DEPTH: usize = 8;
 const MAX_ENTRIES: usize = 200_000;
-/// Series named in an error; the rest is counted.
+/// Series listed in an error; the rest are only counted.
 const LISTED: usize = 12;
 
-/// Reads a series in a folder or below it: the one there is, or the one asked for.
+/// Reads a series in a folder or below it: the selected one, or the only one.
 pub(crate) fn read_folder(folder: &Path, options: &ReadOptions) -> Result<(Volume, VolumeInfo), VolumeError> {
     let found = Found::of(folder, options, 0)?;
     let mut series: BTreeMap<String, Series> = BTreeMap::new();
@@ -42,13 +43,13 @@ pub(crate) fn read_folder(folder: &Path, options: &ReadOptions) -> Result<(Volum
     let chosen = chosen(folder, series, options.series.as_deref())?;
     let mut notes = Vec::new();
     if count > 1 {
-        notes.push(format!("{} other series in the folder were left out", count - 1));
+        notes.push(format!("{} other series in the folder ignored", count - 1));
     }
     if others > 0 {
-        notes.push(format!("{others} files that are not DICOM images were left out"));
+        notes.push(format!("{others} files ignored: not DICOM images"));
     }
     if localizers > 0 {
-        notes.push(format!("{localizers} localizers were left out"));
+        notes.push(format!("{localizers} localizers ignored"));
     }
     let mut slices = Vec::new();
     for file in chosen.files {
@@ -57,17 +58,17 @@ pub(crate) fn read_folder(folder: &Path, options: &ReadOptions) -> Result<(Volum
     assemble(folder, slices, options.slices, notes)
 }
 
-/// The files that [`read_folder`] looks at, and what else its notes depend on.
+/// The files that [`read_folder`] reads, and what else its notes depend on.
 pub(crate) fn sources(folder: &Path, options: &ReadOptions) -> Result<Sources, VolumeError> {
     let found = Found::of(folder, options, 0)?;
-    // Relative, so that a folder that was moved stays the same.
+    // Relative, so that a moved folder has the same key.
     let name = |file: &PathBuf| file.strip_prefix(folder).unwrap_or(file).to_string_lossy().into_owned();
     let mut names: Vec<String> = found.files.iter().map(name).collect();
     names.push(format!("{} other files", found.others));
     Ok(Sources { files: found.files, names, are_encoded: true })
 }
 
-/// The series asked for, or the only one.
+/// The selected series, or the only one.
 fn chosen(
     folder: &Path,
     mut series: BTreeMap<String, Series>,
@@ -75,7 +76,10 @@ fn chosen(
 ) -> Result<Series, VolumeError> {
     let refuse = |series: &BTreeMap<String, Series>| VolumeError::SeveralSeries {
         path: folder.into(),
-        given: wanted.map_or_else(|| "no choice".to_owned(), |uid| format!("series {}", foreign(uid))),
+        given: wanted.map_or_else(
+            || "no series selected".to_owned(),
+            |uid| format!("series {} not found", foreign(uid)),
+        ),
         series: list(series),
     };
     if let Some(uid) = wanted {
@@ -87,7 +91,7 @@ fn chosen(
     series.pop_first().map(|(_, series)| series).ok_or_else(|| refuse(&BTreeMap::new()))
 }
 
-/// The series on one line, the longest first.
+/// The series on one line, longest first.
 fn list(series: &BTreeMap<String, Series>) -> String {
     let mut all: Vec<_> = series.iter().collect();
     all.sort_by_key(|(_, series)| std::cmp::Reverse(series.slices));
@@ -103,7 +107,7 @@ fn list(series: &BTreeMap<String, Series>) -> String {
     text
 }
 
-/// Reads the series that a DICOM file belongs to: every file beside it with the same SeriesInstanceUID.
+/// Reads the series of a DICOM file: every file beside it with the same SeriesInstanceUID.
 pub(crate) fn read_file(path: &Path, options: &ReadOptions) -> Result<(Volume, VolumeInfo), VolumeError> {
     let identity = identify(path)?;
     if identity.images == Images::None {
@@ -120,7 +124,7 @@ pub(crate) fn read_file(path: &Path, options: &ReadOptions) -> Result<(Volume, V
         let own_name = path.file_name();
         let mut localizers = 0;
         for file in found.files.into_iter().filter(|file| file.file_name() != own_name) {
-            // What cannot be identified is none of the series.
+            // A file that cannot be identified does not belong to the series.
             let Some(other) = identify(&file).ok().filter(|other| other.series_uid == uid) else { continue };
             match other.images {
                 Images::None => {}
@@ -129,7 +133,7 @@ pub(crate) fn read_file(path: &Path, options: &ReadOptions) -> Result<(Volume, V
             }
         }
         if localizers > 0 {
-            notes.push(format!("{localizers} localizers were left out"));
+            notes.push(format!("{localizers} localizers ignored"));
         }
     }
     assemble(path, slices, options.slices, notes)
@@ -152,7 +156,7 @@ impl Series {
     }
 }
 
-/// What lies in a folder.
+/// DICOM files found in a folder.
 struct Found {
     where_to: DataFiles,
     files: Vec<PathBuf>,
@@ -161,7 +165,7 @@ struct Found {
 }
 
 impl Found {
-    /// The DICOM files of a folder, which is at this depth, in order.
+    /// The DICOM files of a folder at this depth, sorted.
     fn of(folder: &Path, options: &ReadOptions, depth: usize) -> Result<Found, VolumeError> {
         let mut found = Found { where_to: options.data_files, files: Vec::new(), others: 0, entries: 0 };
         found.look_into(folder, folder, depth)?;
@@ -169,8 +173,9 @@ impl Found {
         Ok(found)
     }
 
-    /// Collects the DICOM files of a folder and of those below, without their index. Refuses a link to such a file elsewhere unless
-    /// `where_to` allows it: an untrusted folder may hold links to the user's own images.
+    /// Collects the DICOM files of a folder and of those below it, except DICOMDIR indexes. Refuses links to
+    /// DICOM files elsewhere unless `where_to` allows them: an untrusted folder may contain links to the
+    /// user's own images.
     fn look_into(&mut self, root: &Path, folder: &Path, depth: usize) -> Result<(), VolumeError> {
         for entry in std::fs::read_dir(folder).map_err(input::io_error(folder, "list"))? {
             let path = entry.map_err(input::io_error(folder, "list"))?.path();
@@ -184,12 +189,12 @@ impl Found {
                 ));
             }
             if path.is_dir() {
-                // A link to a folder may lead in a circle.
+                // A link to a folder could form a cycle.
                 if depth == MAX_DEPTH && !path.is_symlink() {
                     return Err(VolumeError::unsupported(
                         root,
                         "folder",
-                        format!("folders in folders, more than {MAX_DEPTH} deep"),
+                        format!("folders nested more than {MAX_DEPTH} deep"),
                         "the folder of one study",
                     ));
                 }

@@ -1,7 +1,8 @@
-//! JPEG 2000 of one grey component. The decoder takes memory for whatever headers promise and fills in what is missing, so the codestream's
-//! headers and the chain of its tile-parts are checked first.
+//! JPEG 2000 with one greyscale component. The decoder allocates whatever the headers promise and fills in
+//! missing data, so the codestream's headers and the chain of tile-parts are checked first.
 //!
-//! Source: ITU-T T.800 (ISO/IEC 15444-1), annexes A (codestream) and B (tiles, precincts, code-blocks); DICOM PS3.5 annex A.4.4.
+//! Source: ITU-T T.800 (ISO/IEC 15444-1), annexes A (codestream) and B (tiles, precincts, code-blocks); DICOM
+//! PS3.5 annex A.4.4.
 
 use super::codec::{StatedSize, check_frame, corrupt};
 use super::pixels::{Bits, Shape};
@@ -10,23 +11,25 @@ use hayro_jpeg2000::{DecodeSettings, DecoderContext, Image};
 use std::path::Path;
 
 const CODEC: &str = "JPEG 2000";
-/// Most pixels of a frame: 4096 x 4096, which the decoder unpacks in 300 MB.
+/// Largest frame: 4096 x 4096 pixels, which the decoder decodes in 300 MB.
 const MOST_PIXELS: usize = 1 << 24;
-/// Empty code-blocks take no data, so the format has no useful bound. These limits are ours: beyond what an empty slice of 2048 x 2048 pixels
-/// needs, and what the data of larger ones hold at a loss that leaves no picture. A hostile pixel costs 1 to 2 µs, a usual one 0.2.
+/// Empty code-blocks take no data, so the format has no useful bound. These limits are our own: beyond what
+/// an empty slice of 2048 x 2048 pixels needs, and at a compression of larger ones that leaves no image. A
+/// hostile pixel costs 1 to 2 µs, a usual one 0.2.
 const PIXELS_PER_BYTE: u64 = 128;
 const FREE_PIXELS: u64 = 1 << 22;
-/// Most precincts and layers of code-blocks that the decoder keeps a record of (about 100 bytes each), by pixels and by data. An image in
-/// code-blocks of 32 x 32 and ten layers has one in 77 pixels.
+/// Largest number of precincts and layers of code-blocks, for which the decoder keeps records (about 100
+/// bytes each), by pixels and by data. An image with code-blocks of 32 x 32 and ten layers has one per 77
+/// pixels.
 const PIXELS_PER_PART: u64 = 8;
 const PARTS_PER_BYTE: u64 = 4;
 const FREE_PARTS: u64 = 1 << 14;
-/// Layers and bits a sample that the decoder takes; samples up to 16 bits are exact in its `f32`.
+/// Layers and bits per sample that the decoder supports; samples up to 16 bits are exact in its `f32`.
 const LAYERS: u64 = 32;
 const BITS: u8 = 16;
 /// Largest number of wavelet decompositions (T.800 table A.15).
 const DECOMPOSITIONS: u8 = 32;
-/// Bytes of the least tile-part: SOT and SOD (T.800 A.4.2, A.4.3).
+/// Size of the smallest tile-part: SOT and SOD (T.800 A.4.2, A.4.3).
 const LEAST_TILE_PART: u64 = 14;
 
 /// Markers (T.800 table A.2).
@@ -45,7 +48,8 @@ fn fail(path: &Path, reason: impl Into<String>) -> VolumeError {
     corrupt(path, CODEC, reason)
 }
 
-/// Whether the packed bytes of a file can hold its frames. One limit for all of them, else a file of many tiny frames had no bound.
+/// Checks that the compressed bytes of a file can hold its frames. The limit is for all frames together;
+/// otherwise a file of many tiny frames would be unbounded.
 ///
 /// # Errors
 /// `Corrupt` if they cannot.
@@ -57,36 +61,39 @@ pub(super) fn check_file(path: &Path, frames: usize, shape: Shape, bytes: u64) -
     Ok(())
 }
 
-/// Unpacks a frame, lossless or lossy. Samples are numbers in two's complement.
+/// Decodes a frame, lossless or lossy. Samples are in two's complement.
 ///
 /// # Errors
-/// `Corrupt` if the codestream is damaged, incomplete or contradicts the slice's header; `Unsupported` for what the decoder is not asked for.
+/// `Corrupt` if the codestream is damaged, incomplete or contradicts the slice's header; `Unsupported` for
+/// features not supported here.
 pub(super) fn jpeg_2000(path: &Path, data: &[u8], shape: Shape, bits: Bits) -> Result<Vec<u32>, VolumeError> {
     let component = check(path, data, shape)?;
-    // Readers agree on samples of the other sign only if both headers mean the same bits.
+    // Readers agree on samples of the other sign only if both headers state the same bits.
     if component.signed != bits.signed && u32::from(component.bits) != bits.stored {
         let sign = |signed| if signed { "signed" } else { "unsigned" };
         let (inside, outside) = (sign(component.signed), sign(bits.signed));
-        let reason =
-            format!("{inside} {} bits inside, {outside} {} bits in the header", component.bits, bits.stored);
+        let reason = format!(
+            "{inside} {} bits in the codestream, {outside} {} bits in the header",
+            component.bits, bits.stored
+        );
         return Err(fail(path, reason));
     }
-    // Strict: an incomplete packet is an error, and nothing is made up.
+    // Strict: an incomplete packet is an error; nothing is invented.
     let settings = DecodeSettings { resolve_palette_indices: false, strict: true, target_resolution: None };
     let image = Image::new(data, &settings).map_err(|e| fail(path, e.to_string()))?;
     let mut context = DecoderContext::default();
     let decoded = image.decode(&mut context).map_err(|e| fail(path, e.to_string()))?;
     let [samples] = decoded.components() else {
-        return Err(fail(path, format!("{} components in a grey image", decoded.components().len())));
+        return Err(fail(path, format!("{} components in a greyscale image", decoded.components().len())));
     };
-    // The decoder moves samples of either sign to 0 and above.
+    // The decoder shifts samples of either sign to 0 and above.
     let most = (1_i32 << component.bits) - 1;
     let zero = if component.signed { 1 << (component.bits - 1) } else { 0 };
     let number = |sample: &f32| sample.round_ties_even().clamp(0.0, most as f32) as i32 - zero;
     Ok(samples.samples().iter().map(|sample| number(sample) as u32).collect())
 }
 
-/// The one component of an image.
+/// The single component of an image.
 struct Component {
     signed: bool,
     bits: u8,
@@ -95,7 +102,7 @@ struct Component {
 /// Marker segments: marker and content of each.
 type Segments<'a> = Vec<(u8, &'a [u8])>;
 
-/// The segments from byte `at` up to the marker `stop`, and where it stands. `None` if they are no chain.
+/// The segments from byte `at` up to the marker `stop`, and its position. `None` if the chain is broken.
 fn segments(data: &[u8], mut at: usize, stop: u8) -> Option<(Segments<'_>, usize)> {
     let mut out = Vec::new();
     loop {
@@ -119,7 +126,7 @@ fn check(path: &Path, data: &[u8], shape: Shape) -> Result<Component, VolumeErro
         return Err(fail(path, "no codestream at the start (SOC, SIZ)"));
     }
     let (main, begin) =
-        segments(data, 2, SOT).ok_or_else(|| fail(path, "no chain of segments up to a tile"))?;
+        segments(data, 2, SOT).ok_or_else(|| fail(path, "broken chain of segments before the first tile"))?;
     let (grid, component) = Grid::read(path, data, main[0].1, shape)?;
     let style = check_header(path, &main[1..], &[TLM, CRG, COM])?;
     let style = style.ok_or_else(|| fail(path, "no coding style (COD)"))?;
@@ -129,12 +136,12 @@ fn check(path: &Path, data: &[u8], shape: Shape) -> Result<Component, VolumeErro
     let mut at = begin;
     while data.get(at..at + 2) == Some(&[0xff, SOT]) {
         if word(data, at + 6) == Some(0) {
-            return Err(unsupported(path, "a tile-part that does not say how long it is"));
+            return Err(unsupported(path, "a tile-part of unstated length"));
         }
         let (tile, end) =
-            tile_part(data, at).ok_or_else(|| fail(path, format!("no whole tile-part at byte {at}")))?;
+            tile_part(data, at).ok_or_else(|| fail(path, format!("no complete tile-part at byte {at}")))?;
         let (header, _) = segments(&data[..end], at + 12, SOD)
-            .ok_or_else(|| fail(path, format!("no chain of segments in the tile-part at byte {at}")))?;
+            .ok_or_else(|| fail(path, format!("broken chain of segments in the tile-part at byte {at}")))?;
         if let Some(style) = check_header(path, &header, &[PLT, COM])? {
             parts += style.parts(width, height);
         }
@@ -143,7 +150,7 @@ fn check(path: &Path, data: &[u8], shape: Shape) -> Result<Component, VolumeErro
         at = end;
     }
     if data.get(at..at + 2) != Some(&[0xff, EOC]) {
-        return Err(fail(path, format!("neither a tile-part nor the end at byte {at}")));
+        return Err(fail(path, format!("neither a tile-part nor the end of the codestream at byte {at}")));
     }
     if let Some(tile) = tiles.iter().position(|seen| !seen) {
         return Err(fail(path, format!("tile {tile} of {} is missing", grid.tiles)));
@@ -156,7 +163,7 @@ fn check(path: &Path, data: &[u8], shape: Shape) -> Result<Component, VolumeErro
     Ok(component)
 }
 
-/// The tile that a tile-part belongs to, and where the tile-part ends (T.800 A.4.2).
+/// The tile of a tile-part, and where the tile-part ends (T.800 A.4.2).
 fn tile_part(data: &[u8], at: usize) -> Option<(usize, usize)> {
     let [_, _, 0, 10, high, low, ..] = *data.get(at..at + 12)? else { return None };
     let length = word(data, at + 6)? as usize;
@@ -165,10 +172,10 @@ fn tile_part(data: &[u8], at: usize) -> Option<(usize, usize)> {
     whole.then_some((usize::from(u16::from_be_bytes([high, low])), end))
 }
 
-/// Tiles of the image.
+/// Tile grid of the image.
 struct Grid {
     tiles: u64,
-    /// Pixels along and across the largest.
+    /// Size of the largest tile, pixels along and across.
     tile: [u64; 2],
 }
 
@@ -177,15 +184,15 @@ impl Grid {
     fn read(path: &Path, data: &[u8], siz: &[u8], shape: Shape) -> Result<(Grid, Component), VolumeError> {
         let components = siz.get(34..36).map_or(0, |bytes| u16::from_be_bytes([bytes[0], bytes[1]]));
         if components != 1 {
-            return Err(fail(path, format!("{components} components in a grey image")));
+            return Err(fail(path, format!("{components} components in a greyscale image")));
         }
         let [signed_bits, 1, 1] = *siz.get(36..).unwrap_or_default() else {
-            return Err(fail(path, "a component that is sampled down"));
+            return Err(fail(path, "a subsampled component"));
         };
         let component = Component { signed: signed_bits & 0x80 != 0, bits: (signed_bits & 0x7f) + 1 };
         let most = BITS.min(8 * shape.bytes as u8);
         if component.bits > most {
-            return Err(fail(path, format!("{} bits a sample, expected at most {most}", component.bits)));
+            return Err(fail(path, format!("{} bits per sample, expected at most {most}", component.bits)));
         }
         let field = |number: usize| word(siz, 2 + 4 * number).unwrap_or(0);
         // Image, its offset, tile, its offset; each along and across.
@@ -194,7 +201,7 @@ impl Grid {
             return Err(unsupported(path, "an image that does not begin at the origin of its grid"));
         }
         if shape.count() > MOST_PIXELS {
-            let given = format!("{} x {} pixels a frame", shape.rows, shape.columns);
+            let given = format!("{} x {} pixels per frame", shape.rows, shape.columns);
             return Err(unsupported(path, &given));
         }
         let size = StatedSize { rows: rows as usize, columns: columns as usize };
@@ -218,13 +225,14 @@ fn unsupported(path: &Path, given: &str) -> VolumeError {
         "(7fe0,0010) PixelData",
         format!("JPEG 2000 with {given}"),
         format!(
-            "at most {MOST_PIXELS} pixels from the origin on, tile-parts of stated length, no region of interest, packed packet headers or \
+            "at most {MOST_PIXELS} pixels from the origin, tile-parts of stated length, no region of \
+             interest, packed packet headers or \
              changes of progression; convert it, for example with `gdcmconv --raw`"
         ),
     )
 }
 
-/// Checks the segments of a header, of which those in `others` are passed over; returns its coding style.
+/// Checks the segments of a header, ignoring those in `others`; returns its coding style.
 fn check_header(
     path: &Path,
     segments: &[(u8, &[u8])],
@@ -235,18 +243,20 @@ fn check_header(
         match *marker {
             COD => {
                 let read = CodingStyle::read(content);
-                style = Some(read.ok_or_else(|| fail(path, "a coding style (COD) out of its range"))?);
+                style = Some(read.ok_or_else(|| fail(path, "a coding style (COD) out of range"))?);
             }
-            QCD => check_quantization(content)
-                .ok_or_else(|| fail(path, "a quantization (QCD) out of its range"))?,
+            QCD => {
+                check_quantization(content).ok_or_else(|| fail(path, "a quantization (QCD) out of range"))?
+            }
             other if others.contains(&other) => {}
-            other => return Err(unsupported(path, &format!("a segment of marker ff{other:02x}"))),
+            other => return Err(unsupported(path, &format!("a segment with marker ff{other:02x}"))),
         }
     }
     Ok(style)
 }
 
-/// The QCD segment (T.800 A.6.4): as many values as its style has for the subbands, of which there are 3 a decomposition and 1.
+/// The QCD segment (T.800 A.6.4): one value per subband of its style; there are 3 subbands per decomposition,
+/// plus 1.
 fn check_quantization(content: &[u8]) -> Option<()> {
     let (style, values) = content.split_first()?;
     let most = 3 * usize::from(DECOMPOSITIONS) + 1;
@@ -259,18 +269,18 @@ fn check_quantization(content: &[u8]) -> Option<()> {
     valid.then_some(())
 }
 
-/// What a COD segment says of code-blocks and precincts (T.800 A.6.1).
+/// Code-blocks and precincts as given by a COD segment (T.800 A.6.1).
 struct CodingStyle {
     layers: u64,
     decompositions: u8,
     /// Size of a code-block, along and across, as exponents of 2.
     block: [u32; 2],
-    /// Sizes of the precincts at each resolution, likewise; none for 2^15.
+    /// Sizes of the precincts at each resolution, likewise; empty means 2^15.
     precincts: Vec<[u32; 2]>,
 }
 
 impl CodingStyle {
-    /// `None` if the segment is none of T.800's, or has more layers than the decoder takes.
+    /// `None` if the segment is malformed, or has more layers than the decoder supports.
     fn read(content: &[u8]) -> Option<CodingStyle> {
         let (fixed, sizes) = content.split_first_chunk::<10>()?;
         let [style, _, high, low, _, decompositions, block_x, block_y, ..] = *fixed;
@@ -286,15 +296,15 @@ impl CodingStyle {
         valid.then_some(CodingStyle { layers, decompositions, block, precincts })
     }
 
-    /// Not less than a tile's number of precincts and layers of code-blocks (T.800 B.5 to B.7).
+    /// Upper bound of a tile's number of precincts and layers of code-blocks (T.800 B.5 to B.7).
     fn parts(&self, width: u64, height: u64) -> u64 {
-        // Those that fit, and one at either end.
+        // As many as fit, plus one at either end.
         let cut = |extent: u64, exponent: u32| (extent >> exponent) + 2;
         let at = |resolution: u8| {
             let scale = u32::from(self.decompositions - resolution);
             let size = [width, height].map(|extent| extent.div_ceil(1 << scale));
             let precinct = *self.precincts.get(usize::from(resolution)).unwrap_or(&[15, 15]);
-            // Subbands above the first resolution are half as large, and three.
+            // Above the first resolution there are three subbands of half the size.
             let (half, bands) = if resolution == 0 { (0, 1) } else { (1, 3) };
             let block = [0, 1].map(|axis| self.block[axis].min(precinct[axis].saturating_sub(half)));
             let precincts = cut(size[0], precinct[0]) * cut(size[1], precinct[1]);
@@ -320,8 +330,8 @@ mod tests {
         assert!(error.to_string().contains("25600 bytes cannot hold 536870912 pixels"), "{error}");
     }
 
-    /// As T.800 counts them: 512 x 512 pixels, 5 decompositions, blocks of 64 x 64. Subbands of 256, 128 and so on down to 16 pixels have
-    /// 16, 4, 1, 1 and 1 blocks, three of each size, and one of 16 more.
+    /// Counted as in T.800: 512 x 512 pixels, 5 decompositions, blocks of 64 x 64. Subbands of 256, 128 and
+    /// so on down to 16 pixels have 16, 4, 1, 1 and 1 blocks, three of each size, plus one of 16 pixels.
     #[test]
     fn no_part_of_a_tile_is_left_out_of_the_count() {
         let style = CodingStyle::read(&[0, 0, 0, 10, 0, 5, 4, 4, 0, 1]).unwrap();

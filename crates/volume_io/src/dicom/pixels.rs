@@ -1,4 +1,4 @@
-//! The pixels of one frame as numbers.
+//! Decodes the pixels of one frame.
 
 use super::codec;
 use super::fields::Fields;
@@ -14,7 +14,7 @@ use std::path::Path;
 
 const FIELD: &str = "(7fe0,0010) PixelData";
 
-/// Rows, columns and bytes a sample of a frame.
+/// Rows, columns and bytes per sample of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Shape {
     pub rows: usize,
@@ -39,7 +39,7 @@ pub(super) struct Bits {
 }
 
 impl Bits {
-    /// From BitsAllocated, BitsStored, HighBit and PixelRepresentation; those of float pixels are not used.
+    /// Reads BitsAllocated, BitsStored, HighBit and PixelRepresentation; not used for float pixels.
     pub fn of(fields: Fields<'_>) -> Result<Bits, VolumeError> {
         let allocated = fields.number(Tag(0x0028, 0x0100), "BitsAllocated")?;
         if ![8.0, 16.0, 32.0, 64.0].contains(&allocated) {
@@ -70,7 +70,8 @@ impl Bits {
         })
     }
 
-    /// The number in a stored sample: the bits up to and including `high`, sign-extended if signed; drops overlay bits above.
+    /// The value of a stored sample: the bits up to and including `high`, sign-extended if signed; overlay
+    /// bits above are dropped.
     fn value(self, sample: u32) -> f64 {
         let shifted = u64::from(sample) >> (self.high + 1 - self.stored);
         let bits = shifted & ((1 << self.stored) - 1);
@@ -85,14 +86,14 @@ impl Bits {
 pub(super) fn append(slice: &Slice, file: &DicomFile, sink: &mut HuSink) -> Result<(), VolumeError> {
     let path = slice.path.as_path();
     let Some(pixels) = &file.pixels else {
-        return Err(wrong(path, "nothing".into(), "the pixels of the slice"));
+        return Err(wrong(path, "no pixels".into(), "the pixels of the slice"));
     };
     let shape = Shape { rows: slice.rows, columns: slice.columns, bytes: slice.bits.allocated / 8 };
     let bytes = |range: &std::ops::Range<usize>| &file.bytes[range.clone()];
     match pixels {
         Pixels::Native { value, words } => {
             if file.transfer.codec != PixelCodec::Native {
-                return Err(wrong(path, "pixels that are not packed".into(), file.transfer.name));
+                return Err(wrong(path, "uncompressed pixels".into(), file.transfer.name));
             }
             let order = if *words && file.transfer.big_endian { Endian::Big } else { Endian::Little };
             let all = little_endian(path, bytes(value), order, shape)?;
@@ -145,8 +146,8 @@ fn wrong(path: &Path, given: String, expected: &str) -> VolumeError {
     VolumeError::header(path, FIELD, given, expected)
 }
 
-/// The bytes of native pixels, least significant first. Words of a big-endian file are turned (`order` says how the pixels
-/// are stored); samples of 32 bits in words have no defined order there.
+/// The bytes of uncompressed pixels in little-endian order. Words of a big-endian file are swapped (`order`
+/// is the stored order); samples of 32 bits in words have no defined order there.
 fn little_endian<'a>(
     path: &Path,
     bytes: &'a [u8],
@@ -162,7 +163,7 @@ fn little_endian<'a>(
     Ok(Cow::Owned(bytes.chunks_exact(2).flat_map(|pair| [pair[1], pair[0]]).collect()))
 }
 
-/// The bytes of the slice's frame among all.
+/// The bytes of the slice's frame.
 fn frame_of<'a>(path: &Path, all: &'a [u8], slice: &Slice, width: usize) -> Result<&'a [u8], VolumeError> {
     let length = (slice.rows * slice.columns) as u64 * width as u64;
     let start = slice.frame as u64 * length;
@@ -173,8 +174,8 @@ fn frame_of<'a>(path: &Path, all: &'a [u8], slice: &Slice, width: usize) -> Resu
     Ok(&all[start as usize..end as usize])
 }
 
-/// The packed data of the slice's frame: all fragments of a single frame, one fragment of several frames, or those that the basic offset
-/// table tells (PS3.5 annex A.4).
+/// The compressed data of the slice's frame: all fragments for a single frame, one fragment per frame, or the
+/// fragments given by the basic offset table (PS3.5 annex A.4).
 fn packed_frame<'a>(
     path: &Path,
     slice: &Slice,
@@ -195,7 +196,7 @@ fn packed_frame<'a>(
     };
     let missing = || {
         let given = format!("{} fragments for {} frames", fragments.len(), slice.frames);
-        wrong(path, given, "a fragment a frame, or a basic offset table")
+        wrong(path, given, "one fragment per frame, or a basic offset table")
     };
     if offsets.len() != 4 * slice.frames {
         return Err(missing());
@@ -208,7 +209,7 @@ fn packed_frame<'a>(
         if (begin..end).contains(&at) {
             frame.extend_from_slice(fragment);
         }
-        // Each stands behind a tag and a length.
+        // Each follows a tag and a length.
         at += fragment.len() as u64 + 8;
     }
     Ok(Cow::Owned(frame))
@@ -217,7 +218,7 @@ fn packed_frame<'a>(
 fn unpacked(slice: &Slice, file: &DicomFile, data: &[u8], shape: Shape) -> Result<Vec<u32>, VolumeError> {
     let path = slice.path.as_path();
     let samples = match file.transfer.codec {
-        PixelCodec::Native => return Err(wrong(path, "packed pixels".into(), file.transfer.name)),
+        PixelCodec::Native => return Err(wrong(path, "compressed pixels".into(), file.transfer.name)),
         PixelCodec::Rle => codec::rle(path, data, shape),
         PixelCodec::Jpeg => codec::jpeg(path, data, shape),
         PixelCodec::JpegLs => codec::jpeg_ls(path, data, shape),

@@ -1,6 +1,8 @@
-//! Checks the structure of a DICOM file before handing it to a parser that allocates whatever a length field promises.
+//! Checks the structure of a DICOM file before it goes to a parser that allocates whatever a length field
+//! promises.
 //!
-//! Source: DICOM PS3.5 section 7 (data element structure, sequences, encapsulated pixel data) and PS3.10 section 7 (file meta group).
+//! Source: DICOM PS3.5 section 7 (data element structure, sequences, encapsulated pixel data) and PS3.10
+//! section 7 (file meta group).
 
 use crate::error::VolumeError;
 use dicom_core::VR;
@@ -9,7 +11,7 @@ use dicom_object::StandardDataDictionary;
 use std::ops::Range;
 use std::path::Path;
 
-/// Deepest nesting of sequences accepted; real files stay below ten.
+/// Deepest accepted nesting of sequences; real files stay below ten.
 const MAX_DEPTH: usize = 16;
 const UNDEFINED: u32 = 0xffff_ffff;
 const ITEM: (u16, u16) = (0xfffe, 0xe000);
@@ -29,16 +31,16 @@ pub(crate) enum PixelCodec {
     Jpeg2000,
 }
 
-/// Where the pixels stand in the bytes that were scanned.
+/// Location of the pixels in the scanned bytes.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum Pixels {
-    /// One value; `words` if it consists of 16-bit words in the byte order of the file.
+    /// A single value; `words` if it consists of 16-bit words in the file's byte order.
     Native { value: Range<usize>, words: bool },
     /// 32-bit floats.
     Floats(Range<usize>),
     /// 64-bit floats.
     Doubles(Range<usize>),
-    /// Packed frames: the basic offset table, then the fragments.
+    /// Compressed frames: the basic offset table, then the fragments.
     Fragments { offsets: Range<usize>, fragments: Vec<Range<usize>> },
 }
 
@@ -47,7 +49,7 @@ pub(crate) enum Pixels {
 pub(crate) struct Transfer {
     pub explicit_vr: bool,
     pub big_endian: bool,
-    /// The data set is packed by deflate, and is to be unpacked before it is scanned.
+    /// The data set is deflated, and must be inflated before it is scanned.
     pub deflated: bool,
     pub codec: PixelCodec,
     pub name: &'static str,
@@ -88,19 +90,21 @@ fn transfer(path: &Path, uid: &str) -> Result<Transfer, VolumeError> {
         path,
         "(0002,0010) TransferSyntaxUID",
         format!("{uid} ({refused})"),
-        "an uncompressed, deflated, RLE, JPEG, JPEG-LS or JPEG 2000 file; convert it, for example with `gdcmconv --raw`",
+        "an uncompressed, deflated, RLE, JPEG, JPEG-LS or JPEG 2000 file; convert it, for example with \
+         `gdcmconv --raw`",
     ))
 }
 
-/// Reads the file meta group from byte `at` on; returns the transfer syntax and where the data set begins.
+/// Reads the file meta group from byte `at`; returns the transfer syntax and the start of the data set.
 ///
 /// # Errors
-/// `Truncated` if a length reaches past the file; `Header` for a malformed group; `Unsupported` for an unsupported transfer syntax.
+/// `Truncated` if a length reaches past the file; `Header` for a malformed group; `Unsupported` for an
+/// unsupported transfer syntax.
 pub(crate) fn meta_group(path: &Path, bytes: &[u8], start: usize) -> Result<(Transfer, usize), VolumeError> {
     let meta = Scanner { path, bytes, explicit_vr: true, big_endian: false };
     let mut at = start;
     let mut uid = None;
-    // Where the group claims to end.
+    // End of the group according to its length field.
     let mut told = None;
     while meta.u16(at) == Some(0x0002) {
         let element = meta.element(at)?;
@@ -115,12 +119,12 @@ pub(crate) fn meta_group(path: &Path, bytes: &[u8], start: usize) -> Result<(Tra
         at = end;
     }
     if let Some(told) = told.filter(|told| *told != at as u64) {
-        let given = format!("a file meta group up to byte {told}");
-        let expected = format!("the byte at which it ends, {at}");
+        let given = format!("a file meta group ending at byte {told}");
+        let expected = format!("byte {at}, where it ends");
         return Err(meta.malformed("(0002,0000) FileMetaInformationGroupLength", given, &expected));
     }
     let uid = uid.ok_or_else(|| {
-        meta.malformed("(0002,0010) TransferSyntaxUID", "nothing".into(), "a transfer syntax")
+        meta.malformed("(0002,0010) TransferSyntaxUID", "no value".into(), "a transfer syntax")
     })?;
     Ok((transfer(path, &uid)?, at))
 }
@@ -132,8 +136,8 @@ pub(crate) enum Vr {
     Implicit,
 }
 
-/// The transfer syntax of a data set that stands without a file meta group: implicit, or explicit where a value representation follows the
-/// first tag (PS3.5 section 7.1).
+/// The transfer syntax of a data set without file meta group: implicit, or explicit if a value representation
+/// follows the first tag (PS3.5 section 7.1).
 pub(crate) fn bare(vr: Vr) -> Transfer {
     let (explicit_vr, name) = match vr {
         Vr::Explicit => (true, "explicit VR little-endian"),
@@ -142,7 +146,8 @@ pub(crate) fn bare(vr: Vr) -> Transfer {
     Transfer { explicit_vr, big_endian: false, deflated: false, codec: PixelCodec::Native, name }
 }
 
-/// Checks every length in a data set against the bytes; returns its pixels and the byte at which they begin, the end without pixels.
+/// Checks every length in a data set against the bytes; returns its pixels and the byte at which they begin
+/// (the end if there are none).
 ///
 /// # Errors
 /// `Truncated` if a length reaches past the bytes; `Header` for a malformed structure.
@@ -177,14 +182,14 @@ struct Scanner<'a> {
 enum End {
     /// Its length.
     Length,
-    /// A delimiter, which must come.
+    /// A delimiter, which is required.
     Delimiter,
 }
 
 struct Element {
     tag: (u16, u16),
     vr: [u8; 2],
-    /// Where the value starts.
+    /// Start of the value.
     value: usize,
     length: u32,
 }
@@ -236,8 +241,8 @@ impl Scanner<'_> {
         }
     }
 
-    /// Bytes per number in an element's value. The parser reads whole numbers and continues after the last one: if the value ends in a
-    /// partial number, it takes those bytes for the next element, lengths and all.
+    /// Bytes per number in an element's value. The parser reads complete numbers and continues after the last
+    /// one: after a partial number, it would take the remaining bytes for the next element, lengths included.
     fn unit(&self, element: &Element) -> u32 {
         let vr = if self.explicit_vr {
             VR::from_binary(element.vr)
@@ -269,7 +274,7 @@ impl Scanner<'_> {
             return Err(self.malformed(
                 "sequence",
                 format!("nested deeper than {MAX_DEPTH}"),
-                "a flatter structure",
+                "less nesting",
             ));
         }
         while at < limit {
@@ -292,7 +297,7 @@ impl Scanner<'_> {
         Ok(at)
     }
 
-    /// Walks one element and the items inside it.
+    /// Walks one element and its items.
     fn element_end(&self, element: &Element, limit: usize, depth: usize) -> Result<usize, VolumeError> {
         if element.tag == PIXEL_DATA && element.length == UNDEFINED {
             return self.fragments(element.value, limit, &mut Vec::new());
@@ -309,7 +314,7 @@ impl Scanner<'_> {
             let (field, given) = (tag_name(element.tag), format!("{} bytes", element.length));
             return Err(self.malformed(&field, given, &format!("a multiple of {unit} bytes")));
         }
-        // In implicit VR only its first item reveals a sequence.
+        // In implicit VR a sequence is recognized only by its first item.
         let looks_like_items = !self.explicit_vr
             && element.tag != PIXEL_DATA
             && element.length >= 8
@@ -355,7 +360,7 @@ impl Scanner<'_> {
             let mut items = Vec::new();
             self.fragments(element.value, self.bytes.len(), &mut items)?;
             if items.is_empty() {
-                let expected = "an offset table and the fragments behind it";
+                let expected = "an offset table, then fragments";
                 return Err(self.malformed(&tag_name(element.tag), "no item".into(), expected));
             }
             let fragments = items.split_off(1);
@@ -369,7 +374,8 @@ impl Scanner<'_> {
         }))
     }
 
-    /// Encapsulated pixel data: items of defined length up to the sequence delimiter, whose places are collected; returns their end.
+    /// Walks encapsulated pixel data, items of defined length up to the sequence delimiter, and collects
+    /// their positions; returns their end.
     fn fragments(
         &self,
         mut at: usize,

@@ -1,4 +1,4 @@
-//! How the slices of a series stack, and the volume that they make.
+//! Stacks the slices of a series into a volume.
 
 use super::file::DicomFile;
 use super::pixels;
@@ -17,9 +17,10 @@ use voxel_grid::Volume;
 const POSITION: &str = "(0020,0032) ImagePositionPatient";
 const ORIENTATION: &str = "(0020,0037) ImageOrientationPatient";
 
-/// Slice directions that differ by more than this count as different orientations; the rounding of DICOM decimals stays below it.
+/// Slice directions that differ by more than this are different orientations; the rounding of DICOM decimals
+/// stays below it.
 const SAME_DIRECTION: f64 = 1e-3;
-/// Largest sideways drift of the stack that counts as straight, metres (rounded decimals of the positions).
+/// Largest lateral drift of a straight stack, metres (rounded decimals of the positions).
 const STRAIGHT_M: f64 = 5e-5;
 /// Largest deviation of a slice distance from the mean, as a fraction of it.
 const EVEN: f64 = 0.01;
@@ -32,7 +33,7 @@ const NAMES: GeometryFields = GeometryFields {
     origin: POSITION,
 };
 
-/// The volume of these slices, of which there is at least one.
+/// Assembles the volume of at least one slice.
 pub(super) fn assemble(
     path: &Path,
     mut slices: Vec<Slice>,
@@ -41,7 +42,7 @@ pub(super) fn assemble(
 ) -> Result<(Volume, VolumeInfo), VolumeError> {
     check_same(path, &slices)?;
     let Some(first) = slices.first().cloned() else {
-        return Err(VolumeError::not_a_volume(path, "no slice"));
+        return Err(VolumeError::not_a_volume(path, "no slices"));
     };
     let (row, column) = directions(path, &first, &mut notes)?;
     let axes = [row, column, cross(row, column)];
@@ -50,7 +51,7 @@ pub(super) fn assemble(
         return Err(VolumeError::header(
             path,
             POSITION,
-            "a position that is not finite or beyond 10 km",
+            "an infinite or NaN position, or one beyond 10 km",
             "a position in millimetres",
         ));
     }
@@ -81,7 +82,8 @@ pub(super) fn assemble(
     Ok(described(placed(path, dims, geometry, hu)?, &slices, notes))
 }
 
-/// The pixels of all slices in order. Frames of one file mostly follow each other: it is opened once for them.
+/// The pixels of all slices in order. Frames of one file are usually consecutive, so the file is opened only
+/// once for them.
 fn read_pixels(slices: &[Slice], notes: &mut Vec<String>) -> Result<Vec<i16>, VolumeError> {
     let mut sink = HuSink::default();
     let mut open: Option<(&Path, DicomFile)> = None;
@@ -96,7 +98,7 @@ fn read_pixels(slices: &[Slice], notes: &mut Vec<String>) -> Result<Vec<i16>, Vo
     Ok(sink.finish(notes))
 }
 
-/// The slices on a rectangular grid.
+/// Resamples the slices to a rectangular grid.
 fn rectified(
     path: &Path,
     slices: &[Slice],
@@ -115,7 +117,7 @@ fn rectified(
         places_m: &places_m,
         hu,
     };
-    // Refuses spacings that are none before anything is divided by them.
+    // Refuses invalid spacings before dividing by them.
     let in_plane =
         StatedGeometry { spacing_m: [column_mm * 1e-3, row_mm * 1e-3, 1e-3], origin_m: [0.0; 3], axes };
     placement(path, NAMES, in_plane, &mut Vec::new())?;
@@ -150,26 +152,28 @@ fn described(volume: Volume, slices: &[Slice], mut notes: Vec<String>) -> (Volum
     (volume, info)
 }
 
-/// Notes CT values that need not be Hounsfield units. Without RescaleType they are (DICOM PS3.3, table C.8-3).
+/// Adds a note if CT values might not be Hounsfield units. Without RescaleType they are (DICOM PS3.3, table
+/// C.8-3).
 fn note_unit(slices: &[Slice], notes: &mut Vec<String>) {
     if slices.iter().any(|slice| !slice.has_intercept) {
         notes.push(
-            "no RescaleIntercept (0028,1052): the stored values are taken for Hounsfield units".to_owned(),
+            "no RescaleIntercept (0028,1052): the stored values are read as Hounsfield units".to_owned(),
         );
     }
     let other = slices.iter().filter_map(|slice| slice.rescale_type.as_deref()).find(|kind| !is_hu(kind));
     if let Some(kind) = other {
         let kind = foreign(kind);
-        notes.push(format!("RescaleType (0028,1054) is `{kind}`: the values are taken for Hounsfield units"));
+        notes.push(format!("RescaleType (0028,1054) is `{kind}`: the values are read as Hounsfield units"));
     }
 }
 
-/// Hounsfield units, or modified ones (DICOM PS3.3, C.11.1.1.2).
+/// Hounsfield units, or modified Hounsfield units (DICOM PS3.3, C.11.1.1.2).
 fn is_hu(rescale_type: &str) -> bool {
     matches!(rescale_type, "HU" | "HU_MOD")
 }
 
-/// Notes a tilt that the tags state and the positions do not show: slices that were resampled upright, or positions that ignore the tilt.
+/// Adds a note if the tags state a tilt that the positions do not show: the slices were resampled upright, or
+/// their positions ignore the tilt.
 fn note_tilt(slices: &[Slice], notes: &mut Vec<String>) {
     let tilt_deg = slices
         .iter()
@@ -177,12 +181,14 @@ fn note_tilt(slices: &[Slice], notes: &mut Vec<String>) {
         .fold(0.0, |a: f64, b| if b.abs() > a.abs() { b } else { a });
     if tilt_deg.abs() > LEAST_TILT_DEG && slices.len() > 1 {
         notes.push(format!(
-            "GantryDetectorTilt (0018,1120) is {tilt_deg} degrees, but the slices lie straight behind each other: the positions are believed;              if they ignore the tilt, the volume is sheared"
+            "GantryDetectorTilt (0018,1120) is {tilt_deg} degrees, but the slices are stacked straight: the \
+             positions are trusted; if they ignore the tilt, \
+             the volume is sheared"
         ));
     }
 }
 
-/// Checks everything that must not change within a series.
+/// Checks everything that must be constant within a series.
 fn check_same(path: &Path, slices: &[Slice]) -> Result<(), VolumeError> {
     let Some(first) = slices.first() else { return Ok(()) };
     let close =
@@ -190,7 +196,7 @@ fn check_same(path: &Path, slices: &[Slice]) -> Result<(), VolumeError> {
     let spacing_tolerance = 1e-4 * first.pixel_spacing_mm[0].abs();
     type Same<'s> = (&'s str, &'s dyn Fn(&Slice) -> bool, &'s dyn Fn(&Slice) -> String);
     let all: [Same; 4] = [
-        // Values of another modality are no Hounsfield units, or others are none.
+        // Values of other modalities are not Hounsfield units.
         ("(0008,0060) Modality", &|s| s.modality == first.modality, &|s| format!("{:?}", s.modality)),
         (ORIENTATION, &|s| close(&first.orientation, &s.orientation, SAME_DIRECTION), &|s| {
             format!("{:?}", s.orientation)
@@ -215,7 +221,7 @@ fn check_same(path: &Path, slices: &[Slice]) -> Result<(), VolumeError> {
     Ok(())
 }
 
-/// Unit row and column directions; restores a right angle that is off only by rounded decimals.
+/// Unit row and column directions; corrects a right angle that is off only by rounded decimals.
 fn directions(
     path: &Path,
     slice: &Slice,
@@ -266,7 +272,8 @@ fn check_straight(path: &Path, slices: &[Slice], normal: [f64; 3]) -> Result<(),
                     path,
                     POSITION,
                     format!(
-                        "{} lies {:.3} mm beside the line along the slice normal through {}, over {:.3} mm{tilt}",
+                        "{} lies {:.3} mm off the line along the slice normal through {}, over {:.3} \
+                         mm{tilt}",
                         name(slice),
                         aside * 1e3,
                         name(&slices[0]),
@@ -280,7 +287,7 @@ fn check_straight(path: &Path, slices: &[Slice], normal: [f64; 3]) -> Result<(),
     Ok(())
 }
 
-/// Refuses two slices at one place.
+/// Refuses two slices at the same position.
 fn check_apart(path: &Path, slices: &[Slice], along_m: &[f64]) -> Result<(), VolumeError> {
     let Some(i) = along_m.windows(2).position(|pair| pair[1] - pair[0] < 1e-6) else { return Ok(()) };
     let both = format!("{} and {}", name(&slices[i]), name(&slices[i + 1]));
@@ -291,7 +298,8 @@ fn check_apart(path: &Path, slices: &[Slice], along_m: &[f64]) -> Result<(), Vol
     )))
 }
 
-/// The distance between neighbouring slices, metres; `along_m` are their ascending positions along the normal.
+/// The distance between neighbouring slices, metres; `along_m` are their ascending positions along the
+/// normal.
 fn slice_distance(
     path: &Path,
     slices: &[Slice],
@@ -304,11 +312,11 @@ fn slice_distance(
             VolumeError::header(
                 path,
                 "(0018,0050) SliceThickness",
-                "nothing, and a single slice",
+                "no value, for a single slice",
                 "a slice thickness, or at least two slices",
             )
         })?;
-        notes.push(format!("a single slice: its thickness of {thickness} mm is taken as the slice distance"));
+        notes.push(format!("single slice: its thickness of {thickness} mm is used as the slice distance"));
         return Ok(thickness * 1e-3);
     }
     let smallest = steps.iter().copied().fold(f64::INFINITY, f64::min);

@@ -1,6 +1,8 @@
-//! The slices of a DICOM file: the header fields needed, of one image or of each frame of an enhanced one.
+//! The slices of a DICOM file: the required header fields of a single image, or of each frame of an enhanced
+//! one.
 //!
-//! Source: DICOM PS3.3 section C.7.6.2 (image plane), C.7.6.16 (multi-frame functional groups), C.8.15 (enhanced CT).
+//! Source: DICOM PS3.3 section C.7.6.2 (image plane), C.7.6.16 (multi-frame functional groups), C.8.15
+//! (enhanced CT).
 
 use super::fields::Fields;
 use super::file::DicomFile;
@@ -23,7 +25,7 @@ const VALUE_TRANSFORMATION: Tag = Tag(0x0028, 0x9145);
 #[derive(Clone, Debug)]
 pub(super) struct Slice {
     pub path: PathBuf,
-    /// Which frame of the file, and how many it has.
+    /// Frame index, and number of frames in the file.
     pub frame: usize,
     pub frames: usize,
     pub transfer: Transfer,
@@ -38,14 +40,14 @@ pub(super) struct Slice {
     pub slice_thickness_mm: Option<f64>,
     pub gantry_tilt_deg: Option<f64>,
     pub scale: Scale,
-    /// Whether RescaleIntercept is there: without it the stored values are the slice's own.
+    /// Whether RescaleIntercept is present: without it the stored values are the slice's own.
     pub has_intercept: bool,
-    /// RescaleType: what the scaled values are.
+    /// RescaleType: unit of the scaled values.
     pub rescale_type: Option<String>,
     pub bits: Bits,
 }
 
-/// What a file is, before its geometry is looked at.
+/// Kind of a file, before its geometry is read.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Identity {
     pub series_uid: String,
@@ -54,18 +56,18 @@ pub(super) struct Identity {
     pub images: Images,
 }
 
-/// What a file holds.
+/// Image content of a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Images {
     /// No image: a report, a structure set.
     None,
-    /// The scout view by which the slices were planned, which lies in another plane.
+    /// The scout view used to plan the slices, which lies in another plane.
     Localizer,
-    /// This many frames.
+    /// Number of frames.
     Frames(usize),
 }
 
-/// What a file is.
+/// Identifies a file.
 ///
 /// # Errors
 /// As [`DicomFile::open`].
@@ -116,8 +118,8 @@ pub(super) fn read_headers(path: &Path) -> Result<Vec<Slice>, VolumeError> {
         return Err(VolumeError::unsupported(
             path,
             "(0028,0008) NumberOfFrames",
-            format!("{frames}, with the places of {} frames", groups.len()),
-            "one slice a file, or an enhanced CT with the place of every frame",
+            format!("{frames}, with the positions of {} frames", groups.len()),
+            "one slice per file, or an enhanced CT with the position of every frame",
         ));
     }
     let shared = fields.item(SHARED_GROUPS);
@@ -129,7 +131,8 @@ pub(super) fn read_headers(path: &Path) -> Result<Vec<Slice>, VolumeError> {
     .collect()
 }
 
-/// Where the elements of a frame stand: in its own functional groups, in those that all frames share, or in a classic image itself.
+/// Where the elements of a frame are: in its own functional groups, in the shared ones, or in the classic
+/// image itself.
 struct Groups<'a> {
     own: Fields<'a>,
     shared: Option<Fields<'a>>,
@@ -150,7 +153,7 @@ impl<'a> Groups<'a> {
     }
 }
 
-/// Which frame of a file, and how many the file has.
+/// Frame index, and number of frames in the file.
 struct FrameNumber {
     index: usize,
     count: usize,

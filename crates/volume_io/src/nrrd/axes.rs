@@ -1,4 +1,4 @@
-//! Which axes of an NRRD file are those of space.
+//! Determines the spatial axes of an NRRD file.
 
 use super::header::Header;
 use crate::error::{Field, VolumeError};
@@ -10,22 +10,22 @@ use std::path::Path;
 pub(super) struct Axes {
     /// Sizes of the spatial axes.
     pub dims: [usize; 3],
-    /// Where the spatial axes stand among all.
+    /// Positions of the spatial axes among all axes.
     pub spatial: [usize; 3],
     /// The fourth axis, of times or layers.
     pub other: Option<OtherAxis>,
 }
 
-/// An axis that is not one of space.
+/// An axis that is not spatial.
 #[derive(Clone, Copy)]
 pub(super) struct OtherAxis {
     pub size: usize,
-    /// Voxels between neighbours along it.
+    /// Distance between neighbours along it, in voxels.
     stride: usize,
 }
 
 impl OtherAxis {
-    /// The voxels at one place along the axis.
+    /// The voxels at one position along the axis.
     pub fn part(self, numbers: &[i16], at: usize) -> Vec<i16> {
         let block = self.stride * self.size;
         let start = at * self.stride;
@@ -34,7 +34,7 @@ impl OtherAxis {
 }
 
 impl Axes {
-    /// The axes, or an error that says what the file has instead.
+    /// Determines the axes; the error says what the file has instead.
     pub fn of(header: &Header<'_>) -> Result<Self, VolumeError> {
         let path = header.path;
         let rank = header.require("dimension", "3")?;
@@ -72,7 +72,8 @@ impl Axes {
         Ok(Self { dims: [i, j, k], spatial: [0, 1, 2], other: None })
     }
 
-    /// Three spatial axes and one other, which `space directions` or `kinds` or a size of 1 tells; `None` if nothing does.
+    /// Three spatial axes and one other, identified by `space directions`, by `kinds` or by a size of 1;
+    /// `None` if by none of them.
     fn of_four(header: &Header<'_>, sizes: &[usize], kinds: &[String]) -> Option<Self> {
         let directions = super::geometry::split_vectors(header.get("space directions").unwrap_or(""));
         let only = |is: &dyn Fn(usize) -> bool| {
@@ -109,7 +110,8 @@ impl Axes {
         })
     }
 
-    /// What a field with one entry an axis says of the spatial ones; a field of three entries speaks of them alone.
+    /// The entries of a field for the spatial axes, from one entry per axis; a field of three entries is for
+    /// the spatial axes only.
     pub fn pick<T: Clone>(&self, entries: &[T]) -> Option<[T; 3]> {
         if entries.len() == 3 {
             return <[T; 3]>::try_from(entries.to_vec()).ok();

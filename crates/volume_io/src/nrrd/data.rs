@@ -1,4 +1,4 @@
-//! The numbers of an NRRD file: attached, in one data file or in several.
+//! Reads the numbers of an NRRD file: attached, in one data file or in several.
 
 use super::header::Header;
 use crate::data_files::{DataFile, named, read_each};
@@ -8,14 +8,14 @@ use crate::scalar::{HuSink, Layout, Scale};
 use crate::text_header::{read_ascii, wrong};
 use std::path::Path;
 
-/// How the numbers are stored, for people.
+/// Description of the stored form, for display.
 pub(super) struct Stored {
     pub encoding: String,
     pub voxels: String,
 }
 
 impl Header<'_> {
-    /// Reads `count` numbers, from as many data files as there are.
+    /// Reads `count` numbers from the data files.
     pub(super) fn read_data(
         &self,
         count: usize,
@@ -46,7 +46,7 @@ impl Header<'_> {
         Ok(Stored { encoding, voxels: layout.scalar.describe(layout.endian) })
     }
 
-    /// The data files in order; the header's own file if its numbers are attached.
+    /// The data files in order; the header's own file for attached data.
     fn data_files(&self) -> Result<Vec<DataFile>, VolumeError> {
         let field = "data file";
         let Some(value) = self.get(field) else {
@@ -55,7 +55,7 @@ impl Header<'_> {
         named(self.path, (field, value), &self.list, self.files)
     }
 
-    /// The byte behind the lines that `line skip` passes over.
+    /// The byte after the lines skipped by `line skip`.
     fn behind_lines(&self, file: &DataFile) -> Result<u64, VolumeError> {
         let (path, start) = (&file.path, file.start);
         let mut left = self.whole("line skip", 0)?;
@@ -69,7 +69,12 @@ impl Header<'_> {
             let got = input::read_full(path, Codec::Raw.name(), reader.as_mut(), &mut buffer)?;
             if got == 0 {
                 let given = self.get("line skip").unwrap_or("");
-                return Err(wrong(self.path, "line skip", given, "no more lines than the data file has"));
+                return Err(wrong(
+                    self.path,
+                    "line skip",
+                    given,
+                    "at most as many lines as the data file has",
+                ));
             }
             for &byte in &buffer[..got] {
                 if left == 0 {

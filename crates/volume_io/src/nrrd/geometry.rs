@@ -1,4 +1,4 @@
-//! Where the voxels of an NRRD file lie: units, space, directions, origin.
+//! Geometry of an NRRD file: units, space, directions, origin.
 
 use super::axes::Axes;
 use super::header::Header;
@@ -15,7 +15,7 @@ struct Space {
 
 const NAMES: GeometryFields =
     GeometryFields { spacing: "spacings", direction: "space directions", origin: "space origin" };
-const NO_UNIT: &str = "mm (assumed: the file states none)";
+const NO_UNIT: &str = "mm (assumed: not stated in the file)";
 
 impl Header<'_> {
     /// Metres per unit of length; all three axes must agree.
@@ -48,7 +48,7 @@ impl Header<'_> {
             if let Some(rank) = self.get("space dimension").filter(|rank| *rank != "3") {
                 return Err(wrong(self.path, "space dimension", rank, "3"));
             }
-            notes.push("no space is named: left, posterior, superior is assumed".into());
+            notes.push("no space given; assuming left, posterior, superior".into());
             return Ok(Space { to_lps: [1.0; 3], name: "none".into() });
         };
         let lower = name.to_lowercase();
@@ -56,9 +56,11 @@ impl Header<'_> {
             "ras" => vec!["right", "anterior", "superior"],
             "las" => vec!["left", "anterior", "superior"],
             "lps" => vec!["left", "posterior", "superior"],
-            // Spaces without a patient; ITK, and so Slicer, takes their coordinates as LPS.
+            // Spaces without a patient; ITK, and therefore Slicer, reads their coordinates as LPS.
             "scanner-xyz" | "3d-right-handed" | "3drh" => {
-                notes.push(format!("the space `{lower}` names no side of a patient: its axes are taken as left, posterior, superior"));
+                notes.push(format!(
+                    "the space `{lower}` is not anatomical; assuming left, posterior, superior"
+                ));
                 vec!["left", "posterior", "superior"]
             }
             // Any combination of the six directions in patient order (x, y, z) is unambiguous.
@@ -88,7 +90,7 @@ impl Header<'_> {
             let origin = match self.get("space origin") {
                 Some(text) => self.vector("space origin", text)?,
                 None => {
-                    notes.push("no origin is given: (0, 0, 0) is assumed".into());
+                    notes.push("no origin given; assuming (0, 0, 0)".into());
                     [0.0; 3]
                 }
             };
@@ -109,7 +111,7 @@ impl Header<'_> {
             None => self.axis_minima(axes, spacing, notes)?,
         };
         if space.name != "none" {
-            notes.push("no space directions: the axes are assumed to follow the space".into());
+            notes.push("no space directions given; assuming the axes of the space".into());
         }
         let [x, y, z] = space.to_lps;
         let along = columns([[x, 0.0, 0.0], [0.0, y, 0.0], [0.0, 0.0, z]]);
@@ -122,7 +124,12 @@ impl Header<'_> {
     fn directions(&self, axes: &Axes, text: &str) -> Result<[[f64; 3]; 3], VolumeError> {
         let spacings = self.get("spacings").unwrap_or("");
         if !spacings.to_lowercase().split_whitespace().all(|w| w == "nan") {
-            return Err(wrong(self.path, "spacings", spacings, "absent beside `space directions`"));
+            return Err(wrong(
+                self.path,
+                "spacings",
+                spacings,
+                "no `spacings` together with `space directions`",
+            ));
         }
         let expected = "three vectors such as (1,0,0) (0,1,0) (0,0,1)";
         let texts = axes.pick(&split_vectors(text));
@@ -137,8 +144,9 @@ impl Header<'_> {
         Ok(vectors)
     }
 
-    /// Origin of a file without a space: `axis mins`, or zero. The minimum of an axis of cells, which axes are unless the file says `node`,
-    /// is the first cell's outer face (Definition of NRRD, "axis mins" and "centers"; teem's nrrdOriginCalculate, which ITK calls).
+    /// Origin of a file without a space: `axis mins`, or zero. For cell-centred axes (the default) the
+    /// minimum is the outer face of the first cell; for `node` axes it is the first sample (Definition of
+    /// NRRD, "axis mins" and "centers"; teem's nrrdOriginCalculate, which ITK calls).
     fn axis_minima(
         &self,
         axes: &Axes,
@@ -146,19 +154,17 @@ impl Header<'_> {
         notes: &mut Vec<String>,
     ) -> Result<[f64; 3], VolumeError> {
         let Some(text) = self.get("axis mins").filter(|text| !text.to_lowercase().contains("nan")) else {
-            notes.push("no origin is given: (0, 0, 0) is assumed".into());
+            notes.push("no origin given; assuming (0, 0, 0)".into());
             return Ok([0.0; 3]);
         };
         let minima = self.per_axis(axes, "axis mins", text)?;
         let centers: Vec<&str> = self.get("centers").unwrap_or("").split_whitespace().collect();
         let centers = axes.pick(&centers).unwrap_or(["cell"; 3]);
-        notes.push(
-            "the origin is taken from `axis mins`: of cells the outer face, of nodes the centre".into(),
-        );
+        notes.push("origin from `axis mins`: the outer face of cells, or the centre of nodes".into());
         Ok([0, 1, 2].map(|i| minima[i] + if centers[i] == "node" { 0.0 } else { 0.5 * spacing[i] }))
     }
 
-    /// The spatial axes' numbers of a field with one number an axis; other axes may have none (`nan`).
+    /// The spatial entries of a field with one number per axis; other axes may have `nan`.
     fn per_axis(&self, axes: &Axes, field: &str, text: &str) -> Result<[f64; 3], VolumeError> {
         let words: Vec<&str> = text.split_whitespace().collect();
         match axes.pick(&words) {

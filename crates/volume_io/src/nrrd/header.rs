@@ -13,9 +13,9 @@ pub(super) struct Header<'a> {
     pub path: &'a Path,
     pub files: DataFiles,
     fields: BTreeMap<String, String>,
-    /// `key:=value` pairs, by their key as written.
+    /// `key:=value` pairs, by key as written.
     pub pairs: BTreeMap<String, String>,
-    /// The lines behind `data file: LIST`.
+    /// The lines after `data file: LIST`.
     pub list: Vec<String>,
     pub length: u64,
 }
@@ -61,7 +61,7 @@ impl<'a> Header<'a> {
         Ok(header)
     }
 
-    /// Takes one line behind the magic.
+    /// Parses one line after the magic.
     fn take(&mut self, line: &str) -> Result<(), VolumeError> {
         if line.starts_with('#') {
             return Ok(());
@@ -79,12 +79,12 @@ impl<'a> Header<'a> {
         };
         let name = canonical(&name.trim().to_lowercase());
         if self.fields.insert(name.clone(), value.trim().to_string()).is_some() {
-            return Err(wrong(self.path, &name, value, "each field once"));
+            return Err(wrong(self.path, &name, value, "each field only once"));
         }
         Ok(())
     }
 
-    /// Whether `data file: LIST` stood in an earlier line: every line behind it is a file's name.
+    /// Whether an earlier line was `data file: LIST`: every line after it is a file name.
     pub fn is_list(&self) -> bool {
         self.get("data file").is_some_and(is_list)
     }
@@ -135,7 +135,7 @@ impl<'a> Header<'a> {
         }
     }
 
-    /// A whole number, or 0 if the field is absent.
+    /// An integer, or 0 if the field is absent.
     pub fn whole(&self, field: &str, least: i64) -> Result<i64, VolumeError> {
         let Some(text) = self.get(field) else { return Ok(0) };
         let expected = format!("a whole number, at least {least}");
@@ -144,7 +144,7 @@ impl<'a> Header<'a> {
     }
 }
 
-/// The spelling in the format definition, for names with two spellings.
+/// The spelling of the format definition, for names with two spellings.
 fn canonical(name: &str) -> String {
     match name {
         "datafile" => "data file",

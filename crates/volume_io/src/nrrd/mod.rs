@@ -1,6 +1,8 @@
-//! NRRD files: attached (.nrrd) and detached (.nhdr, one data file or several), raw, gzip, bzip2, hex or text; segmentations of 3D Slicer.
+//! NRRD files: attached (.nrrd) and detached (.nhdr, one data file or several), raw, gzip, bzip2, hex or
+//! text; 3D Slicer segmentations.
 //!
-//! Source: "Definition of NRRD File Format", teem.sourceforge.net/nrrd/format.html. No well-kept crate reads this format.
+//! Source: "Definition of NRRD File Format", teem.sourceforge.net/nrrd/format.html. There is no maintained
+//! crate for this format.
 
 mod axes;
 mod data;
@@ -17,7 +19,7 @@ use header::Header;
 use std::path::Path;
 use voxel_grid::Volume;
 
-/// The encoding of voxels in the header's own file; none if they are in others.
+/// The encoding of voxels in the header's own file; `None` if they are in other files.
 pub(crate) fn attached_encoding(path: &Path, options: &ReadOptions) -> Result<Option<String>, VolumeError> {
     let header = Header::read(path, options.data_files)?;
     let encoding = header.get("encoding").unwrap_or_default().to_lowercase();

@@ -1,21 +1,22 @@
-//! Segmentations as 3D Slicer writes them (`.seg.nrrd`): segments by name, in one layer or several.
+//! 3D Slicer segmentations (`.seg.nrrd`): named segments, in one layer or several.
 //!
-//! Source: Slicer's developer guide, "Segmentations", `Segment<n>_Name`, `Segment<n>_LabelValue`, `Segment<n>_Layer`.
+//! Source: Slicer's developer guide, "Segmentations", `Segment<n>_Name`, `Segment<n>_LabelValue`,
+//! `Segment<n>_Layer`.
 
 use super::axes::Axes;
 use super::header::Header;
 use crate::error::VolumeError;
 use crate::options::Label;
 
-/// The voxels that were asked for.
+/// The requested voxels.
 pub(super) struct Wanted {
-    /// Place along the axis of layers.
+    /// Index along the layer axis.
     pub layer: usize,
-    /// Value inside.
+    /// Voxel value inside.
     pub value: i16,
 }
 
-/// A segment as its header describes it.
+/// A segment as described in the header.
 struct Segment {
     name: String,
     layer: usize,
@@ -27,7 +28,7 @@ pub(super) fn are_in(header: &Header<'_>) -> bool {
     header.pairs.contains_key("Segment0_Name") || header.pairs.contains_key("Segment0_ID")
 }
 
-/// The voxels that the label means; `None` without a label.
+/// Resolves the label to voxels; `None` without a label.
 pub(super) fn wanted(
     header: &Header<'_>,
     axes: &Axes,
@@ -39,25 +40,30 @@ pub(super) fn wanted(
     let refuse =
         |given: String| VolumeError::NoSuchLabel { path: header.path.into(), given, there: names(&segments) };
     match label {
-        None if layers > 1 => Err(refuse(format!("no label, and {layers} layers"))),
+        None if layers > 1 => Err(refuse(format!("no label selected, but there are {layers} layers"))),
         None => {
             if !segments.is_empty() {
-                notes.push(format!("a segmentation: {}", names(&segments)));
+                notes.push(format!("segmentation with {}", names(&segments)));
             }
             Ok(None)
         }
         Some(Label::Value(value)) if layers > 1 => {
-            Err(refuse(format!("label {value}, which each of {layers} layers may have")))
+            Err(refuse(format!("label {value} is ambiguous: there are {layers} layers")))
         }
         Some(Label::Value(value)) => Ok(Some(Wanted { layer: 0, value: *value })),
         Some(Label::Name(name)) => {
             let mut found = segments.iter().filter(|segment| segment.name == *name);
-            let Some(segment) = found.next() else { return Err(refuse(format!("label \"{name}\""))) };
+            let Some(segment) = found.next() else {
+                return Err(refuse(format!("label \"{name}\" not found")));
+            };
             if found.next().is_some() {
-                return Err(refuse(format!("label \"{name}\", which two segments have")));
+                return Err(refuse(format!("label \"{name}\" is ambiguous: two segments have this name")));
             }
             if segment.layer >= layers {
-                return Err(refuse(format!("label \"{name}\" in layer {} of {layers}", segment.layer)));
+                return Err(refuse(format!(
+                    "label \"{name}\" is in layer {}, but there are only {layers} layers",
+                    segment.layer
+                )));
             }
             Ok(Some(Wanted { layer: segment.layer, value: segment.value }))
         }
@@ -85,7 +91,7 @@ fn segments(header: &Header<'_>) -> Result<Vec<Segment>, VolumeError> {
 /// The segments on one line.
 fn names(segments: &[Segment]) -> String {
     if segments.is_empty() {
-        return "no segment with a name".to_owned();
+        return "no named segments".to_owned();
     }
     let each = |segment: &Segment| format!("\"{}\" ({})", segment.name, segment.value);
     segments.iter().map(each).collect::<Vec<_>>().join(", ")

@@ -1,15 +1,16 @@
 //! The shape of a right proximal femur and the density inside it, as functions of position.
 //!
-//! Frame: millimetres, origin at the centre of the femoral head, axes LPS. For a right femur +x is medial, +y posterior, +z superior.
-//! Sizes are those of an average adult: head diameter 46 mm, neck-shaft angle 125 degrees, anteversion 15 degrees, offset about
-//! 43 mm (Noble et al. 1988, Clin Orthop 235:148; Toogood et al. 2009, Clin Orthop 467:876: rounded means).
+//! Frame: millimetres, origin at the centre of the femoral head, axes LPS. For a right femur +x is medial, +y
+//! posterior, +z superior. Sizes are those of an average adult: head diameter 46 mm, neck-shaft angle 125
+//! degrees, anteversion 15 degrees, offset about 43 mm (Noble et al. 1988, Clin Orthop 235:148; Toogood et
+//! al. 2009, Clin Orthop 467:876: rounded means).
 
 use super::noise::value_noise;
 use super::shapes::{add_scaled, ellipsoid, smooth_union, smoothstep, sphere, sub, table, tapered_capsule};
 use crate::volume::{cross, dot, norm};
 use voxel_grid::density;
 
-/// What a block of voxels around bones can contain.
+/// Possible contents of a block of voxels around bones.
 #[derive(Clone, Copy, PartialEq)]
 pub enum Tissue {
     /// Air.
@@ -25,7 +26,8 @@ pub const HEAD_RADIUS: f64 = 23.0;
 /// Distance from the shaft axis to the head centre along the neck axis, mm.
 pub const NECK_LENGTH: f64 = 52.5;
 
-/// Shaft: height above the neck-shaft crossing, half width (medial-lateral), half depth (anterior-posterior), mm.
+/// Shaft: height above the neck-shaft crossing, half width (medial-lateral), half depth (anterior-posterior),
+/// mm.
 const SHAFT: [[f64; 3]; 6] = [
     [-90.0, 14.0, 14.2],
     [-60.0, 14.6, 14.4],
@@ -34,7 +36,8 @@ const SHAFT: [[f64; 3]; 6] = [
     [-5.0, 20.5, 16.5],
     [6.0, 20.0, 16.0],
 ];
-/// Neck: distance from the shaft axis along the neck axis, half height, half depth, mm. Thinnest just below the head.
+/// Neck: distance from the shaft axis along the neck axis, half height, half depth, mm. Thinnest just below
+/// the head.
 const NECK: [[f64; 3]; 5] =
     [[4.0, 21.0, 15.0], [16.0, 18.0, 13.5], [27.0, 15.8, 12.4], [33.0, 15.8, 12.6], [40.0, 18.0, 15.5]];
 /// Cortical thickness of the shaft and metaphysis: height above the crossing, thickness, mm
@@ -116,7 +119,8 @@ impl Anatomy {
         let processes = smooth_union(smooth_union(greater, crest, 8.0), lesser, 8.0);
         let bone = smooth_union(trunk, processes, 8.0);
 
-        // The fovea: a shallow pit where the ligament of the head attaches, on the medial side, a little behind and below.
+        // The fovea: a shallow pit where the ligament of the head attaches, on the medial side, a little
+        // behind and below.
         let fovea = sphere(p, [23.2, 6.2, -5.0], 4.5);
         -smooth_union(-bone, fovea, 2.0)
     }
@@ -124,7 +128,8 @@ impl Anatomy {
     /// Thickness of the cortical shell around a point, mm.
     pub fn cortex_thickness(&self, p: [f64; 3]) -> f64 {
         let [_, shaft] = table(&CORTEX, p[2] - self.crossing[2]);
-        // The lower (medial) cortex of the neck carries the load and is the thickest part of the proximal femur: the calcar.
+        // The lower (medial) cortex of the neck carries the load and is the thickest part of the proximal
+        // femur: the calcar.
         let from_calcar = norm(sub(p, self.compressive.0));
         shaft + 2.2 * bump(from_calcar, 13.0)
     }
@@ -136,8 +141,9 @@ impl Anatomy {
 
     /// Apparent density of cancellous bone before texture, g/cm³.
     ///
-    /// Levels by site after Morgan and Keaveny 2001 (J Biomech 34:569: femoral neck 0.56, greater trochanter 0.22 g/cm³ on average);
-    /// their layout (compressive group, tensile group, Ward's triangle) after Singh et al. 1970 (J Bone Joint Surg Am 52:457).
+    /// Levels by site after Morgan and Keaveny 2001 (J Biomech 34:569: femoral neck 0.56, greater
+    /// trochanter 0.22 g/cm³ on average); their layout (compressive group, tensile group, Ward's
+    /// triangle) after Singh et al. 1970 (J Bone Joint Surg Am 52:457).
     fn cancellous_density(&self, p: [f64; 3], depth: f64) -> f64 {
         let q = sub(p, self.crossing);
         let along = dot(q, self.neck);
@@ -153,7 +159,8 @@ impl Anatomy {
         let width = 7.0 + 0.16 * s.max(0.0);
         let compressive = 0.38 * bump(aside, width) * smoothstep(-12.0, 4.0, s);
 
-        // Principal tensile group: an arch under the upper cortex, from the lateral cortex below the trochanter into the head.
+        // Principal tensile group: an arch under the upper cortex, from the lateral cortex below the
+        // trochanter into the head.
         let arch = 11.0 - 0.011 * (along - 26.0) * (along - 26.0);
         let side = dot(q, self.neck_side);
         let tensile =
@@ -179,7 +186,8 @@ impl Anatomy {
         0.7 * value_noise(self.seed, grain) + 0.3 * value_noise(self.seed ^ 1, p.map(|c| c / 3.0))
     }
 
-    /// Apparent density of bone and marrow at a depth below the surface, g/cm³, given the blend width at the inner cortex.
+    /// Apparent density of bone and marrow at a depth below the surface, g/cm³, given the blend width at the
+    /// inner cortex.
     fn bone_density(&self, p: [f64; 3], depth: f64, blur: f64) -> f64 {
         let thickness = self.cortex_thickness(p);
         let cortical = coverage((thickness - depth) / blur.max(1.0));
@@ -196,7 +204,8 @@ impl Anatomy {
         rho
     }
 
-    /// Hounsfield units of bone at `p`, whose [`Anatomy::bone_distance`] is `distance`, blended over `blur` mm.
+    /// Hounsfield units of bone at `p`, whose [`Anatomy::bone_distance`] is `distance`, blended over `blur`
+    /// mm.
     pub fn bone_hu(&self, p: [f64; 3], distance: f64, blur: f64) -> f64 {
         density::hu_of(1000.0 * self.bone_density(p, -distance, blur))
     }
@@ -207,7 +216,8 @@ impl Anatomy {
         ellipsoid([p[0] + 15.0, p[1] - 6.0, 0.0], [67.0 - slope, 52.0 - slope, 1.0])
     }
 
-    /// Hounsfield units of muscle and fat at a depth under the skin (mm), and of air outside, blended over `blur` mm.
+    /// Hounsfield units of muscle and fat at a depth under the skin (mm), and of air outside, blended over
+    /// `blur` mm.
     ///
     /// Muscle +55, fat −105, air −1000 HU: ICRU Report 46 tissues as they appear on CT.
     pub fn soft_tissue_hu(&self, p: [f64; 3], skin_distance: f64, blur: f64) -> f64 {
@@ -216,7 +226,8 @@ impl Anatomy {
             return AIR_HU;
         }
         let under_fat = smoothstep(5.0, 8.0, -skin_distance);
-        // Fat between muscles: sheets where a slow noise crosses zero; stretched along the limb as muscles are.
+        // Fat between muscles: sheets where a slow noise crosses zero; stretched along the limb as muscles
+        // are.
         let slow = value_noise(self.seed ^ 2, [p[0] / 17.0, p[1] / 17.0, p[2] / 60.0]);
         let septum = 1.0 - smoothstep(0.0, 0.10, slow.abs());
         let muscle = under_fat * (1.0 - 0.8 * septum);
@@ -233,7 +244,8 @@ const FAT_HU: f64 = -105.0;
 /// Apparent bone density that gives yellow marrow's value ([`density`]): −57 HU, between fat and water.
 const MARROW_DENSITY: f64 = 0.07;
 
-/// Fraction of a voxel inside a surface `depth` voxel widths below its centre: a linear ramp, as from a box average.
+/// Fraction of a voxel inside a surface `depth` voxel widths below its centre: a linear ramp, as from a box
+/// average.
 pub fn coverage(depth: f64) -> f64 {
     (depth + 0.5).clamp(0.0, 1.0)
 }

@@ -49,7 +49,8 @@ pub struct FemurLandmarks {
     pub head_center_m: [f64; 3],
     /// Radius of the femoral head.
     pub head_radius_m: f64,
-    /// Unit vector along the neck axis, from the shaft to the head centre. Also the direction to drill from `entry_point_m`.
+    /// Unit vector along the neck axis, from the shaft to the head centre. Also the direction to drill from
+    /// `entry_point_m`.
     pub neck_axis: [f64; 3],
     /// Crossing of the neck axis and the shaft axis.
     pub neck_shaft_crossing_m: [f64; 3],
@@ -67,8 +68,9 @@ pub struct FemurLandmarks {
 
 /// Builds the femur phantom: a synthetic right proximal femur in a slim thigh, surrounded by air; no pelvis.
 ///
-/// A voxel is the field at its centre. Surfaces are blended over one voxel (at least 0.5 mm), like a CT's partial-volume effect, so that
-/// the half-way surface is the same at every spacing. Hounsfield units lie within −1000..=1700.
+/// A voxel is the field at its centre. Surfaces are blended over one voxel (at least 0.5 mm), like a CT's
+/// partial-volume effect, so that the half-way surface is the same at every spacing. Hounsfield units lie
+/// within −1000..=1700.
 ///
 /// # Errors
 /// [`VolumeError::Argument`] for a value outside the ranges of [`FemurSpec`].
@@ -165,7 +167,8 @@ impl Field for FemurField {
 
     fn region(&self, center_m: [f64; 3], radius_m: f64) -> Tissue {
         let p = self.local_mm(center_m);
-        // Factor 2: the first-order distance of a stretched ellipsoid may overestimate by its axis ratio, here at most 1.6.
+        // Factor 2: the first-order distance of a stretched ellipsoid may overestimate by its axis ratio,
+        // here at most 1.6.
         let reach = 2.0 * radius_m * 1e3 + self.blur;
         if self.anatomy.skin_distance(p) > reach {
             Tissue::Air
@@ -203,7 +206,8 @@ mod tests {
     use super::super::fill::assert_filled_by;
     use super::*;
 
-    /// Skipping blocks must not change any voxel: compares the volume with the field evaluated without skipping.
+    /// Skipping blocks must not change any voxel: compares the volume with the field evaluated without
+    /// skipping.
     #[test]
     fn skipping_changes_nothing() {
         for spacing_m in [1.0e-3, 2.0e-3] {

@@ -1,5 +1,5 @@
-//! Fills a grid from a function of position, in parallel. Each voxel is computed independently, so the result cannot depend on the number
-//! of threads.
+//! Fills a grid from a function of position, in parallel. Each voxel is computed independently, so the result
+//! cannot depend on the number of threads.
 
 use crate::error::VolumeError;
 use crate::volume::grid_of;
@@ -33,7 +33,8 @@ pub fn grid_along_axes(
     grid_of(Path::new(name), dims, spacing_m, origin_m, axes)
 }
 
-/// Samples `field` at the voxel centres of a grid along the world axes with `threads` threads (0: as many as the machine offers).
+/// Samples `field` at the voxel centres of a grid along the world axes with `threads` threads (0: as many as
+/// the machine offers).
 pub fn fill<F: Field>(grid: VoxelGrid, field: &F, threads: usize) -> Volume {
     let mut hu = vec![0_i16; grid.voxel_count()];
     let slab_voxels = grid.dims()[0] * grid.dims()[1] * BLOCK;
@@ -86,7 +87,8 @@ fn fill_slab<F: Field>(grid: VoxelGrid, field: &F, slab: usize, voxels: &mut [i1
     }
 }
 
-/// Checks the edge of the voxels of an anatomical phantom, and the point that it is built around; `point` is that field's name.
+/// Checks the edge of the voxels of an anatomical phantom, and the point that it is built around; `point` is
+/// that field's name.
 ///
 /// # Errors
 /// [`VolumeError::Argument`]: one is out of range.
@@ -109,7 +111,7 @@ pub fn to_hu(value: f64) -> i16 {
     ((value.clamp(-32768.0, 32767.0) + 32768.5) as i64 - 32768) as i16
 }
 
-/// Every so many voxels are those of the field where nothing is skipped, that is, in this region.
+/// Asserts that every `stride`-th voxel equals the field evaluated without skipping, that is, in this region.
 #[cfg(test)]
 pub fn assert_filled_by<F: Field>(volume: &Volume, field: &F, everywhere: F::Region, stride: usize) {
     for (index, &hu) in volume.hu.iter().enumerate().step_by(stride) {

@@ -1,7 +1,8 @@
-//! Synthetic volumes with exactly known geometry: a right proximal femur, a pelvis, a two-density block, a sphere.
+//! Synthetic volumes with exactly known geometry: a right proximal femur, a pelvis, a two-density block, a
+//! sphere.
 //!
-//! None of them is a patient. They are pure functions of their specification: the same bits on every machine and for every number of
-//! threads, and the same shape at every voxel spacing.
+//! None of them depicts a patient. They are pure functions of their specification: bitwise identical on every
+//! machine and for every number of threads, with the same shape at every voxel spacing.
 
 mod anatomy;
 mod femur;

@@ -1,6 +1,7 @@
 //! Value noise on a lattice of integer hashes: stateless and identical on every machine.
 
-/// A 64-bit finaliser (SplitMix64: Steele, Lea, Flood, OOPSLA 2014; constants of its reference implementation).
+/// A 64-bit finaliser (SplitMix64: Steele, Lea, Flood, OOPSLA 2014; constants of its reference
+/// implementation).
 fn mix(mut x: u64) -> u64 {
     x = (x ^ (x >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
     x = (x ^ (x >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
@@ -17,7 +18,8 @@ fn lattice(seed: u64, i: i64, j: i64, k: i64) -> f64 {
     (z >> 11) as f64 * (2.0 / (1_u64 << 53) as f64) - 1.0
 }
 
-/// Smooth noise in [−1, 1]: lattice values at integer coordinates, blended with the cubic 3t² − 2t³ along each axis.
+/// Smooth noise in [−1, 1]: lattice values at integer coordinates, blended with the cubic 3t² − 2t³ along
+/// each axis.
 pub fn value_noise(seed: u64, p: [f64; 3]) -> f64 {
     // floor() by way of an integer: exact, and a few instructions instead of a function call.
     let base = p.map(|x| {

@@ -1,7 +1,9 @@
-//! The pelvis phantom: two hip bones, a sacrum and two proximal femurs in a trunk of soft tissue, the size of a CT of an adult.
+//! The pelvis phantom: two hip bones, a sacrum and two proximal femurs in a trunk of soft tissue, the size of
+//! a CT of an adult.
 //!
-//! It stands in for a patient's CT where none is at hand: it has joints, thin plates and a second side, which the femur phantom has not.
-//! Frame of the shape: millimetres, origin midway between the femoral heads, axes LPS. The left side mirrors the right one.
+//! A substitute where no patient CT is available: it has joints, thin plates and a second side, which the
+//! femur phantom lacks. Frame of the shape: millimetres, origin midway between the femoral heads, axes LPS.
+//! The left side mirrors the right one.
 
 use super::anatomy::{AIR_HU, Anatomy, HEAD_RADIUS, Tissue, coverage};
 use super::fill::{Field, check_placement, fill, grid_along_axes};
@@ -11,7 +13,7 @@ use crate::error::VolumeError;
 use crate::volume::dot;
 use voxel_grid::Volume;
 
-/// Lower corner of the volume relative to the middle between the heads, mm LPS.
+/// Lower corner of the volume relative to the midpoint between the heads, mm LPS.
 const BOX_LOW_MM: [f64; 3] = [-185.0, -115.0, -100.0];
 /// Size of the volume, mm.
 const BOX_SIZE_MM: [f64; 3] = [370.0, 235.0, 240.0];
@@ -19,11 +21,13 @@ const BOX_SIZE_MM: [f64; 3] = [370.0, 235.0, 240.0];
 const HEAD_MM: [f64; 3] = [-90.0, 0.0, 0.0];
 /// Inner and outer radius of the socket: a joint space of 2.5 mm, a wall of 7.5 mm.
 const SOCKET_MM: [f64; 2] = [HEAD_RADIUS + 2.5, HEAD_RADIUS + 10.0];
-/// Where the right socket opens: lateral, anterior, inferior (inclination about 40 degrees, anteversion about 15).
+/// Where the right socket opens: lateral, anterior, inferior (inclination about 40 degrees, anteversion about
+/// 15).
 const OPENING: [f64; 3] = [-0.743, -0.254, -0.619];
 /// Half the thickness of the iliac wing and of the sacrum's wings.
 const PLATE_MM: f64 = 4.5;
-/// Thickness of the cortical shell of hip bones and sacrum (about 1.5 mm: Anderson et al. 2005, J Biomech Eng 127:364, rounded).
+/// Thickness of the cortical shell of hip bones and sacrum (about 1.5 mm: Anderson et al. 2005, J Biomech Eng
+/// 127:364, rounded).
 const CORTEX_MM: f64 = 1.5;
 const CORTEX_HU: f64 = 900.0;
 const CANCELLOUS_HU: f64 = 220.0;
@@ -31,16 +35,17 @@ const CANCELLOUS_HU: f64 = 220.0;
 /// Parameters of the pelvis phantom. The anatomy is the same at every spacing.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PelvisSpec {
-    /// Edge of the cubic voxels, metres; 0.34e-3 (finer ones are more than a volume may have) to 2e-3.
+    /// Edge of the cubic voxels, metres; 0.34e-3 (finer ones would exceed the voxel limit) to 2e-3.
     pub spacing_m: f64,
-    /// The middle between the femoral heads, world LPS, metres.
+    /// Midpoint between the femoral heads, world LPS, metres.
     pub center_m: [f64; 3],
     /// Threads to use; 0 for as many as the machine offers. The result does not depend on it.
     pub threads: usize,
 }
 
 impl Default for PelvisSpec {
-    /// 370 x 235 x 240 voxels of 1 mm; the right hip where `configs/pelvis_ct.toml` drills: head centre at (−0.085, −0.146, 0.121) m.
+    /// 370 x 235 x 240 voxels of 1 mm; the right hip where `configs/pelvis_ct.toml` drills: head centre at
+    /// (−0.085, −0.146, 0.121) m.
     fn default() -> Self {
         Self { spacing_m: 1e-3, center_m: [0.005, -0.146, 0.121], threads: 0 }
     }
@@ -48,7 +53,8 @@ impl Default for PelvisSpec {
 
 /// Builds the pelvis phantom.
 ///
-/// A voxel is the field at its centre; surfaces are blended over one voxel, as in the femur phantom, whose proximal femur it contains twice.
+/// A voxel is the field at its centre; surfaces are blended over one voxel, as in the femur phantom, whose
+/// proximal femur it contains twice.
 ///
 /// # Errors
 /// [`VolumeError::Argument`] for a value outside the ranges of [`PelvisSpec`].
@@ -115,7 +121,8 @@ impl Field for PelvisField {
 
     fn region(&self, center_m: [f64; 3], radius_m: f64) -> Tissue {
         let p = self.right_mm(center_m);
-        // Factor 2: the first-order distance of a stretched ellipsoid may overestimate by its axis ratio, here at most 1.6.
+        // Factor 2: the first-order distance of a stretched ellipsoid may overestimate by its axis ratio,
+        // here at most 1.6.
         let reach = 2.0 * radius_m * 1e3 + self.blur;
         let bone = hip_distance(p).min(self.femur.bone_distance(sub(p, HEAD_MM)));
         if Self::skin_distance(p) > reach {
@@ -168,8 +175,8 @@ mod tests {
         assert_filled_by(&volume, &field, Tissue::Any, 11);
     }
 
-    /// Along the line that `configs/pelvis_ct.toml` drills: soft tissue, the femur's lateral cortex, cancellous bone in the head, the joint
-    /// space, and the socket behind it.
+    /// Along the line that `configs/pelvis_ct.toml` drills: soft tissue, the femur's lateral cortex,
+    /// cancellous bone in the head, the joint space, and the socket behind it.
     #[test]
     fn the_drilled_line_leads_through_the_right_femur_into_its_head_and_ends_before_the_socket() {
         let spec = PelvisSpec::default();

@@ -1,8 +1,10 @@
-//! Implicit surfaces: functions that are negative inside, positive outside, and close to the distance near the surface.
+//! Implicit surfaces: functions that are negative inside, positive outside, and close to the distance near
+//! the surface.
 //!
-//! Lengths are in millimetres here, like every number of the anatomy. Sphere and capsule are exact; the ellipsoid and the elliptic tube use
-//! the first-order distance k0 (k0 − 1) / k1 (I. Quilez, "distance functions": value over gradient length), which has the exact zero set;
-//! the smooth union is Quilez's quadratic blend.
+//! Lengths are in millimetres here, like every number of the anatomy. Sphere and capsule are exact; the
+//! ellipsoid and the elliptic tube use the first-order distance k0 (k0 − 1) / k1 (I. Quilez, "distance
+//! functions": value over gradient length), which has the exact zero set; the smooth union is Quilez's
+//! quadratic blend.
 
 use crate::volume::{cross, dot, norm};
 
@@ -40,7 +42,8 @@ pub fn tapered_capsule(p: [f64; 3], a: [f64; 3], b: [f64; 3], radius_a: f64, rad
     norm(sub(p, add_scaled(a, t, axis))) - (radius_a + (radius_b - radius_a) * t)
 }
 
-/// Distance to a flat triangle: exact (I. Quilez, "distance functions": to its edges, or to its plane above its face).
+/// Distance to a flat triangle: exact (I. Quilez, "distance functions": to its edges, or to its plane above
+/// its face).
 pub fn triangle(p: [f64; 3], a: [f64; 3], b: [f64; 3], c: [f64; 3]) -> f64 {
     let edges = [(a, b), (b, c), (c, a)];
     let normal = cross(sub(b, a), sub(a, c));

@@ -5,7 +5,8 @@ use crate::error::VolumeError;
 use crate::volume::{dot, norm};
 use voxel_grid::Volume;
 
-/// A rectangular block of two materials that meet in a plane, surrounded by air: for skiving tests and density steps.
+/// A rectangular block of two materials that meet in a plane, surrounded by air: for skiving tests and
+/// density steps.
 #[derive(Clone, Debug, PartialEq)]
 pub struct BlockSpec {
     /// Voxels along x, y, z.
@@ -29,7 +30,8 @@ pub struct BlockSpec {
 }
 
 impl Default for BlockSpec {
-    /// 40 x 30 x 30 mm at 0.5 mm, centred at the world origin; soft below and hard above the plane z = 0; 2.5 mm of air around it.
+    /// 40 x 30 x 30 mm at 0.5 mm, centred at the world origin; soft below and hard above the plane z = 0; 2.5
+    /// mm of air around it.
     fn default() -> Self {
         Self {
             dims: [80, 60, 60],

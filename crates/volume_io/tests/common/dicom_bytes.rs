@@ -2,14 +2,14 @@
 
 use std::path::Path;
 
-/// What a test wants in a DICOM slice: explicit VR little-endian, int16, slope 1, intercept −1024.
+/// Parameters of a test's DICOM slice: explicit VR little-endian, int16, slope 1, intercept −1024.
 #[derive(Clone)]
 pub struct DicomSlice {
     pub series_uid: &'static str,
     pub modality: &'static str,
     pub slope: &'static str,
     pub intercept: Option<&'static str>,
-    /// RescaleType: what the values are.
+    /// RescaleType: unit of the values.
     pub rescale_type: Option<&'static str>,
     pub position_mm: [f64; 3],
     pub orientation: &'static str,
@@ -20,7 +20,7 @@ pub struct DicomSlice {
     pub stored: i16,
     pub rows: u16,
     pub columns: u16,
-    /// Encapsulated fragment instead of native pixels.
+    /// Encapsulated fragment instead of uncompressed pixels.
     pub fragment: Option<Vec<u8>>,
     /// GantryDetectorTilt, degrees.
     pub gantry_tilt: Option<&'static str>,
@@ -143,18 +143,18 @@ fn element(out: &mut Vec<u8>, at: (u16, u16), vr: &[u8; 2], value: &[u8]) {
     out.extend(value);
 }
 
-/// A lossless JPEG (process 14, first-order prediction) of 5 × 4 pixels of 11 bits, all at the initial prediction 2^10 = 1024: one Huffman
-/// code, one bit a pixel (ITU-T T.81 annex H).
+/// A lossless JPEG (process 14, first-order prediction) of 5 × 4 pixels of 11 bits, all at the initial
+/// prediction 2^10 = 1024: one Huffman code, one bit per pixel (ITU-T T.81 annex H).
 pub const LOSSLESS_JPEG: [u8; 54] = [
     0xff, 0xd8, 0xff, 0xc3, 0, 11, 11, 0, 4, 0, 5, 1, 1, 0x11, 0, 0xff, 0xc4, 0, 20, 0, 1, 0, 0, 0, 0, 0, 0,
     0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0xff, 0xda, 0, 8, 1, 1, 0, 1, 0, 0, 0, 0, 0x0f, 0xff, 0xd9, 0, 0,
 ];
 
-/// Transfer syntaxes of JPEG 2000: lossless, and either.
+/// Transfer syntaxes of JPEG 2000: lossless only, and lossless or lossy.
 pub const JPEG_2000_SYNTAXES: [&str; 2] = ["1.2.840.10008.1.2.4.90", "1.2.840.10008.1.2.4.91"];
 
-/// A JPEG 2000 codestream (ITU-T T.800 annex A) of signed 16 bits: one tile, one code-block, one packet of arbitrary bits. Bytes of the
-/// headers: SIZ from 2 on, COD from 45 on, QCD from 59 on, SOT from 65 on, the packet from 79 on.
+/// A JPEG 2000 codestream (ITU-T T.800 annex A) of signed 16 bits: one tile, one code-block, one packet of
+/// arbitrary bits. Start bytes: SIZ 2, COD 45, QCD 59, SOT 65, packet 79.
 pub fn jpeg_2000(rows: u16, columns: u16) -> Vec<u8> {
     // Its header: present, block included, 6 empty bit-planes, 31 coding passes, 20 bytes.
     let packet =
@@ -162,7 +162,7 @@ pub fn jpeg_2000(rows: u16, columns: u16) -> Vec<u8> {
     jpeg_2000_of(rows, columns, &packet.concat())
 }
 
-/// The same of a packet.
+/// The same with a given packet.
 pub fn jpeg_2000_of(rows: u16, columns: u16, packet: &[u8]) -> Vec<u8> {
     let size = [columns, rows].map(|extent| u32::from(extent).to_be_bytes()).concat();
     let offset = [0; 8];
@@ -170,7 +170,7 @@ pub fn jpeg_2000_of(rows: u16, columns: u16, packet: &[u8]) -> Vec<u8> {
     data.extend([&size[..], &offset, &size, &offset, &[0, 1, 0x8f, 1, 1]].concat());
     // No precincts, one layer, no decomposition, blocks of 64 x 64, reversible.
     data.extend([0xff, 0x52, 0, 12, 0, 0, 0, 1, 0, 0, 4, 4, 0, 1]);
-    // Two guard bits, 16 bits a sample.
+    // Two guard bits, 16 bits per sample.
     data.extend([0xff, 0x5c, 0, 4, 0x40, 16 << 3]);
     data.extend([0xff, 0x90, 0, 10, 0, 0]);
     data.extend((14 + packet.len() as u32).to_be_bytes());

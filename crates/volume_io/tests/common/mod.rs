@@ -1,4 +1,4 @@
-//! Small files built by hand, and where the shared data lie.
+//! Small hand-built files, and the location of the shared data.
 
 #![allow(clippy::unwrap_used, reason = "a file that cannot be written is a failed test")]
 

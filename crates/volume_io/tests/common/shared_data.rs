@@ -1,8 +1,8 @@
-//! Where the shared data lie.
+//! Location of the shared data.
 
 use std::path::{Path, PathBuf};
 
-/// A file or folder of the shared data; `None`, with a loud line, where they are absent.
+/// A file or folder of the shared data; prints a message and returns `None` if absent.
 pub fn shared(name: &str) -> Option<PathBuf> {
     let root = match std::env::var_os("TRABECULA_SHARED_DATA") {
         Some(root) => PathBuf::from(root),

@@ -1,7 +1,8 @@
-//! The readers against files of other projects (shared data), and against the `nifti` crate.
+//! Tests the readers on files of other projects (shared data), and against the `nifti` crate.
 //!
-//! Expected figures come from the files' own projects (pynrrd, nifti-rs, nibabel, pydicom, mdai-utils, TotalSegmentator) as opened with
-//! SimpleITK, nibabel and pydicom. Skipped, loudly, where the shared data are absent.
+//! Expected figures come from the files' own projects (pynrrd, nifti-rs, nibabel, pydicom, mdai-utils,
+//! TotalSegmentator) as opened with SimpleITK, nibabel and pydicom. Skipped, loudly, where the shared data
+//! are absent.
 
 // Helpers of tests may fail a test.
 #![allow(clippy::unwrap_used)]
@@ -11,7 +12,7 @@ use nifti::{NiftiObject, NiftiVolume, RandomAccessNiftiVolume, ReaderOptions};
 use volume_io::{VolumeError, read, read_with_info};
 use voxel_grid::Volume;
 
-/// Along the world axes.
+/// Axis-aligned with the world.
 const WORLD: [[f64; 3]; 3] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
 
 fn sum(volume: &Volume) -> i64 {
@@ -52,10 +53,10 @@ fn nrrd_ball_in_every_encoding() {
 fn nrrd_refusals() {
     let Some(folder) = shared("conformance/nrrd") else { return };
     let error = |name: &str| read(folder.join(name)).unwrap_err();
-    // −5 is no byte skip of the format; −1 is the only negative one.
+    // −5 is not a valid byte skip; −1 is the only negative one.
     let skip = error("BallBinary30x30x30_byteskip_minus_five.nhdr");
     assert!(matches!(&skip, VolumeError::Header { field, .. } if field.name == "byte skip"), "{skip}");
-    // The data file is a NIfTI file and nothing says to skip its header: every voxel would be shifted.
+    // The data file is a NIfTI file, and the header does not skip its header: every voxel would be shifted.
     let shifted = error("BallBinary30x30x30_nifti.nhdr");
     assert!(matches!(&shifted, VolumeError::Header { .. }), "{shifted}");
     for name in ["test1d_ascii.nrrd", "test2d_ascii.nrrd", "test_customFields.nrrd"] {
@@ -127,7 +128,7 @@ fn nifti_refusals_and_crashers() {
     assert_eq!(crashers, 4);
 }
 
-/// Voxels and affine against the `nifti` crate, on every file of the set that both read.
+/// Voxels and affine compared with the `nifti` crate, on every file that both can read.
 #[test]
 fn nifti_against_the_nifti_crate() {
     let names = [
@@ -179,7 +180,7 @@ fn totalsegmentator_ct() {
     close(&volume.grid.spacing_m(), &[3e-3; 3], 1e-8);
     close(&volume.grid.direction().concat(), &[-1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, 1.0], 1e-6);
     assert_eq!((info.hu.min_hu, info.hu.max_hu), (-1207, 3382));
-    // The masks lie on the same grid and are binary.
+    // The masks have the same grid and are binary.
     let mask = read(path.with_file_name("seg_femur_right.nii.gz")).unwrap();
     assert_eq!(mask.grid.dims(), volume.grid.dims());
     close(&mask.grid.origin_m(), &volume.grid.origin_m(), 1e-6);
@@ -203,7 +204,7 @@ fn dicom_series_of_five_slices() {
     close(&[volume.grid.origin_m()[2]], &[0.999], 1e-12);
     // Largest stored value over the five files is 2499, smallest 0 (read from the bytes), intercept −1024.
     assert_eq!((info.hu.min_hu, info.hu.max_hu), (-1024, 1475));
-    // Any one file stands for the series.
+    // Any single file selects the series.
     assert_eq!(read(folder.join("vhf.1002.dcm")).unwrap(), volume);
 }
 
@@ -218,12 +219,12 @@ fn dicom_series_without_its_third_slice() {
     let error = read(copy.path()).unwrap_err();
     println!("{error}");
     assert!(matches!(error, VolumeError::MissingSlices { .. }));
-    // The same slice twice under another name.
+    // The same slice twice, under another name.
     std::fs::copy(folder.join("vhf.1001.dcm"), copy.path().join("copy.dcm")).unwrap();
     let error = read(copy.path()).unwrap_err();
     println!("{error}");
     assert!(matches!(error, VolumeError::DuplicateSlices { .. }));
-    // Another patient's slice in the folder: a choice of two series.
+    // Another patient's slice in the folder: two series to choose from.
     if let Some(other) = shared("conformance/dicom_pydicom/CT_small.dcm") {
         std::fs::copy(other, copy.path().join("other.dcm")).unwrap();
         let error = read(copy.path()).unwrap_err();

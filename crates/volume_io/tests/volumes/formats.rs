@@ -1,4 +1,4 @@
-//! Round trips and the geometry rules of each format, on small files made here.
+//! Tests round trips and the geometry rules of each format, on small generated files.
 
 // Helpers of tests may fail a test.
 #![allow(clippy::unwrap_used)]
@@ -52,7 +52,7 @@ fn little(voxels: &[i16]) -> Vec<u8> {
     voxels.iter().flat_map(|v| v.to_le_bytes()).collect()
 }
 
-/// A rotation from any four numbers that are not all zero, as a unit quaternion.
+/// A rotation from any four numbers that are not all zero, read as a quaternion.
 fn rotation(q: [f64; 4]) -> [[f64; 3]; 3] {
     let n = q.iter().map(|c| c * c).sum::<f64>().sqrt();
     let [x, y, z, w] = q.map(|c| c / n);
@@ -81,7 +81,9 @@ proptest! {
             axes[2] = axes[2].map(|x| -x);
         }
         let count = dims.iter().product::<usize>() as u32;
-        let hu = (0..count).map(|i| (i.wrapping_mul(2_654_435_761).wrapping_add(seed) >> 16) as u16 as i16).collect();
+        let hu = (0..count)
+            .map(|i| (i.wrapping_mul(2_654_435_761).wrapping_add(seed) >> 16) as u16 as i16)
+            .collect();
         let grid = VoxelGrid::new(dims, spacing_mm.map(|s| s * 1e-3), origin_m, axes).unwrap();
         let volume = Volume { grid, hu };
         let folder = tempfile::tempdir().unwrap();
@@ -90,12 +92,12 @@ proptest! {
         let (back, info) = read_with_info(&path).unwrap();
         prop_assert_eq!(&back.hu, &volume.hu);
         prop_assert_eq!(back.grid.dims(), volume.grid.dims());
-        // A few roundings of numbers of order 1.
+        // A few rounding errors of numbers of order 1.
         near(&back.grid.spacing_m(), &volume.grid.spacing_m(), 1e-16);
         near(&back.grid.origin_m(), &volume.grid.origin_m(), 1e-15);
         near(&back.grid.direction().concat(), &volume.grid.direction().concat(), 1e-14);
         prop_assert!(info.notes.is_empty(), "{:?}", info.notes);
-        // Writing what was read gives the same volume again.
+        // Writing the volume that was read gives the same volume again.
         prop_assert!(write_nrrd(&path, &back).is_err(), "no file is written over");
         std::fs::remove_file(&path).unwrap();
         write_nrrd(&path, &back).unwrap();
@@ -111,13 +113,13 @@ fn nifti_axes_become_lps() {
     let file = NiftiBytes::new([2, 3, 4], affine, &counting());
     let volume = read_bytes("v.nii", &file.0).unwrap();
     near(&volume.grid.spacing_m(), &[0.5e-3, 1.5e-3, 2e-3], 1e-12);
-    // i went to the left already; j goes up; k went to anterior, which is −y in LPS.
+    // i already pointed left; j points up; k pointed anterior, which is −y in LPS.
     assert_eq!(volume.grid.direction(), [[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]);
     near(&volume.grid.origin_m(), &[-0.010, 0.020, 0.030], 1e-12);
     assert_eq!(volume.hu, counting());
     assert_eq!(volume.at([1, 2, 3]), Some(23));
     assert_eq!(read_bytes("v.nii.gz", &gzip(&file.0)).unwrap(), volume);
-    // Content counts, not the name.
+    // The content decides, not the name.
     assert_eq!(read_bytes("scan.bin", &file.0).unwrap(), volume);
 }
 
@@ -316,7 +318,7 @@ fn dicom_lossless_jpeg() {
         ..DicomSlice::default()
     };
     assert_eq!(read_bytes("v.dcm", &slice.bytes()).unwrap().hu, [0; 20]);
-    // The JPEG says 5 × 4, the header 5 × 3.
+    // The JPEG states 5 × 4, the header 5 × 3.
     let other = DicomSlice { rows: 3, ..slice };
     assert!(matches!(read_bytes("v.dcm", &other.bytes()), Err(VolumeError::Corrupt { .. })));
 }
@@ -330,7 +332,8 @@ fn hash_is_of_geometry_and_voxels() {
     let hash = volume_hash(&volume(0.0, 1));
     assert_eq!(volume_hash(&volume(-0.0, 1)), hash);
     let text: String = hash.iter().map(|b| format!("{b:02x}")).collect();
-    // Python: hashlib.sha256(b'trabecula volume v1\0' + struct.pack('<3Q15d2h', 2,1,1, *[1e-3]*3, 0,0,0, 1,0,0,0,1,0,0,0,1, 1,-2))
+    // Python: hashlib.sha256(b'trabecula volume v1\0' + struct.pack('<3Q15d2h', 2,1,1, *[1e-3]*3, 0,0,0,
+    // 1,0,0,0,1,0,0,0,1, 1,-2))
     assert_eq!(text, EXPECTED_HASH);
     assert_ne!(volume_hash(&volume(1e-9, 1)), hash);
     assert_ne!(volume_hash(&volume(0.0, 2)), hash);
@@ -347,7 +350,8 @@ fn writing_refuses_an_inconsistent_volume() {
     assert!(matches!(write_nrrd(Path::new("/nonexistent/v.nrrd"), &whole), Err(VolumeError::Output(_))));
 }
 
-/// Slices that were resampled upright keep the tag, and positions that ignore the tilt make a sheared volume: nothing said so.
+/// Regression: slices that were resampled upright keep the tag, and positions that ignore the tilt give a
+/// sheared volume; neither was reported.
 #[test]
 fn a_gantry_tilt_in_the_tags_alone_is_noted() {
     let notes = |gantry_tilt| {
@@ -358,14 +362,14 @@ fn a_gantry_tilt_in_the_tags_alone_is_noted() {
     };
     assert!(
         notes(Some("-15.5"))
-            .contains("GantryDetectorTilt (0018,1120) is -15.5 degrees, but the slices lie straight")
+            .contains("GantryDetectorTilt (0018,1120) is -15.5 degrees, but the slices are stacked straight")
     );
     assert_eq!(notes(Some("0.0")), "");
     assert_eq!(notes(None), "");
 }
 
-/// Axes of four decimals (dcm2niix of some series) passed every check and ended a run that had begun; they are made perpendicular, and it is
-/// said.
+/// Regression: axes with four decimals (dcm2niix of some series) passed every check and ended a run after its
+/// start; they are made perpendicular, with a note.
 #[test]
 fn axes_of_four_decimals_are_made_perpendicular_with_a_note() {
     let (row, column) = ([0.9141_f32, 0.393, -0.0998], [-0.3688_f32, 0.9082, 0.1977]);

@@ -1,6 +1,7 @@
-//! JPEG 2000 in DICOM: codestreams that lie about themselves are refused before they take memory, and no pixel is made up.
+//! Tests of JPEG 2000 in DICOM: codestreams with false headers are refused before memory is allocated, and no
+//! pixel is invented.
 //!
-//! Whole files of other programs, voxel for voxel: `variants`.
+//! Complete files of other programs are compared voxel by voxel in `variants`.
 
 // Helpers of tests may fail a test.
 #![allow(clippy::unwrap_used)]
@@ -9,7 +10,7 @@ use crate::common::dicom_bytes::{DicomSlice, JPEG_2000_SYNTAXES, jpeg_2000, jpeg
 use volume_io::{VolumeError, read};
 use voxel_grid::Volume;
 
-/// First bytes of segments and fields in [`jpeg_2000`].
+/// Start bytes of segments and fields in [`jpeg_2000`].
 const SIZ: usize = 2;
 const COD: usize = 45;
 const QCD: usize = 59;
@@ -32,7 +33,7 @@ fn read_slice(slice: &DicomSlice) -> Result<Volume, VolumeError> {
     read(&path)
 }
 
-/// What is said of a slice of 5 x 4 pixels whose codestream was changed.
+/// The error of a slice of 5 x 4 pixels with a changed codestream.
 fn refusal(change: impl FnOnce(&mut Vec<u8>)) -> String {
     let mut codestream = jpeg_2000(4, 5);
     change(&mut codestream);
@@ -50,9 +51,9 @@ fn a_frame_is_what_openjpeg_makes_of_it() {
     let volume = read_slice(&slice(4, 5, jpeg_2000(4, 5))).unwrap();
     println!("{:?}", volume.hu);
     let stored: Vec<i32> = volume.hu.iter().map(|hu| i32::from(*hu) + 1024).collect();
-    // By pydicom 3.0.2 with pylibjpeg-openjpeg 2.6.0.
+    // Decoded by pydicom 3.0.2 with pylibjpeg-openjpeg 2.6.0.
     assert_eq!(stored, OPENJPEG);
-    // The other syntax says that the codestream may be lossy; and a fragment may be padded.
+    // The other syntax permits lossy data; and a fragment can be padded.
     let padded = DicomSlice {
         transfer_syntax: JPEG_2000_SYNTAXES[1],
         ..slice(4, 5, [jpeg_2000(4, 5), vec![0; 3]].concat())
@@ -75,7 +76,7 @@ fn a_codestream_cut_anywhere_is_refused() {
         let error = read_slice(&slice(4, 5, whole[..length].to_vec())).unwrap_err();
         assert!(matches!(error, VolumeError::Corrupt { codec: "JPEG 2000", .. }), "{length}: {error}");
     }
-    // So is one from whose packet bytes were taken, with lengths that agree with what is left.
+    // Codestreams with packet bytes removed and lengths adjusted to match are refused, too.
     for packet in 1..22 {
         let bytes = &whole[79..79 + packet];
         let error = read_slice(&slice(4, 5, jpeg_2000_of(4, 5, bytes))).unwrap_err();
@@ -86,12 +87,12 @@ fn a_codestream_cut_anywhere_is_refused() {
 #[test]
 fn a_frame_of_another_size_than_its_slice_is_refused() {
     let said = refusal(|data| put(data, SIZ + 6, &65_535_u32.to_be_bytes()));
-    assert!(said.contains("4 x 65535 pixels inside, 4 x 5 in the header"), "{said}");
+    assert!(said.contains("4 x 65535 pixels in the frame, 4 x 5 in the header"), "{said}");
     let said = refusal(|data| put(data, SIZ + 14, &1_u32.to_be_bytes()));
     assert!(said.contains("begin at the origin"), "{said}");
 }
 
-/// Both headers lie alike, in 100 bytes.
+/// Both headers agree on a false size, in 100 bytes.
 #[test]
 fn a_frame_that_cannot_hold_its_pixels_is_refused_before_it_takes_memory() {
     let cases = [
@@ -116,10 +117,10 @@ fn other_components_than_one_grey_one_are_refused() {
         data.splice(SIZ + 43..SIZ + 43, component);
     });
     assert!(said.contains("16 components"), "{said}");
-    assert!(refusal(|data| data[SIZ + 40] = 0x80 | 37).contains("38 bits a sample"));
-    assert!(refusal(|data| data[SIZ + 41] = 2).contains("sampled down"));
+    assert!(refusal(|data| data[SIZ + 40] = 0x80 | 37).contains("38 bits per sample"));
+    assert!(refusal(|data| data[SIZ + 41] = 2).contains("subsampled component"));
     let said = refusal(|data| data[SIZ + 40] = 12);
-    assert!(said.contains("unsigned 13 bits inside, signed 16 bits in the header"), "{said}");
+    assert!(said.contains("unsigned 13 bits in the codestream, signed 16 bits in the header"), "{said}");
 }
 
 #[test]
@@ -132,21 +133,22 @@ fn tiles_that_are_not_there_are_refused() {
     assert!(refusal(|data| tile(data, 0, 4)).contains("tiles of 4 x 0 pixels"));
     assert!(refusal(|data| tile(data, 5, 2)).contains("tile 1 of 2 is missing"));
     assert!(refusal(|data| data[SOT + 5] = 1).contains("tile 1 of 1"));
-    assert!(refusal(|data| put(data, SOT + 6, &[0; 4])).contains("does not say how long it is"));
-    assert!(refusal(|data| put(data, SOT + 6, &[0xff; 4])).contains("no whole tile-part at byte 65"));
+    assert!(refusal(|data| put(data, SOT + 6, &[0; 4])).contains("a tile-part of unstated length"));
+    assert!(refusal(|data| put(data, SOT + 6, &[0xff; 4])).contains("no complete tile-part at byte 65"));
 }
 
-/// A quantization of 65532 values would be copied for every tile; layers and small precincts multiply what is kept of each block.
+/// A quantization with 65532 values would be copied for every tile; layers and small precincts multiply the
+/// record kept for each block.
 #[test]
 fn headers_that_multiply_memory_are_refused() {
     let said = refusal(|data| {
         put(data, QCD + 2, &u16::MAX.to_be_bytes());
         data.splice(QCD + 6..QCD + 6, vec![0; 65_531]);
     });
-    assert!(said.contains("a quantization (QCD) out of its range"), "{said}");
+    assert!(said.contains("a quantization (QCD) out of range"), "{said}");
     let said = refusal(|data| put(data, COD + 6, &u16::MAX.to_be_bytes()));
-    assert!(said.contains("a coding style (COD) out of its range"), "{said}");
-    assert!(refusal(|data| data[COD + 9] = 33).contains("a coding style (COD) out of its range"));
+    assert!(said.contains("a coding style (COD) out of range"), "{said}");
+    assert!(refusal(|data| data[COD + 9] = 33).contains("a coding style (COD) out of range"));
     // 32 layers in precincts of one pixel.
     let extent = 1024;
     let mut codestream = jpeg_2000(extent, extent);
@@ -163,7 +165,7 @@ fn what_is_not_read_of_jpeg_2000_is_named() {
         let said = refusal(|data| {
             data.splice(SOT..SOT, [0xff, marker, 0, 5, 0, 0, 7]);
         });
-        assert!(said.contains(&format!("a segment of marker ff{marker:02x}")), "{said}");
+        assert!(said.contains(&format!("a segment with marker ff{marker:02x}")), "{said}");
     }
     let error =
         read_slice(&DicomSlice { transfer_syntax: "1.2.840.10008.1.2.4.92", ..slice(4, 5, jpeg_2000(4, 5)) });

@@ -1,4 +1,4 @@
-//! Readers and writers of volumes, in one program: it is linked once, and its tests share both cores.
+//! Tests of volume readers and writers in one program, which is linked once and shares both cores.
 
 #[path = "../common/mod.rs"]
 mod common;

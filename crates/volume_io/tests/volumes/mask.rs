@@ -1,4 +1,4 @@
-//! The distance transform against brute force, and masks turned into synthetic Hounsfield units.
+//! Tests the distance transform against brute force, and masks filled with synthetic Hounsfield units.
 
 // Helpers of tests may fail a test.
 #![allow(clippy::unwrap_used)]
@@ -9,7 +9,7 @@ use volume_io::phantom::{SphereSpec, sphere};
 use volume_io::{HuStatistics, MaskModel, VolumeError, mask_to_hu, read, squared_distance_m2};
 use voxel_grid::Volume;
 
-/// Squared distance to the nearest site, by trying all.
+/// Squared distance to the nearest site, by brute force.
 fn brute_force(dims: [usize; 3], spacing_m: [f64; 3], sites: &[bool]) -> Vec<f64> {
     let place = |index: usize| {
         let voxel = [index % dims[0], index / dims[0] % dims[1], index / (dims[0] * dims[1])];
@@ -42,7 +42,7 @@ proptest! {
         let spacing_m = spacing_mm.map(|s| s * 1e-3);
         let fast = squared_distance_m2(dims, spacing_m, &sites);
         for (a, b) in fast.iter().zip(brute_force(dims, spacing_m, &sites)) {
-            // f32 storage, rounded once an axis.
+            // f32 storage, rounded once per axis.
             let tolerance = 3.0 * f64::from(f32::EPSILON) * b;
             prop_assert!(f64::from(*a) == b || (f64::from(*a) - b).abs() <= tolerance, "{a} is not {b}");
         }

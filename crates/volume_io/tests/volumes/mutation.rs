@@ -1,4 +1,5 @@
-//! Random truncation and mutation of valid files: the readers return, with a volume of as many voxels as its grid has or an error; never a panic.
+//! Random truncation and mutation of valid files: the readers return either a volume with as many voxels as
+//! its grid, or an error; they never panic.
 
 // Helpers of tests may fail a test.
 #![allow(clippy::unwrap_used)]
@@ -11,7 +12,8 @@ use std::path::Path;
 use volume_io::{read, write_nrrd};
 use voxel_grid::{Volume, VoxelGrid};
 
-/// Bytes to overwrite as (place as a fraction of the part that is mutated, value), and the fraction of the file to keep.
+/// Bytes to overwrite as (position as a fraction of the mutated part, value), and the fraction of the file to
+/// keep.
 type Damage = (Vec<(f64, u8)>, f64);
 
 fn damage() -> impl Strategy<Value = Damage> {
@@ -20,7 +22,7 @@ fn damage() -> impl Strategy<Value = Damage> {
     (prop::collection::vec((0.0..1.0, values), 0..8), prop_oneof![3 => Just(1.0), 1 => 0.0..1.0])
 }
 
-/// Writes damaged bytes and reads them; `header` is how many bytes are worth mutating.
+/// Writes damaged bytes and reads them; `header` is the number of leading bytes worth mutating.
 fn attempt(name: &str, bytes: &[u8], header: usize, (changes, keep): &Damage) {
     let mut bytes = bytes.to_vec();
     for (place, value) in changes {
@@ -110,7 +112,7 @@ proptest! {
             ..DicomSlice::default()
         };
         attempt("v.dcm", &slice.bytes(), usize::MAX, &damage);
-        // Damage in the JPEG alone, so that every case reaches its decoder.
+        // Damages only the JPEG, so that every case reaches its decoder.
         let mut fragment = LOSSLESS_JPEG.to_vec();
         for (place, value) in &damage.0 {
             fragment[(place * 54.0) as usize] = *value;
@@ -118,7 +120,7 @@ proptest! {
         attempt("v.dcm", &DicomSlice { fragment: Some(fragment), ..slice }.bytes(), 0, &(vec![], 1.0));
     }
 
-    /// Damage in the codestream alone, and not in its tile-part's length, so that most cases reach the decoder.
+    /// Damages only the codestream, and not its tile-part's length, so that most cases reach the decoder.
     #[test]
     fn dicom_jpeg_2000(damage in damage()) {
         let mut fragment = jpeg_2000(64, 80);
@@ -158,8 +160,10 @@ proptest! {
     #[test]
     fn dicom_folders(damage in damage(), z_mm in prop::collection::vec(-5.0..5.0_f64, 1..5)) {
         let folder = tempfile::tempdir().unwrap();
-        let slices: Vec<DicomSlice> =
-            z_mm.iter().map(|z| DicomSlice { position_mm: [0.0, 0.0, *z], ..DicomSlice::default() }).collect();
+        let slices: Vec<DicomSlice> = z_mm
+            .iter()
+            .map(|z| DicomSlice { position_mm: [0.0, 0.0, *z], ..DicomSlice::default() })
+            .collect();
         write_series(folder.path(), &slices);
         let path = folder.path().join("000.dcm");
         let mut bytes = std::fs::read(&path).unwrap();
@@ -171,7 +175,7 @@ proptest! {
         check(folder.path());
     }
 
-    /// Real files: encodings and structures that the small ones do not have.
+    /// Real files: encodings and structures that the small ones lack.
     #[test]
     fn conformance_files(damage in damage(), pick in 0..9_usize) {
         let name = [

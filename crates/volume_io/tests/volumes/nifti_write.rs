@@ -1,10 +1,10 @@
-//! NIfTI files that are written here. Other readers of them: `tests/processes/plans.rs` (nibabel).
+//! Tests written NIfTI files. Other readers of them: `tests/processes/plans.rs` (nibabel).
 #![allow(clippy::unwrap_used, reason = "a test fails by it")]
 
 use volume_io::{VolumeError, read, write_nifti};
 use voxel_grid::{Volume, VoxelGrid};
 
-/// Axes turned by 30 degrees about z, i and j exchanged: left-handed, as some scanners' are.
+/// Axes rotated by 30 degrees about z, with i and j exchanged: left-handed, as for some scanners.
 fn tilted(dims: [usize; 3]) -> Volume {
     let (sin, cos) = (0.5, 0.75_f64.sqrt());
     let axes = [[-sin, cos, 0.0], [cos, sin, 0.0], [0.0, 0.0, 1.0]];
@@ -12,7 +12,7 @@ fn tilted(dims: [usize; 3]) -> Volume {
     Volume { grid, hu: (0..grid.voxel_count()).map(|n| (n * 37 % 65_536) as u16 as i16).collect() }
 }
 
-/// nifti1.h holds places in single precision: 24 bits, 6e-8 of the farthest number, which is 1500 mm here.
+/// nifti1.h holds positions in single precision: 24 bits, 6e-8 of the largest number, which is 1500 mm here.
 const WITHIN_M: f64 = 1.5 * 1.2e-7;
 
 #[test]

@@ -1,4 +1,5 @@
-//! The phantoms: anatomy against its own numbers in closed form, the same shape at every spacing, the same bits for every thread count.
+//! Tests of the phantoms: anatomy against closed forms of its own parameters, the same shape at every
+//! spacing, and the same bits for every number of threads.
 
 // Helpers of tests may fail a test.
 #![allow(clippy::unwrap_used)]
@@ -55,7 +56,7 @@ fn mean_around(volume: &Volume, center_m: [f64; 3], radius_m: f64) -> f64 {
     sum / f64::from(count)
 }
 
-/// Distance along a ray from outside to where it first meets bone of 500 HU, by steps of 0.05 mm inwards.
+/// Distance along a ray from outside to the first bone of 500 HU, in steps of 0.05 mm.
 fn outer_radius_m(volume: &Volume, center_m: [f64; 3], direction: [f64; 3]) -> f64 {
     let mut s = 0.030;
     while hu_between(volume, along(center_m, direction, s)) < 500.0 && s > 0.0 {
@@ -71,7 +72,8 @@ fn landmarks_are_the_stated_anatomy() {
     let neck_shaft_deg = (-n[2]).acos().to_degrees();
     let anteversion_deg = (-n[1]).atan2(n[0]).to_degrees();
     println!(
-        "neck-shaft angle {neck_shaft_deg:.3}, anteversion {anteversion_deg:.3} degrees, entry {entry_point_m:?}"
+        "neck-shaft angle {neck_shaft_deg:.3}, anteversion {anteversion_deg:.3} degrees, entry \
+         {entry_point_m:?}"
     );
     assert!((neck_shaft_deg - 125.0).abs() < 1e-9 && (anteversion_deg - 15.0).abs() < 1e-9);
     assert_eq!(head_center_m, [-0.09, 0.0, 0.0]);
@@ -93,7 +95,8 @@ fn default_femur() {
     println!("{hu:?}");
     assert!(hu.min_hu >= -1000 && hu.max_hu <= 1700 && hu.max_hu > 1400);
 
-    // A straight hole from the lateral cortex to the head centre: cortex first, then bone or marrow all the way.
+    // A straight hole from the lateral cortex to the head centre: cortex first, then bone or marrow
+    // throughout.
     let ray = |s: f64| hu_between(&volume, along(marks.entry_point_m, marks.neck_axis, s));
     assert!(ray(-1.5e-3) < 150.0, "soft tissue outside the entry point: {}", ray(-1.5e-3));
     assert!(ray(1.0e-3) > 700.0, "cortex inside the entry point: {}", ray(1.0e-3));
@@ -162,7 +165,7 @@ fn threads_do_not_change_a_bit() {
     assert_ne!(volume_hash(&femur(&seeded).unwrap()), one);
 }
 
-/// The bits themselves, so that another machine, compiler or change that alters them is seen.
+/// The bits themselves, to detect any machine, compiler or change that alters them.
 #[test]
 fn known_hash() {
     let hash = volume_hash(&femur(&spec(2.0e-3)).unwrap());

@@ -1,4 +1,5 @@
-//! Every refused input gives its own error, and says the file, the field, what was given and what is expected.
+//! Every refused input gives its own error, which names the file, the field, the value found and what was
+//! expected.
 
 // Helpers of tests may fail a test.
 #![allow(clippy::unwrap_used)]
@@ -136,7 +137,8 @@ fn more_promised_than_there_is() {
     assert!(matches!(refuse("v.nii.gz", &encoder.finish().unwrap()), VolumeError::Truncated { .. }));
 }
 
-/// Behind raw voxels ITK and nibabel pass over what follows; of anything else more data mean a header that is wrong.
+/// After raw voxels, ITK and nibabel ignore trailing data; for other encodings, extra data mean a wrong
+/// header.
 #[test]
 fn more_data_than_the_header_says_is_refused_or_noted() {
     let header = |error: VolumeError| assert!(matches!(error, VolumeError::Header { .. }), "{error}");
@@ -147,7 +149,7 @@ fn more_data_than_the_header_says_is_refused_or_noted() {
         let (volume, info) = volume_io::read_with_info(&path).unwrap();
         assert_eq!(volume.hu.len(), 24, "{name}");
         assert!(
-            info.notes.iter().any(|note| note == "6 bytes behind the voxels are not read"),
+            info.notes.iter().any(|note| note == "6 bytes after the voxel data are ignored"),
             "{:?}",
             info.notes
         );
@@ -237,7 +239,7 @@ fn dicom_stacks() {
     assert!(matches!(series(&stack(&[0.0, 1.0, 3.0, 4.0])), VolumeError::MissingSlices { .. }));
     assert!(matches!(series(&stack(&[0.0, 1.0, 2.4, 3.4])), VolumeError::VariableSpacing { .. }));
     assert!(matches!(series(&stack(&[0.0, 1.0, 1.0, 2.0])), VolumeError::DuplicateSlices { .. }));
-    // A gantry tilted by 5.7 degrees: each slice 0.1 mm further back a millimetre.
+    // A gantry tilted by 5.7 degrees: each slice is shifted by 0.1 mm per millimetre.
     let tilted: Vec<DicomSlice> = [0.0, 1.0, 2.0].map(|z| at([0.0, 0.1 * z, z])).to_vec();
     assert!(matches!(series(&tilted), VolumeError::Sheared { .. }));
     let change = |change: fn(&mut DicomSlice)| {
@@ -284,7 +286,7 @@ fn dicom_stacks() {
 fn dicom_files() {
     let whole = DicomSlice::default().bytes();
     assert!(matches!(refuse("v.dcm", &whole[..whole.len() - 2]), VolumeError::Truncated { .. }));
-    // The pixels are a whole element, but shorter than rows × columns.
+    // The pixels are a complete element, but shorter than rows × columns.
     let mut taller = whole.clone();
     let rows = taller.windows(6).position(|w| w == b"\x28\0\x10\0US").unwrap() + 8;
     taller[rows] = 5;
@@ -292,14 +294,14 @@ fn dicom_files() {
         refuse("v.dcm", &taller),
         VolumeError::Truncated { given_bytes: 40, expected_bytes: 50, .. }
     ));
-    // An element that promises 4 GB in a file of a kilobyte.
+    // An element that promises 4 GB in a file of one kilobyte.
     let mut promised = whole.clone();
     let pixels = promised.windows(6).position(|w| w == b"\xe0\x7f\x10\0OW").unwrap() + 8;
     promised[pixels..pixels + 4].copy_from_slice(&0xffff_fffe_u32.to_le_bytes());
     assert!(matches!(refuse("v.dcm", &promised), VolumeError::Truncated { .. }));
     // Neither a preamble nor a data set at the start.
     assert!(matches!(refuse("v.dcm", &whole[130..]), VolumeError::NotAVolume { .. }));
-    // Sequences inside sequences without end.
+    // Endlessly nested sequences.
     let mut nested = whole[..whole.len() - 52].to_vec();
     for _ in 0..5000 {
         nested.extend(b"\x40\0\x75\x02SQ\0\0\xff\xff\xff\xff\xfe\xff\0\xe0\xff\xff\xff\xff");
@@ -309,8 +311,8 @@ fn dicom_files() {
     );
 }
 
-/// An `SL` of two bytes: the parser read no number of it, took its bytes for the next element and 1.3 GB for that one's
-/// value, of a file of 524 bytes.
+/// Regression: in an `SL` of two bytes the parser read no number, took its bytes for the next element and
+/// allocated 1.3 GB for that one's value, in a file of 524 bytes.
 #[test]
 fn a_dicom_value_with_a_part_of_a_number_is_refused() {
     let mut explicit = DicomSlice::default().bytes();
@@ -322,7 +324,8 @@ fn a_dicom_value_with_a_part_of_a_number_is_refused() {
     };
     let refused = field(refuse("v.dcm", &explicit));
     assert_eq!(refused, ("(0028,0002)".to_owned(), "a multiple of 4 bytes".to_owned()));
-    // Without VRs in the file the dictionary knows them: 2 bytes of (0008,1160), an IS, and 3 of (0028,0010), an US.
+    // Without VRs in the file the dictionary knows them: 2 bytes of (0008,1160), an IS, and 3 of (0028,0010),
+    // an US.
     let mut implicit = DicomSlice { transfer_syntax: "1.2.840.10008.1.2", ..DicomSlice::default() }.bytes();
     let data_set = implicit.windows(6).position(|w| w == b"\x08\0\x60\0CS").unwrap();
     implicit.truncate(data_set);
@@ -331,7 +334,7 @@ fn a_dicom_value_with_a_part_of_a_number_is_refused() {
     assert_eq!(refused, ("(0028,0010)".to_owned(), "a multiple of 2 bytes".to_owned()));
 }
 
-/// The parser believes where the group of the file ends, and would read the data set in another encoding.
+/// The parser trusts the stated end of the file meta group, and would read the data set in another encoding.
 #[test]
 fn a_dicom_group_length_that_is_not_the_groups_is_refused() {
     let whole = DicomSlice::default().bytes();
@@ -341,7 +344,10 @@ fn a_dicom_group_length_that_is_not_the_groups_is_refused() {
         file[140..144].copy_from_slice(&wrong.to_le_bytes());
         let refused = refuse("v.dcm", &file);
         assert!(
-            matches!(&refused, VolumeError::Header { field, .. } if field.name.contains("FileMetaInformationGroupLength")),
+            matches!(
+                &refused,
+                VolumeError::Header { field, .. } if field.name.contains("FileMetaInformationGroupLength")
+            ),
             "{wrong}: {refused}"
         );
     }
@@ -365,12 +371,13 @@ fn files_that_are_not_volumes_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     assert!(matches!(read(folder.path()), Err(VolumeError::NotAVolume { .. })));
     assert!(matches!(read(folder.path().join("absent.nii")), Err(VolumeError::Io { .. })));
-    let detached = "NRRD0005\ntype: short\ndimension: 3\nsizes: 2 3 4\nspacings: 1 1 1\nendian: little\nencoding: raw\ndata file: gone.raw\n";
+    let detached = "NRRD0005\ntype: short\ndimension: 3\nsizes: 2 3 4\nspacings: 1 1 1\nendian: \
+                    little\nencoding: raw\ndata file: gone.raw\n";
     assert!(matches!(refuse_io("v.nhdr", detached.as_bytes()), VolumeError::Io { .. }));
     assert!(matches!(read("/dev/null"), Err(VolumeError::NotAVolume { .. })));
 }
 
-/// As `refuse`, where the message names the missing file and not the header.
+/// As `refuse`, for a message that names the missing file instead of the header.
 fn refuse_io(name: &str, bytes: &[u8]) -> VolumeError {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join(name);

@@ -1,4 +1,4 @@
-//! Volumes of strangers: which files they may name, what they may cost, and what of their texts is shown.
+//! Tests of untrusted volumes: which files they may name, what they may cost, and how their texts are shown.
 
 // Helpers of tests may fail a test.
 #![allow(clippy::unwrap_used, clippy::panic)]
@@ -12,7 +12,8 @@ use crate::common::dicom_bytes::{DicomSlice, LOSSLESS_JPEG, write_series};
 use crate::common::nifti_bytes::NiftiBytes;
 use volume_io::{DataFiles, ReadOptions, VolumeError, read, read_as, read_with_info};
 
-const GEOMETRY: &str = "type: short\ndimension: 3\nsizes: 2 3 4\nspace: LPS\nspace directions: (1,0,0) (0,1,0) (0,0,1)\nendian: little\n";
+const GEOMETRY: &str = "type: short\ndimension: 3\nsizes: 2 3 4\nspace: LPS\nspace directions: (1,0,0) \
+                        (0,1,0) (0,0,1)\nendian: little\n";
 
 fn nhdr(data_file: &str) -> String {
     format!("NRRD0005\n{GEOMETRY}encoding: raw\ndata file: {data_file}\n")
@@ -20,11 +21,12 @@ fn nhdr(data_file: &str) -> String {
 
 fn mhd(data_file: &str) -> String {
     format!(
-        "ObjectType = Image\nNDims = 3\nDimSize = 2 3 4\nElementSpacing = 1 1 1\nElementType = MET_SHORT\nElementDataFile = {data_file}\n"
+        "ObjectType = Image\nNDims = 3\nDimSize = 2 3 4\nElementSpacing = 1 1 1\nElementType = \
+         MET_SHORT\nElementDataFile = {data_file}\n"
     )
 }
 
-/// A folder of a stranger's beside a private file that would do as voxels.
+/// A folder with an untrusted header, next to a private file that could serve as voxels.
 struct Place {
     folder: tempfile::TempDir,
 }
@@ -71,7 +73,7 @@ fn no_header_makes_a_picture_of_a_file_elsewhere() {
         assert_elsewhere(&place.theirs("v.nhdr", nhdr(name)), &format!("NRRD {name}"));
         assert_elsewhere(&place.theirs("v.mhd", mhd(name)), &format!("MetaImage {name}"));
     }
-    // What lies in the folder is read, also through links that stay in it.
+    // Files in the folder are read, also through links that stay inside it.
     place.theirs("sub/v.raw", [7_u8; 48]);
     symlink("sub/v.raw", place.path("theirs/inner.raw")).unwrap();
     let own = place.path("theirs/sub/v.raw").canonicalize().unwrap();
@@ -82,7 +84,7 @@ fn no_header_makes_a_picture_of_a_file_elsewhere() {
     // A folder that is itself a link, and a header in the folder where the program runs.
     symlink(place.path("theirs"), place.path("by_link")).unwrap();
     assert!(read(place.path("by_link/v.nhdr")).is_ok());
-    // Lists and patterns name files as one name does.
+    // Lists and patterns name files just as a single name does.
     fs::copy(&diary, place.path("private/diary1")).unwrap();
     for name in [
         "LIST\n../private/diary",
@@ -115,7 +117,7 @@ fn no_link_beside_a_header_or_in_a_series_leads_elsewhere() {
     let slice = |z: f64| DicomSlice { position_mm: [0.0, 0.0, z], ..DicomSlice::default() };
     write_series(&place.path("series"), &[slice(0.0), slice(1.0)]);
     fs::write(place.path("private/scan.dcm"), slice(2.0).bytes()).unwrap();
-    // A link to what is no image is passed over as any other file.
+    // A link to a file without an image is skipped like any other file.
     symlink("../private/diary", place.path("series/README")).unwrap();
     assert!(read(place.path("series")).is_ok());
     symlink("../private/scan.dcm", place.path("series/002.dcm")).unwrap();
@@ -123,7 +125,7 @@ fn no_link_beside_a_header_or_in_a_series_leads_elsewhere() {
     assert_elsewhere(&place.path("series/000.dcm"), "a series with a link to an image");
 }
 
-/// 4 kB of bzip2 were decoded for 23 s.
+/// Regression: 4 kB of bzip2 were decoded for 23 s.
 #[test]
 fn bzip2_that_grows_without_end_is_refused_before_it_is_decoded() {
     let mut encoder = bzip2::write::BzEncoder::new(Vec::new(), bzip2::Compression::best());
@@ -143,7 +145,7 @@ fn bzip2_that_grows_without_end_is_refused_before_it_is_decoded() {
             "{more:?}: {error}"
         );
     }
-    // A small volume that is nothing but air is packed as densely, and read.
+    // A small volume of nothing but air is compressed as densely, and is read.
     let mut encoder = bzip2::write::BzEncoder::new(Vec::new(), bzip2::Compression::best());
     encoder.write_all(&vec![0; 128 * 128 * 128 * 2]).unwrap();
     let header = format!("NRRD0005\n{}encoding: bzip2\n\n", GEOMETRY.replace("2 3 4", "128 128 128"));
@@ -151,7 +153,7 @@ fn bzip2_that_grows_without_end_is_refused_before_it_is_decoded() {
     assert_eq!(read(&path).unwrap().hu.len(), 128 * 128 * 128);
 }
 
-/// A header of 23000 x 23000 pixels in 9 kB took 3.1 GB and gave voxels that are in no file.
+/// Regression: a header of 23000 x 23000 pixels in 9 kB took 3.1 GB and returned invented voxels.
 #[test]
 fn a_jpeg_that_cannot_hold_its_pixels_is_refused_before_they_take_memory() {
     let folder = tempfile::tempdir().unwrap();
@@ -174,12 +176,12 @@ fn a_jpeg_that_cannot_hold_its_pixels_is_refused_before_they_take_memory() {
     let error = series(23000, 23000, huge).unwrap_err();
     assert!(matches!(&error, VolumeError::Corrupt { codec: "JPEG", .. }), "{error}");
     assert!(error.to_string().contains("cannot hold 529000000 pixels"), "{error}");
-    // Cut in the middle: pixels that the file does not have are not made up.
+    // Truncated in the middle: missing pixels are not invented.
     let error = series(4, 5, LOSSLESS_JPEG[..50].to_vec()).unwrap_err();
     assert!(matches!(&error, VolumeError::Corrupt { codec: "JPEG", .. }), "{error}");
 }
 
-/// Escape sequences, a line end of an older system, a mark that turns the text round, a bell.
+/// Escape sequences, an old-style line end, a mark that reverses the text, a bell.
 const HOSTILE: &str = "x\x1b[2J\x1b]0;owned\x07\rforged\u{202e}\u{9b}31m";
 
 #[test]
@@ -216,7 +218,7 @@ fn texts_of_a_volume_hold_nothing_that_a_terminal_obeys() {
         ["NDims", "DimSize", "ElementType", "ElementSpacing", "ElementDataFile", "ObjectType", "BinaryData"]
     {
         let fields = mhd("LOCAL");
-        // In their order: what follows `ElementDataFile` is data.
+        // In order: everything after `ElementDataFile` is data.
         let text: String = fields
             .lines()
             .map(|line| match line.starts_with(field) {
@@ -236,7 +238,7 @@ fn texts_of_a_volume_hold_nothing_that_a_terminal_obeys() {
         change(&mut slice);
         check(&file("v.dcm", &slice.bytes()));
     }
-    // A text of a megabyte is not printed whole.
+    // A text of a megabyte is not printed in full.
     let text = format!(
         "NRRD0005\ntype: {}\ndimension: 3\n{lps}\nencoding: raw\nendian: little\n\n",
         "x".repeat(1 << 19)
@@ -245,7 +247,7 @@ fn texts_of_a_volume_hold_nothing_that_a_terminal_obeys() {
     assert!(error.len() < 2000, "{}", error.len());
 }
 
-/// Bug: what lay deeper than eight folders was left out, and nothing said so.
+/// Regression: anything nested deeper than eight folders was silently ignored.
 #[test]
 fn a_folder_deeper_than_is_looked_into_is_refused() {
     let folder = tempfile::tempdir().unwrap();

@@ -1,6 +1,8 @@
-//! Many frames of one volume: each thread renders frames of its own, so that none waits for another between the stages of a frame.
+//! Renders many frames of one volume. Each thread renders its own frames, so that no thread waits for another
+//! between the stages of a frame.
 //!
-//! The frames share the copies of the volume and the removed voxels. A thread that finds no frame left helps with those of the others.
+//! The frames share the copies of the volume and the removed voxels. A thread that finds no frame left helps
+//! the others with theirs.
 
 use std::sync::{Mutex, PoisonError};
 
@@ -29,7 +31,7 @@ pub struct Shot<'a> {
     pub tool: &'a Tool,
     /// Seed of the noise.
     pub seed: FrameSeed,
-    /// Where the pixels go.
+    /// Destination of the pixels.
     pub output: Output<'a>,
 }
 
@@ -40,7 +42,7 @@ impl Shot<'_> {
     }
 }
 
-/// Memory of the frame that a thread is rendering, used again by its next.
+/// Memory of the frame that a thread is rendering, reused for its next.
 pub(super) struct Lane {
     images: Images,
     anatomy: Vec<f64>,
@@ -51,12 +53,13 @@ pub(super) struct Lane {
 }
 
 impl DrrRenderer {
-    /// Renders a frame of each C-arm, all of the voxels present now, with the bits of [`DrrRenderer::render_to`]. On several threads this
-    /// is faster than one frame after the other. Every frame is computed whole; the cache of the stationary C-arm stays.
+    /// Renders a frame of each C-arm for the current voxels, bit-identical to [`DrrRenderer::render_to`]. On
+    /// several threads this is faster than one frame after the other. Every frame is computed in full; the
+    /// cache of the stationary C-arm is kept.
     ///
     /// # Errors
-    /// As [`DrrRenderer::render_to`], with the number of the frame; nothing has been rendered then. One of the frames' memory is needed for
-    /// each thread.
+    /// As [`DrrRenderer::render_to`], with the number of the frame; nothing is rendered in that case. Each
+    /// thread needs the memory of one frame.
     pub fn render_batch(
         &mut self,
         view: &VolumeView<'_>,
@@ -72,7 +75,8 @@ impl DrrRenderer {
         let mut reports = vec![Ok(FrameReport::NONE); shots.len()];
         let queue = Mutex::new(shots.iter_mut().zip(&mut reports));
         let this: &Self = self;
-        // Each thread takes frames until none is left; only then does it look for parts of others' frames.
+        // Each thread takes frames until none is left, and only then helps with parts of other threads'
+        // frames.
         self.pool.broadcast(|thread| {
             let Some(lane) = lanes.get(thread.index()) else { return };
             let mut lane = lane.lock().unwrap_or_else(PoisonError::into_inner);
@@ -134,7 +138,7 @@ impl DrrRenderer {
         Ok(FrameReport { kind: RenderKind::Full, rays_traced: c_arm.pixels(), tool_pixels, window })
     }
 
-    /// Line integrals of a layer.
+    /// Computes the line integrals of a layer.
     fn anatomy_once(
         &self,
         layer: &Layer,

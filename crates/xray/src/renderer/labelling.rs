@@ -1,4 +1,4 @@
-//! Labels of a frame: one walk through the voxels a pixel.
+//! Labels of a frame: one walk through the voxels per pixel.
 
 use pulp::Arch;
 use rayon::prelude::*;
@@ -19,11 +19,11 @@ use crate::solids::SolidLayer;
 use crate::tool::{PreparedPart, SeenPart, join_intervals};
 
 impl DrrRenderer {
-    /// The labels of a frame of the present voxels. A function of the same inputs as a frame, apart from its seed; reads and changes no
-    /// cache.
+    /// Labels a frame of the current voxels. Depends on the same inputs as a frame, except for the seed;
+    /// neither reads nor changes a cache.
     ///
     /// # Errors
-    /// The view has another grid; the C-arm or the tool is invalid.
+    /// The view has another grid, or the C-arm or the tool is invalid.
     pub fn labels(
         &self,
         view: &VolumeView<'_>,
@@ -69,7 +69,7 @@ impl DrrRenderer {
         })
     }
 
-    /// True if every voxel that counts as bone attenuates, so that none is in an empty block.
+    /// Returns true if every voxel that counts as bone attenuates, so that no bone is in an empty block.
     fn bone_attenuates(&self, bone_from_hu: i16) -> bool {
         let layers = || core::iter::once(&self.tissue).chain(&self.bone);
         (bone_from_hu..=i16::MAX).all(|hu| layers().any(|layer| layer.attenuates(hu)))
@@ -98,7 +98,7 @@ impl DrrRenderer {
     }
 }
 
-/// A part of the tool, and where in the image it may be.
+/// A part of the tool and its bounding box in the image.
 struct PartInView {
     part: SeenPart,
     pixels: PixelBox,
@@ -145,7 +145,8 @@ fn hu_of(hu: &[i16], pieces: &[Piece; 3]) -> Option<[i16; 3]> {
     Some([of(&pieces[0])?, of(&pieces[1])?, of(&pieces[2])?])
 }
 
-/// Integral over a slab; the sum of its own first, so that no addition waits for the slab before it.
+/// Integral over a slab. The slab is summed separately first, so that no addition waits for the slab before
+/// it.
 #[inline(always)]
 fn integral(field: &AttenuationField<'_>, pieces: &[Piece; 3], hu: [i16; 3], gone: [bool; 3]) -> f64 {
     let part = |i: usize| {
@@ -169,7 +170,7 @@ struct AlongTool {
     /// Line integral at the frame's energy.
     metal: f64,
     lengths_m: [f64; Material::COUNT],
-    /// Parameters of the ray in parts of the tool; with those of one part more than once if they overlap.
+    /// Ray parameters inside parts of the tool; intervals of overlapping parts can overlap.
     envelopes: SmallVec<[(f64, f64); 16]>,
     /// Parameter of the ray.
     metal_at: Option<f64>,
@@ -255,7 +256,7 @@ impl Labeller<'_> {
         along
     }
 
-    /// What a block needs, by the flags of both layers.
+    /// How to visit a block, from the flags of both layers.
     #[inline(always)]
     fn visit(&self, block: usize) -> Visit {
         // A missing block would be a bug; it must not hide anything.
@@ -285,7 +286,8 @@ impl Labeller<'_> {
         along
     }
 
-    /// Attenuation of the anatomy around the tool, and what the metal adds: as the renderer computes them with Siddon's projector.
+    /// Attenuation of the anatomy around the tool and the metal's contribution, as the renderer computes them
+    /// with Siddon's projector.
     fn attenuations(&self, ray: &IndexRay, voxels: &AlongVoxels, tool: &mut AlongTool) -> (f64, f64) {
         let (mut tissue, mut cortical) = (voxels.tissue, voxels.cortical);
         if !tool.envelopes.is_empty() {
@@ -293,7 +295,7 @@ impl Labeller<'_> {
             let displaced = |field: &AttenuationField<'_>| -> f64 {
                 tool.envelopes[..joined].iter().map(|&range| siddon::line_integral(field, ray, range)).sum()
             };
-            // What is left of fully displaced anatomy may be slightly negative from rounding.
+            // Fully displaced anatomy can leave a slightly negative rest from rounding.
             tissue = (tissue - displaced(&self.tissue)).max(0.0);
             cortical = self.bone.as_ref().map_or(0.0, |bone| (cortical - displaced(bone)).max(0.0));
         }

@@ -1,4 +1,4 @@
-//! The renderer: the cached anatomy of a stationary C-arm, the tool of the frame, and the exposure of both.
+//! The renderer: caches the anatomy of a stationary C-arm, draws the frame's tool over it, and exposes both.
 
 mod batch;
 mod labelling;
@@ -45,9 +45,9 @@ pub struct DrrRenderer {
     aluminium_per_m: f64,
     pool: rayon::ThreadPool,
     standing: Option<Standing>,
-    /// Memory for the next one-off frame; during that, the picture that is kept.
+    /// Memory for the next one-off frame; while one is being rendered, the cached image.
     aside: Option<Standing>,
-    /// One for each thread, from the first batch on.
+    /// One per thread, created by the first batch.
     lanes: Vec<Mutex<Lane>>,
 }
 
@@ -78,7 +78,8 @@ impl DrrRenderer {
                 (tissue, Some(MuTable::of(air, |hu| mixture.of(hu).1)), Some(table))
             }
         };
-        // One Hounsfield unit of water scaling, so that this law is stored without rounding. A spectrum's fractions are near 1.
+        // One Hounsfield unit of water scaling, so that this law is stored without rounding. A spectrum's
+        // fractions are near 1.
         let unit_per_m = match spectrum {
             None => Material::Water.mu_per_m(parameters.energy_kev)? / 1000.0,
             Some(_) => 1e-3,
@@ -101,8 +102,8 @@ impl DrrRenderer {
         })
     }
 
-    /// Creates the reordered copy of the volume that this C-arm needs, and the memory of its images, so that the first frame does not wait
-    /// for them: the system gives a page of memory only when it is first written to.
+    /// Creates the reordered copy of the volume that this C-arm needs, and the memory of its images, so that
+    /// the first frame does not wait for them: the system allocates a page only when it is first written.
     ///
     /// # Errors
     /// The view has another grid, the C-arm is invalid, or the copy does not fit into free memory.
@@ -136,7 +137,8 @@ impl DrrRenderer {
         self.standing.as_ref().map_or(&[], |s| &s.anatomy)
     }
 
-    /// Attenuation (-ln of the transmission) of anatomy, tool and arm in the last frame, row-major; empty before the first.
+    /// Attenuation (-ln of the transmission) of anatomy, tool and arm in the last frame, row-major; empty
+    /// before the first.
     pub fn line_integrals(&self) -> Vec<f64> {
         let metal = Metal { tool: &self.tool, arm: &self.arm, aluminium_per_m: self.aluminium_per_m };
         let attenuation =
@@ -144,8 +146,8 @@ impl DrrRenderer {
         self.standing.as_ref().map_or(Vec::new(), attenuation)
     }
 
-    /// Removes voxels by linear index; ignores those already removed. Returns the number of newly removed voxels. Order and grouping into
-    /// batches do not affect the result.
+    /// Removes voxels by linear index; ignores those already removed. Returns the number of newly removed
+    /// voxels. Order and grouping into batches do not affect the result.
     ///
     /// # Errors
     /// The view has another grid, or an index is outside the volume; then the whole batch is refused.
@@ -191,7 +193,8 @@ impl DrrRenderer {
     /// Renders a frame into `image` (rows from top to bottom, one u16 per pixel).
     ///
     /// # Errors
-    /// The view has another grid, the C-arm or tool is invalid, or the image has the wrong size. The cache remains valid.
+    /// The view has another grid, the C-arm or tool is invalid, or the image has the wrong size. The cache
+    /// remains valid.
     pub fn render(
         &mut self,
         view: &VolumeView<'_>,
@@ -247,8 +250,8 @@ impl DrrRenderer {
         Ok(FrameReport { kind, rays_traced, tool_pixels, window })
     }
 
-    /// Same as [`DrrRenderer::render`], for a C-arm used for one frame only. Keeps the cache of the stationary C-arm, so that its next
-    /// frame costs no more than without this one.
+    /// Same as [`DrrRenderer::render`], for a C-arm used for one frame only. Keeps the cache of the
+    /// stationary C-arm, so that its next frame costs no more than without this one.
     ///
     /// # Errors
     /// As [`DrrRenderer::render`].
@@ -268,7 +271,7 @@ impl DrrRenderer {
         let report = self.render(view, c_arm, tool, seed, image);
         self.layers_slices().for_each(SliceOrdered::step_back);
         core::mem::swap(&mut self.standing, &mut self.aside);
-        // Its picture misses what is removed from now on. With zero columns it matches no C-arm.
+        // Its image will miss voxels removed from now on. With zero columns it matches no C-arm.
         if let Some(aside) = &mut self.aside {
             aside.c_arm.columns = 0;
         }

@@ -10,13 +10,14 @@ use crate::slice_ordered::SliceOrderedOptions;
 /// Projector for the anatomy's line integrals, from most exact to fastest.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Projector {
-    /// Exact for voxels of constant attenuation ([`siddon`](crate::siddon)). The reference, a thousand times slower than the default.
+    /// Exact for voxels of constant attenuation ([`siddon`](crate::siddon)). The reference, a thousand times
+    /// slower than the default.
     Siddon,
     /// Bilinear interpolation per plane, ray by ray ([`joseph`](crate::joseph)).
     Joseph,
-    /// Sums all slices in memory order, then warps the result ([`slice_ordered`](crate::slice_ordered)). Its difference from Joseph is
-    /// small compared with the discretisation error of the voxels. Keeps a copy of the volume for each axis it reads slices across, created when a
-    /// frame needs it.
+    /// Sums all slices in memory order, then warps the result ([`slice_ordered`](crate::slice_ordered)). Its
+    /// difference from Joseph is small compared with the discretisation error of the voxels. Keeps a copy of
+    /// the volume for each axis it reads slices across, created when a frame needs it.
     SliceOrdered {
         /// Samples per voxel of the farthest slice, 0.8 to 4: more samples are slower and closer to Joseph.
         oversampling: f64,
@@ -101,7 +102,7 @@ impl Default for DrrParameters {
 /// How much of the anatomy was recomputed for a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum RenderKind {
-    /// All of it: a new C-arm, or so many removed voxels that a full render is faster.
+    /// All of it: a new C-arm, or enough removed voxels that a full render is faster.
     Full,
     /// The pixels that newly removed voxels change.
     Incremental,
@@ -123,7 +124,7 @@ pub struct FrameReport {
 }
 
 impl FrameReport {
-    /// Of a frame that is not yet rendered.
+    /// Report of a frame that has not been rendered yet.
     pub(super) const NONE: Self = Self {
         kind: RenderKind::Cached,
         rays_traced: 0,

@@ -8,7 +8,8 @@ use crate::grid::Grid;
 use crate::ray::RayFan;
 use crate::vector::scale;
 
-/// Maximum distance from a voxel's centre at which it still affects a ray, in voxels, with a margin for rounding.
+/// Maximum distance from a voxel's centre at which it still affects a ray, in voxels, with a margin for
+/// rounding.
 const REACH_JOSEPH: f64 = 1.0 + 1e-3;
 const REACH_SIDDON: f64 = 0.5 + 1e-3;
 
@@ -47,7 +48,7 @@ impl Standing {
         }
     }
 
-    /// For another C-arm, in the same memory.
+    /// Reuses the memory for another C-arm.
     pub fn of_another(mut self, grid: &Grid, c_arm: &CArm) -> Self {
         self.anatomy.clear();
         self.bone_m.clear();
@@ -57,7 +58,7 @@ impl Standing {
         Self { c_arm: *c_arm, fan: RayFan::new(grid, c_arm), traced: true, ..self }
     }
 
-    /// Without a frame, and with its memory written to once.
+    /// Creates an empty cache whose memory has already been touched.
     pub fn written_to(grid: &Grid, c_arm: &CArm, with_bone: bool) -> Self {
         let mut standing = Self::new(grid, c_arm);
         let pixels = c_arm.pixels();

@@ -1,5 +1,5 @@
-//! A large array in memory from the [`Machine`]. It is read end to end, many rows at a time, so address translation costs time with
-//! ordinary pages but not with huge pages.
+//! A large array in memory from the [`Machine`]. It is read end to end, many rows at a time, so address
+//! translation costs time with ordinary pages but not with huge pages.
 
 use std::marker::PhantomData;
 use std::ops::{Deref, DerefMut};

@@ -1,13 +1,15 @@
-//! The detector's plane in an intermediate image: where the volume extends behind it, a ray's samples end at it.
+//! The detector's plane in an intermediate image: where the volume extends behind the detector, a ray's
+//! samples end at its plane.
 //!
-//! As in [`joseph`](crate::joseph), a slice counts if the ray meets it no farther than the detector. That is a half-plane of the image
-//! for each slice: for samples (i, j) of the image, the inverse of the ray's parameter at the detector is linear in i and j.
+//! As in [`joseph`](crate::joseph), a slice counts if the ray meets it at or before the detector. That is a
+//! half-plane of the image for each slice: for samples (i, j) of the image, the inverse of the ray's
+//! parameter at the detector is linear in i and j.
 
 use super::plan::Plan;
 use crate::ray::RayFan;
 
-/// Inverse of the parameter at which the ray of sample (i, j) meets the detector, `constant + i per_column + j per_row`; the parameter
-/// is 0 at the source and 1 in the image's plane.
+/// Inverse of the parameter at which the ray of sample (i, j) meets the detector, `constant + i per_column +
+/// j per_row`; the parameter is 0 at the source and 1 in the image's plane.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct BeforeDetector {
     constant: f64,
@@ -16,7 +18,7 @@ pub(crate) struct BeforeDetector {
 }
 
 impl BeforeDetector {
-    /// For the samples of an image.
+    /// Computes the coefficients for the samples of an image.
     pub fn new(fan: &RayFan, plan: &Plan) -> Self {
         let normal = fan.detector_normal();
         let [k, u, v] = [plan.axes.slow, plan.axes.u, plan.axes.v];
@@ -29,7 +31,8 @@ impl BeforeDetector {
         }
     }
 
-    /// True if the plane may cut some of the rays of these columns and rows (half-open) before the slice with this inverse ratio of depths.
+    /// True if the plane can cut some of the rays of these columns and rows (half-open) before the slice with
+    /// this inverse ratio of depths.
     #[inline(always)]
     pub fn cuts(&self, inverse_ratio: f64, columns: (usize, usize), rows: (usize, usize)) -> bool {
         let most = |each: f64, (first, end): (usize, usize)| (each * first as f64).max(each * end as f64);
@@ -38,7 +41,7 @@ impl BeforeDetector {
         self.constant + most(self.per_column, columns) + most(self.per_row, rows) >= least_ratio
     }
 
-    /// Those of the columns `within` of an image row whose rays meet the slice before the detector, half-open.
+    /// The columns out of `within` of an image row whose rays meet the slice before the detector, half-open.
     #[inline(always)]
     pub fn columns(&self, inverse_ratio: f64, row: usize, within: (usize, usize)) -> (usize, usize) {
         let left = inverse_ratio - self.constant - row as f64 * self.per_row;

@@ -1,10 +1,12 @@
-//! The volume in the orders in which slices are read: rows of cells of 32 small integers, aligned for vector loads.
+//! The volume in the orders in which slices are read: rows of cells of 32 small integers, aligned for vector
+//! loads.
 //!
-//! There is one copy for each axis across which slices are read, with rows along x (along y for slices across x). Neighbouring rows of a
-//! copy belong to successive slices, so a sum that goes from slice to slice reads each plane of rows from end to end: the CPU fetches such
-//! rows ahead by itself, and rows of successive planes only as fast as the sum asks for them. A copy is created when the first frame needs
-//! it. A row is a whole number of cells. Beside each cell stands its level: the value of all its voxels, if they are equal. Where the
-//! levels around a sample agree, the sample is known without its voxels.
+//! There is one copy for each axis across which slices are read, with rows along x (along y for slices across
+//! x). Neighbouring rows of a copy belong to successive slices, so a sum that proceeds from slice to slice
+//! reads each plane of rows from end to end. The CPU prefetches such rows by itself; rows of successive
+//! planes arrive only as fast as the sum requests them. A copy is created when the first frame needs it. A
+//! row is a whole number of cells. Each cell has a level: the value of all its voxels, if they are equal.
+//! Where the levels around a sample agree, the sample is known without its voxels.
 
 use rayon::prelude::*;
 use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
@@ -18,15 +20,18 @@ use super::plan::Axes;
 pub(crate) const CELL: usize = 32;
 /// Side of the squares transposed at a time.
 const SQUARE: usize = 32;
-/// Cells of 16-bit voxels per page of 4096 bytes, and the number of cells by which each plane's start is shifted within a page. Rows of
-/// consecutive planes are read at the same time and must not map to the same cache sets.
+/// Cells of 16-bit voxels per page of 4096 bytes, and the number of cells by which each plane's start is
+/// shifted within a page. Rows of consecutive planes are read at the same time and must not map to the same
+/// cache sets.
 const PAGE_CELLS: usize = 64;
 const PLANE_SHIFT: usize = 5;
 /// Levels compared at a time: each row's are a multiple of this.
 pub(crate) const LEVELS: usize = 16;
-/// The level of a cell whose voxels differ, or did before one was removed; or whose value is not among the most frequent.
+/// Level of a cell whose voxels differ (or did before a removal), or whose value is not among the most
+/// frequent.
 pub(crate) const MIXED: u8 = u8::MAX;
-/// Left shift applied to byte values, so that rounding between two rows is small compared with the byte's resolution.
+/// Left shift applied to byte values, so that rounding between two rows is small compared with the byte's
+/// resolution.
 const BYTE_SHIFT: u32 = 4;
 
 /// 32 voxels of 16 bits.
@@ -106,7 +111,7 @@ fn voxels_mut<T: Voxel>(cells: &mut [T::Cell]) -> &mut [T] {
 
 /// One ordering of the volume.
 pub(crate) struct Copy3<T: Voxel> {
-    /// A row of zeros, which stands in for all rows outside the volume; then the planes.
+    /// A row of zeros, used for all rows outside the volume; then the planes.
     data: Array<T::Cell>,
     dims: [usize; 3],
     /// Rows run along `u` and follow one another along `slow`, planes along `v`.
@@ -114,16 +119,18 @@ pub(crate) struct Copy3<T: Voxel> {
     /// Cells per row, and cells between planes.
     row_cells: usize,
     plane_cells: usize,
-    /// For each cell of each row, which of the values all its voxels have, or [`MIXED`]; first those of the row of zeros.
+    /// For each cell of each row, the index in `values` of its voxels' common value, or [`MIXED`]; the row of
+    /// zeros comes first.
     levels: Vec<u8>,
-    /// The values that levels stand for, as used in sums; first zero.
+    /// The values of the levels, as used in sums; the first is zero.
     values: Vec<i16>,
     levels_per_row: usize,
-    /// The largest value that it was made with, as stored.
+    /// The largest value at creation, as stored.
     largest: i16,
 }
 
-/// Where the rows of a slice are: their number, the first cell and the first level of the first one, and the steps from row to row.
+/// Location of a slice's rows: their number, the first cell and first level of the first row, and the strides
+/// from row to row.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct SliceRows {
     count: u64,
@@ -145,8 +152,8 @@ pub(crate) fn copy_elements(dims: [usize; 3], axes: Axes) -> u64 {
 }
 
 impl<T: Voxel> Copy3<T> {
-    /// Creates the copy for slices across `axes.slow`. `fill_row(y, z, row)` writes the voxels of a row along x. `None` if the machine
-    /// has too little memory.
+    /// Creates the copy for slices across `axes.slow`. `fill_row(y, z, row)` writes the voxels of a row along
+    /// x. `None` if the machine has too little memory.
     pub fn new(
         machine: &dyn Machine,
         dims: [usize; 3],
@@ -176,7 +183,7 @@ impl<T: Voxel> Copy3<T> {
                     }
                     transpose(flat, [nx, ny], out, width);
                 }
-                // While the plane is in the cache.
+                // Done here while the plane is still in the CPU cache.
                 values_of_cells::<T>(cells.chunks(row_cells), levels.chunks_mut(levels_per_row))
             };
         let flat = || vec![T::default(); if axes.u == 0 { 0 } else { nx * ny }];
@@ -190,7 +197,7 @@ impl<T: Voxel> Copy3<T> {
         Some(Self { data, dims, axes, row_cells, plane_cells, levels, values, levels_per_row, largest })
     }
 
-    /// The largest value that it was made with.
+    /// The largest value at creation.
     pub fn largest(&self) -> i16 {
         self.largest
     }
@@ -233,7 +240,7 @@ impl<T: Voxel> Copy3<T> {
         voxel.map_or(0, |v| v.value() * T::UNIT)
     }
 
-    /// The same; 0 outside the volume.
+    /// Like [`Self::wide`], but 0 outside the volume.
     #[inline(always)]
     pub fn wide_or_zero(&self, voxel: [usize; 3]) -> i16 {
         if (0..3).all(|axis| voxel[axis] < self.dims[axis]) { self.wide(voxel) } else { 0 }
@@ -264,7 +271,7 @@ impl<T: Voxel> Copy3<T> {
     /// First cell of row `v` of a slice (of zeros outside the volume), and the row's levels.
     #[inline(always)]
     pub fn row(&self, rows: &SliceRows, v: i64) -> (usize, &[u8]) {
-        // Negative numbers are large ones.
+        // A negative number becomes a large unsigned one.
         let inside = (v as u64) < rows.count;
         let at = |first: usize, step: usize| if inside { first + v as usize * step } else { 0 };
         let levels = at(rows.first.1, rows.step.1);
@@ -272,13 +279,13 @@ impl<T: Voxel> Copy3<T> {
         (at(rows.first.0, rows.step.0), levels)
     }
 
-    /// The value that a level stands for, as used in sums.
+    /// The value of a level, as used in sums.
     #[inline(always)]
     pub fn value_of(&self, level: u8) -> i16 {
         self.values.get(usize::from(level)).copied().unwrap_or(0)
     }
 
-    /// Number of levels per row: of its cells, and zeros up to a multiple of [`LEVELS`].
+    /// Number of levels per row: one per cell, padded with zeros to a multiple of [`LEVELS`].
     pub fn levels_per_row(&self) -> usize {
         self.levels_per_row
     }
@@ -299,7 +306,8 @@ impl<T: Voxel> Copy3<T> {
     }
 }
 
-/// Notes for each cell of a plane's rows the value of all of its voxels as used in sums, negative if they differ. Returns the largest stored value.
+/// Records for each cell of a plane's rows the common value of its voxels as used in sums, negative if they
+/// differ. Returns the largest stored value.
 fn values_of_cells<'a, T: Voxel>(
     rows: impl Iterator<Item = &'a [T::Cell]>,
     levels: impl Iterator<Item = &'a mut [i16]>,
@@ -317,7 +325,7 @@ where
     largest.value()
 }
 
-/// The value of all of a cell's voxels as used in sums; negative if they differ.
+/// The common value of a cell's voxels as used in sums; negative if they differ.
 fn value_of<T: Voxel>(cell: &T::Cell) -> i16 {
     let wide = T::widen(cell);
     // Without an early exit, the compiler compares many voxels at a time.

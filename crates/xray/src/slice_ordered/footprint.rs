@@ -1,10 +1,10 @@
-//! The samples of an intermediate image that the detector sees. Seen askew, the detector is a quadrilateral in a rectangular image; what
-//! lies beside it need not be summed.
+//! The samples of an intermediate image that the detector sees. Seen obliquely, the detector is a
+//! quadrilateral in a rectangular image; samples outside it need not be summed.
 
 use super::plan::{GROUP, MARGIN, TILE_ROWS};
 
-/// For each tile of eight rows, the groups of samples within a margin around the detector's footprint, half-open. The corners are given
-/// in samples: those of the first row, then those of the last.
+/// For each tile of eight rows, the groups of samples within a margin around the detector's footprint,
+/// half-open. The corners are given in samples: those of the first row, then those of the last.
 pub(crate) fn visible_groups(corners: [[f64; 2]; 4], [columns, rows]: [usize; 2]) -> Vec<(usize, usize)> {
     let [a, b, c, d] = corners;
     let edges = [(a, b), (b, d), (d, c), (c, a)];

@@ -89,7 +89,8 @@ impl Instructions {
     }
 }
 
-/// Code for [`Instructions::run`]. A closure would not be inlined into the function that enables the instruction set.
+/// Code for [`Instructions::run`]. A closure would not be inlined into the function that enables the
+/// instruction set.
 pub(super) trait Plain {
     /// Implementations must be `#[inline(always)]`.
     fn run(self);

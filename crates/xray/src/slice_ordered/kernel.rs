@@ -1,9 +1,10 @@
 //! The sum over slices, eight rows of the intermediate image at a time.
 //!
-//! In each slice, the voxel rows are first blended into the slice's eight image rows as 16-bit integers, 32 voxels at a time. Groups of
-//! 16 samples are then interpolated along these rows and added to 32-bit sums, which are flushed into 64-bit ones before they can
-//! overflow. Groups whose samples are known without voxels are skipped ([`TileRows`]). Between the groups of one slice, the data for a
-//! later slice are prefetched ([`Ahead`]). Only [`Lanes`] differs between instruction sets; all of them compute the same integers.
+//! In each slice, the voxel rows are first blended into the slice's eight image rows as 16-bit integers, 32
+//! voxels at a time. Groups of 16 samples are then interpolated along these rows and added to 32-bit sums,
+//! which are flushed into 64-bit ones before they can overflow. Groups whose samples are known without voxels
+//! are skipped ([`TileRows`]). Between the groups of one slice, the data for a later slice are prefetched
+//! ([`Ahead`]). Only [`Lanes`] differs between instruction sets; all of them compute the same integers.
 
 use super::copies::{CELL, Cell16, Copy3, LEVELS, MIXED, Voxel, voxels};
 use super::plan::{
@@ -17,7 +18,7 @@ pub(crate) type GroupSums = [[i32; GROUP]; TILE_ROWS];
 /// Number of tiles summed together, and number of slices summed into one tile before the next.
 pub(crate) const TILES: usize = 4;
 const BLOCK_SLICES: usize = 32;
-/// Slices that are prefetched before they are summed. Less than this, and the memory answers too late.
+/// Slices that are prefetched before they are summed. With fewer, memory latency is not hidden.
 const SLICES_AHEAD: usize = 3;
 /// Number of voxels in a group's window, which starts at the group's first voxel.
 pub(crate) const WINDOW: usize = 32;
@@ -33,7 +34,8 @@ pub(crate) struct GroupPlace {
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct BlendedRows<'a> {
     voxels: &'a [i16],
-    /// Voxels per row, at least 1. The same for all rows, so that the compiler emits only one bounds check per group.
+    /// Voxels per row, at least 1. The same for all rows, so that the compiler emits only one bounds check
+    /// per group.
     length: usize,
 }
 
@@ -63,8 +65,8 @@ pub(crate) trait Lanes: Copy {
         place: GroupPlace,
         sums: &mut GroupSums,
     );
-    /// For each of [`LEVELS`] cells from `at` on, the level that all rows share, or [`MIXED`]; and one bit for each that differs from
-    /// the one before it. `before` holds the cells before these.
+    /// For each of [`LEVELS`] cells from `at` on, the level that all rows share, or [`MIXED`]; and one bit
+    /// for each that differs from the preceding one. `before` holds the cells before these.
     fn join(self, rows: &[&[u8]], at: usize, before: &[u8; LEVELS]) -> ([u8; LEVELS], u32);
     /// Prefetches a cache line.
     fn prefetch<T>(self, data: &[T], offset: usize);
@@ -190,7 +192,7 @@ pub(crate) struct Work {
     known: Vec<LevelSums>,
     /// Eight rows of cells, with one zero cell at either end.
     blended: Vec<Cell16>,
-    /// Of the current slice and of those to come.
+    /// Rows of the current slice and of the next ones.
     rows: [TileRows; 1 + SLICES_AHEAD],
 }
 
@@ -210,8 +212,8 @@ impl Work {
     }
 }
 
-/// The order of the sum: a few slices for all tiles before the next few, so that a voxel line that two tiles read is loaded from memory
-/// once.
+/// The order of the sum: a few slices for all tiles before the next few, so that a voxel line that two tiles
+/// read is loaded from memory once.
 struct Order<'a> {
     slices: &'a [Slice],
     tiles: usize,
@@ -241,8 +243,8 @@ impl<'a> Order<'a> {
     }
 }
 
-/// Sums all slices into the tiles of eight rows starting at image row `first_row`; `out` holds the tiles, row-major. Sums at most
-/// `flush_after` slices in 32 bits.
+/// Sums all slices into the tiles of eight rows starting at image row `first_row`; `out` holds the tiles,
+/// row-major. Sums at most `flush_after` slices in 32 bits.
 #[inline(always)]
 pub(crate) fn sum_tiles<T: Voxel, L: Lanes>(
     lanes: L,
@@ -292,7 +294,7 @@ pub(crate) fn sum_tiles<T: Voxel, L: Lanes>(
     }
 }
 
-/// Adds what groups of one value sum to.
+/// Adds the sums of the groups of one value.
 #[inline(always)]
 fn add_known(known: &mut LevelSums, columns: usize, out: &mut [i64]) {
     for (group, value) in known.take().enumerate().filter(|(_, value)| *value != 0) {

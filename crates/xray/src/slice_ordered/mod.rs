@@ -1,19 +1,20 @@
-//! Line integrals in the volume's memory order (shear-warp): all slices, as seen from the source, are summed into an intermediate image
-//! of integers, which is then warped once onto the detector. Every frame is computed so: where what attenuates extends behind the
-//! detector, a ray's samples end there; where no axis suits all rays, parts of the detector have images of their own.
+//! Line integrals in the volume's memory order (shear-warp): all slices, as seen from the source, are summed
+//! into an intermediate image of integers, which is then warped once onto the detector. Every frame is
+//! computed this way: where attenuating voxels extend behind the detector, a ray's samples end there; where
+//! no axis suits all rays, parts of the detector have their own images.
 //!
-//! - Every sample is Joseph's (bilinear in a slice): two voxel rows are blended into one row of 16-bit integers, with rounding, and two
-//!   neighbours in it are added with 14-bit weights whose sum is exactly 2^14. All arithmetic is integer, so instruction set, number of
-//!   threads and order do not change a bit.
-//! - A sample depends on four voxels. A removed voxel changes the sums by its difference to the samples around it; the image then equals
-//!   that of a full render of the drilled volume.
-//! - Values are multiples of a thousandth of water's attenuation (clamped at 32767 of them); previews use coarser multiples that fit into
-//!   a byte, on a volume of block means.
-//! - The line integral starts at the source and ends at the detector. Both may lie inside the volume, or inside bone. Where one image
-//!   serves all rays, what lies within one slice of the source is not in it.
+//! - Every sample is Joseph's (bilinear in a slice): two voxel rows are blended into one row of 16-bit
+//!   integers, with rounding, and two neighbours in it are added with 14-bit weights whose sum is exactly
+//!   2^14. All arithmetic is integer, so instruction set, number of threads and order do not change a bit.
+//! - A sample depends on four voxels. A removed voxel changes the sums by its contribution to the samples
+//!   around it; the image then equals that of a full render of the drilled volume.
+//! - Values are multiples of a thousandth of water's attenuation (clamped at 32767 of them); previews use
+//!   coarser multiples that fit into a byte, on a volume of block means.
+//! - The line integral starts at the source and ends at the detector. Both can be inside the volume, even
+//!   inside bone. Where one image serves all rays, anything within one slice of the source is left out.
 //!
-//! Memory: a copy of the volume for each axis across which slices are read (see [`SliceOrdered::memory`]), created when a frame first needs
-//! it; a third one only where memory is plentiful.
+//! Memory: a copy of the volume for each axis across which slices are read (see [`SliceOrdered::memory`]),
+//! created when a frame first needs it; a third one only where memory is plentiful.
 
 mod array;
 mod before;
@@ -68,7 +69,7 @@ pub struct SliceOrdered {
     /// Attenuation of one unit, 1/m.
     unit_per_m: f64,
     store: Store,
-    /// Of the stored voxels.
+    /// Bounding box of the stored voxels that attenuate.
     occupied: Occupied,
     standing: Option<Standing>,
     /// After [`SliceOrdered::step_aside`] the previous cache; otherwise memory for the next one-off frame.
@@ -81,8 +82,9 @@ pub struct SliceOrdered {
 }
 
 impl SliceOrdered {
-    /// For a volume whose Hounsfield units map to attenuation by `table`. `unit_per_m` is the attenuation of one unit of the stored
-    /// integers; removed voxels become `fill_mu_per_m`. Copies are created when the first frame needs them.
+    /// Creates a projector for a volume whose Hounsfield units map to attenuation by `table`. `unit_per_m` is
+    /// the attenuation of one unit of the stored integers; removed voxels become `fill_mu_per_m`. Copies are
+    /// created when the first frame needs them.
     ///
     /// # Errors
     /// An option or the unit is out of range.
@@ -165,8 +167,8 @@ impl SliceOrdered {
         self.standing = None;
     }
 
-    /// Keeps the sums of the current C-arm while frames of other C-arms are rendered, until [`SliceOrdered::step_back`]. No voxel may be
-    /// removed in between, because the kept sums would miss it.
+    /// Keeps the sums of the current C-arm while frames of other C-arms are rendered, until
+    /// [`SliceOrdered::step_back`]. Do not remove voxels in between: the kept sums would miss them.
     pub fn step_aside(&mut self) {
         self.settle_or_drop();
         core::mem::swap(&mut self.standing, &mut self.aside);
@@ -176,7 +178,8 @@ impl SliceOrdered {
         }
     }
 
-    /// Applies pending changes; drops the current C-arm's sums first if a full frame costs less than to change them.
+    /// Applies pending changes; drops the current C-arm's sums first if a full frame costs less than updating
+    /// them.
     fn settle_or_drop(&mut self) {
         if self.cost.prefers_full(self.waiting.len()) {
             self.standing = None;
@@ -201,7 +204,7 @@ impl SliceOrdered {
         let old = self.values.of(hu);
         if old != self.fill {
             self.waiting.extend(self.store.change(&self.grid, linear, old, self.fill));
-            // Of air that is filled with what attenuates, the images that stand know nothing.
+            // The cached images do not cover air that is now filled with attenuating material.
             if self.fill > 0 && self.occupied.include(self.store.voxel_of(&self.grid, linear)) {
                 self.standing = None;
                 self.aside = None;
@@ -210,7 +213,8 @@ impl SliceOrdered {
         Ok(())
     }
 
-    /// Creates the copies and the images that this C-arm needs, so that the first frame does not wait for them.
+    /// Creates the copies and the images that this C-arm needs, so that the first frame does not wait for
+    /// them.
     ///
     /// # Errors
     /// The volume or an image is too large for the memory.
@@ -226,7 +230,7 @@ impl SliceOrdered {
         if self.standing.is_none() {
             let samples = samples_of(&parts);
             self.check_memory(samples)?;
-            // Not zeros: the system would only promise these.
+            // Non-zero, because the system only reserves pages of zeros.
             self.fresh = (vec![1; samples], vec![1.0; samples]);
         }
         Ok(())
@@ -247,8 +251,8 @@ impl SliceOrdered {
         self.store.ensure(&source, slow)
     }
 
-    /// Same as [`SliceOrdered::project`] if no worker threads are needed: the C-arm is unchanged and few voxels have changed. Otherwise
-    /// `None`, with nothing written.
+    /// Same as [`SliceOrdered::project`] if no worker threads are needed: the C-arm is unchanged and few
+    /// voxels have changed. Otherwise `None`, with nothing written.
     pub fn refresh(&mut self, c_arm: &CArm, image: &mut [f64]) -> Option<Update> {
         if image.len() != c_arm.pixels() { None } else { self.refresh_on(c_arm, image, ALONE_UP_TO) }
     }
@@ -263,8 +267,8 @@ impl SliceOrdered {
         Some(self.update(image, threads))
     }
 
-    /// Updates the line integrals of a C-arm: `image` either holds those of the last call with this C-arm, or is written completely.
-    /// Runs on the threads of the caller's pool.
+    /// Updates the line integrals of a C-arm: `image` either holds those of the last call with this C-arm, or
+    /// is written completely. Runs on the threads of the caller's pool.
     ///
     /// # Errors
     /// The image has the wrong size, or the volume is too large for the memory.

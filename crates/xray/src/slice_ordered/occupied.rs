@@ -1,5 +1,5 @@
-//! The box of the stored voxels that attenuate. Air around a body is most of many CTs: no image has to reach into it, and a detector's
-//! plane that cuts nothing but air cuts no ray short.
+//! Bounding box of the stored voxels that attenuate. Many CTs are mostly air around a body: no image needs to
+//! cover it, and a detector plane that cuts only air shortens no ray.
 
 use rayon::prelude::*;
 
@@ -16,7 +16,8 @@ pub(crate) struct Occupied {
 impl Occupied {
     const NOTHING: Self = Self { low: [usize::MAX; 3], end: [0; 3] };
 
-    /// Of the voxels for which `attenuates` is true, x fastest: none that is less than `least`.
+    /// Computes the box of the voxels, x fastest, for which `attenuates` is true; voxels below `least` never
+    /// attenuate.
     pub fn of<T>(dims: [usize; 3], voxels: &[T], least: T, attenuates: impl Fn(T) -> bool + Sync) -> Self
     where
         T: Copy + Sync + PartialOrd,
@@ -37,7 +38,7 @@ impl Occupied {
         voxels.par_chunks(nx).enumerate().map(row).reduce(|| Self::NOTHING, |a, b| a.hull(&b))
     }
 
-    /// The smallest box that holds both.
+    /// The smallest box that contains both.
     fn hull(&self, other: &Self) -> Self {
         Self {
             low: core::array::from_fn(|axis| self.low[axis].min(other.low[axis])),
@@ -51,19 +52,19 @@ impl Occupied {
         core::mem::replace(self, grown) != grown
     }
 
-    /// Its voxels along an axis.
+    /// The box's voxels along an axis.
     pub fn along(&self, axis: usize) -> core::ops::Range<usize> {
         self.low[axis].min(self.end[axis])..self.end[axis]
     }
 
-    /// Where samples read one of its voxels, along an axis: more than the first of these, less than the second.
+    /// Open interval along an axis within which samples read a voxel of the box.
     #[inline(always)]
     pub fn reach(&self, axis: usize) -> [f64; 2] {
         let along = self.along(axis);
         [along.start as f64 - 1.0, along.end as f64]
     }
 
-    /// The corners of all that samples read.
+    /// Corners of the region in which samples read a voxel of the box.
     pub fn corners(&self) -> [Vec3; 8] {
         core::array::from_fn(|corner| [0, 1, 2].map(|axis| self.reach(axis)[corner >> axis & 1]))
     }

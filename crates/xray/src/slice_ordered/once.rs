@@ -11,7 +11,7 @@ use crate::grid::VolumeView;
 use crate::ray::RayFan;
 use crate::removal::RemovedVoxels;
 
-/// Memory of the intermediate images of a frame, used again by the next.
+/// Memory of a frame's intermediate images, reused by the next.
 #[derive(Debug, Default)]
 pub(crate) struct Images {
     sums: Vec<i64>,
@@ -19,8 +19,9 @@ pub(crate) struct Images {
 }
 
 impl SliceOrdered {
-    /// Prepares for [`SliceOrdered::project_once`] from these C-arms, of which so many are rendered at a time: applies pending changes
-    /// and creates the copies. The current C-arm's sums stay. Runs on the threads of the caller's pool.
+    /// Prepares for [`SliceOrdered::project_once`] from these C-arms, `at_a_time` of them together: applies
+    /// pending changes and creates the copies. The current C-arm's sums are kept. Runs on the threads of the
+    /// caller's pool.
     ///
     /// # Errors
     /// The volume or the images are too large for the memory.
@@ -45,8 +46,8 @@ impl SliceOrdered {
         self.check_memory(samples.saturating_mul(at_a_time))
     }
 
-    /// Line integrals of a C-arm that [`SliceOrdered::ready`] has prepared for: the bits of [`SliceOrdered::project`]. Keeps nothing.
-    /// Runs on the threads of the caller's pool, as far as they have nothing else to do.
+    /// Computes the line integrals of a C-arm prepared by [`SliceOrdered::ready`], bit-identical to
+    /// [`SliceOrdered::project`]. Keeps nothing. Runs on idle threads of the caller's pool.
     pub(crate) fn project_once(&self, c_arm: &CArm, images: &mut Images, image: &mut [f64]) {
         let fan = RayFan::new(&self.store_grid, c_arm);
         let parts = self.parts(&fan, c_arm);

@@ -56,7 +56,7 @@ pub enum Update {
 /// The intermediate images.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Sums<'a> {
-    /// Their number: one, or several where one does not suit all rays.
+    /// Number of images: one, or several if one does not suit all rays.
     pub images: usize,
     /// The sums of all images, one after the other, row-major.
     pub values: &'a [i64],
@@ -85,7 +85,8 @@ impl SliceOrderedMemory {
 pub struct CellShares {
     /// Cells in which something attenuates. No other is ever read.
     pub occupied: f64,
-    /// Cells whose voxels differ. The others are read only beside such a cell, or where a neighbour has another value.
+    /// Cells whose voxels differ. The others are read only next to such a cell, or where a neighbour has a
+    /// different value.
     pub mixed: f64,
 }
 

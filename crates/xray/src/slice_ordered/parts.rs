@@ -1,22 +1,23 @@
-//! Which rays share an intermediate image. One image serves a whole frame where it can. Otherwise the detector is halved until an axis
-//! suits all rays of a rectangle, and further where that saves samples. A rectangle has one image, or several for ranges of depths where
-//! that costs less; their line integrals add up.
+//! Which rays share an intermediate image. One image serves a whole frame where it can. Otherwise the
+//! detector is halved until an axis suits all rays of a rectangle, and further where that saves samples. A
+//! rectangle has one image, or several for ranges of depths where that costs less; their line integrals add
+//! up.
 
 use super::plan::{Plan, Rays};
 use super::splat::Dirty;
 use crate::carm::PixelBox;
 use crate::vector::{norm, sub};
 
-/// How often a rectangle is halved only to save time, and what a half must save.
+/// Maximum number of times a rectangle is halved only to save time, and the minimum saving of each halving.
 const MAX_HALVINGS: usize = 3;
 const WORTH_HALVING: f64 = 0.9;
 
-/// What an image's line integrals do to the pixels.
+/// How an image's line integrals are written to the pixels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Blend {
-    /// The first of a rectangle replaces them.
+    /// The first image of a rectangle replaces them.
     Replace,
-    /// The others are added.
+    /// The other images are added.
     Add,
 }
 
@@ -26,14 +27,14 @@ pub(crate) struct Part {
     pub pixels: PixelBox,
     pub blend: Blend,
     pub plan: Plan,
-    /// Where its samples start among those of all parts.
+    /// Start of the part's samples among those of all parts.
     pub start: usize,
     /// Samples whose sums have changed but whose sharpened values have not been updated.
     pub dirty: Dirty,
 }
 
 impl Part {
-    /// Its samples among those of all parts.
+    /// Range of the part's samples among those of all parts.
     pub fn samples(&self) -> core::ops::Range<usize> {
         self.start..self.start + self.plan.pixels()
     }
@@ -66,15 +67,16 @@ pub(crate) fn parts_of(all: &Rays<'_>) -> Vec<Part> {
                 }
             }
             (None, Some(halves)) => waiting.extend(halves.map(|pixels| (pixels, depth, layers(pixels)))),
-            // A ray's own best axis has a slope of at most 1: what remains is a ray that passes 1e9 samples beside the volume.
+            // Along a ray's own best axis the slope is at most 1, so what remains is a ray that misses the
+            // volume by 1e9 samples.
             (None, None) => add(&mut parts, pixels, vec![Plan::nothing(&rays)]),
         }
     }
     parts
 }
 
-/// The halves of a rectangle with their plans, if they cost clearly less than the whole: where the detector cuts the volume askew, one
-/// half's rays end at nearer slices, which need fewer samples.
+/// The halves of a rectangle with their plans, if they cost clearly less than the whole: where the detector
+/// cuts the volume obliquely, one half's rays end at nearer slices, which need fewer samples.
 fn cheaper(rays: &Rays<'_>, plans: &[Plan], halves: [PixelBox; 2]) -> Option<[(PixelBox, Vec<Plan>); 2]> {
     let cost = |pixels: &PixelBox, plans: &[Plan]| plans.iter().map(|plan| plan.cost(pixels)).sum::<f64>();
     let planned = |pixels: PixelBox| Some((pixels, Plan::layers(&Rays { pixels, ..*rays })?));

@@ -1,18 +1,23 @@
-//! Geometry of a frame: the slices to sum, the position of each intermediate-image pixel in each slice, and its weights.
+//! Geometry of a frame: the slices to sum, the position of each intermediate-image pixel in each slice, and
+//! its weights.
 //!
-//! The intermediate image lies in the plane of the farthest slice, aligned with it. Its sample with global index i is at `i /
-//! oversampling` voxels there and, seen from the source s, at `x_k(i) = s (1 - r_k) + i r_k / oversampling` voxels in slice k, where
-//! `r_k` is the ratio of the two depths. The step is constant, so no ray needs its own arithmetic. (P. Lacroute and M. Levoy, "Fast
-//! volume rendering using a shear-warp factorization", SIGGRAPH 1994, here with a point source.)
+//! The intermediate image lies in the plane of the farthest slice, aligned with it. Its sample with global
+//! index i is at `i / oversampling` voxels there and, seen from the source s, at `x_k(i) = s (1 - r_k) + i
+//! r_k / oversampling` voxels in slice k, where `r_k` is the ratio of the two depths. The step is constant,
+//! so no ray needs its own arithmetic. (P. Lacroute and M. Levoy, "Fast volume rendering using a shear-warp
+//! factorization", SIGGRAPH 1994, here with a point source.)
 //!
-//! Only the box of the voxels that attenuate counts: slices beside it are left out, and images reach no further.
+//! Only the box of the voxels that attenuate counts: slices outside it are skipped, and images do not extend
+//! beyond it.
 //!
-//! One image serves all rays and all slices if that box lies before the detector and no ray passes more than four voxels per slice.
-//! Otherwise [`parts`](super::parts) splits the detector into rectangles; each has its own axes, and an image for each range of depths,
-//! so that near slices are not sampled as densely as the farthest requires.
+//! One image serves all rays and all slices if that box lies before the detector and no ray passes more than
+//! four voxels per slice. Otherwise [`parts`](super::parts) splits the detector into rectangles; each has its
+//! own axes, and an image for each range of depths, so that near slices are not sampled as densely as the
+//! farthest requires.
 //!
-//! Positions are 32.32 fixed point. Along an image row, 16 samples share one such base; within the group they are 5.27 fixed point. These
-//! integers define the weights, so every implementation of the sum gives the same bits.
+//! Positions are 32.32 fixed point. Along an image row, 16 samples share one such base; within the group they
+//! are 5.27 fixed point. These integers define the weights, so every implementation of the sum gives the same
+//! bits.
 
 use super::before::BeforeDetector;
 use super::copies::CELL;
@@ -24,12 +29,12 @@ use crate::vector::Vec3;
 
 /// Samples of a row that share one 32.32 base.
 pub(crate) const GROUP: usize = 16;
-/// Minimum samples per voxel of the farthest slice. Below one, voxels there may fall between samples; in the middle of the volume the
-/// samples are then about one voxel apart.
+/// Minimum samples per voxel of the farthest slice. Below one, voxels there can fall between samples; in the
+/// middle of the volume the samples are then about one voxel apart.
 pub(crate) const LEAST_OVERSAMPLING: f64 = 0.8;
 /// Maximum step between samples in a slice, 32.32 voxels.
 const MAX_STEP: i64 = ONE + ONE / 4;
-/// Voxels that a group may read beyond its first one: 16 steps, plus the neighbour.
+/// Voxels that a group can read beyond its first one: 16 steps, plus the neighbour.
 pub(crate) const GROUP_REACH: i64 = (GROUP as i64 * MAX_STEP) / ONE + 1;
 /// Maximum number of voxel lines that the rows of a tile read.
 pub(crate) const MAX_LINES: usize = (TILE_ROWS as i64 * MAX_STEP / ONE) as usize + 2;
@@ -46,19 +51,22 @@ pub(crate) const LANE_BITS: u32 = 27;
 const ONE: i64 = 1 << 32;
 /// Maximum slope, in voxels per slice, of rays that share the only image of a frame.
 const MAX_SLOPE: f64 = 4.0;
-/// The same for a part of the detector. A ray's own best axis has a slope of at most 1; the rest is room for its neighbours.
+/// The same for a part of the detector. A ray's own best axis has a slope of at most 1; the rest is room for
+/// its neighbours.
 const MAX_PART_SLOPE: f64 = 2.0;
 /// Minimum depth, in slices, that is summed: nearer slices would be magnified without bound.
 const MIN_DEPTH: f64 = 1.0;
-/// The same for a part of the detector: near slices have an image of their own, and positions are exact to 2^-20 voxel.
+/// The same for a part of the detector: near slices have their own image, and positions are exact to 2^-20
+/// voxel.
 const MIN_PART_DEPTH: f64 = 1.0 / 64.0;
-/// Images of a part of the detector, at most.
+/// Maximum number of images per part of the detector.
 const MAX_LAYERS: usize = 3;
-/// Samples that take as long to sum as a pixel to read: measured.
+/// Number of samples whose summation takes as long as reading one pixel (measured).
 const SAMPLES_PER_PIXEL: f64 = 40.0;
-/// Of so many slices, one is looked at for the cost.
+/// The cost estimate samples every Nth slice.
 const COST_STRIDE: usize = 16;
-/// Samples around the detector's footprint and the volume: two for the warp, one for sharpening, two for rounding.
+/// Samples around the detector's footprint and the volume: two for the warp, one for sharpening, two for
+/// rounding.
 pub(crate) const MARGIN: f64 = 5.0;
 /// Maximum number of pixels of an intermediate image (1 GiB with its accumulators and floats).
 pub(crate) const MAX_PIXELS: f64 = (1_u64 << 26) as f64;
@@ -75,7 +83,7 @@ pub(crate) struct Axes {
 }
 
 impl Axes {
-    /// Of slices across this axis.
+    /// The axes for slices across this axis.
     pub fn of(slow: usize) -> Self {
         match slow {
             0 => Self { slow, u: 1, v: 2 },
@@ -100,9 +108,9 @@ pub(crate) struct Slice {
     pub groups: (usize, usize),
     /// Rows that can read an occupied voxel, half-open.
     pub rows: (usize, usize),
-    /// Depth of the image's plane over this slice's.
+    /// Ratio of the image plane's depth to this slice's.
     pub inverse_ratio: f64,
-    /// True if the detector's plane may cut the image's rays before this slice.
+    /// True if the detector's plane can cut the image's rays before this slice.
     pub meets_detector: bool,
 }
 
@@ -134,7 +142,8 @@ impl Slice {
         (position >> 32, (position as u32 >> (32 - ROW_BITS)) as i16)
     }
 
-    /// Voxels that a group may read beyond its first one: 15 steps from anywhere in that voxel, and the neighbour.
+    /// Voxels that a group can read beyond its first one: 15 steps from anywhere in that voxel, and the
+    /// neighbour.
     #[inline(always)]
     pub fn reach(&self) -> i64 {
         (((GROUP as i64 - 1) * self.step) >> 32) + 2
@@ -195,7 +204,7 @@ pub(crate) struct Plan {
     pub before: Option<BeforeDetector>,
 }
 
-/// Slices to be summed into one image, of all those across an axis.
+/// Range of slices across an axis that are summed into one image.
 struct Range {
     axes: Axes,
     /// True if depth grows with the index.
@@ -222,7 +231,8 @@ impl Range {
 }
 
 impl Plan {
-    /// One image for all rays and slices. `None` if no axis suits all rays, or if the occupied box extends behind the detector's plane.
+    /// One image for all rays and slices. `None` if no axis suits all rays, or if the occupied box extends
+    /// behind the detector's plane.
     pub fn whole(rays: &Rays<'_>) -> Option<Self> {
         let corners = rays.fan.corner_directions(&rays.pixels);
         let axes = best_axes(&corners, MAX_SLOPE)?;
@@ -237,8 +247,9 @@ impl Plan {
         Self::of(rays, &range)
     }
 
-    /// Images for the rays to a part of the detector, each for a range of slices; at least one, and as many as cost least. `None` if no
-    /// axis suits all rays, or if an image would be too large: the part must be split.
+    /// Images for the rays to a part of the detector, each for a range of slices; at least one, and as many
+    /// as cost least. `None` if no axis suits all rays, or if an image would be too large: the part must be
+    /// split.
     pub fn layers(rays: &Rays<'_>) -> Option<Vec<Self>> {
         let corners = rays.fan.corner_directions(&rays.pixels);
         let axes = best_axes(&corners, MAX_PART_SLOPE)?;
@@ -263,7 +274,7 @@ impl Plan {
         best.map(|(_, plans)| plans)
     }
 
-    /// What it costs to sum the image and to read it at all pixels, in samples.
+    /// Cost of summing the image and reading it at all pixels, in samples.
     pub fn cost(&self, pixels: &PixelBox) -> f64 {
         let side = |(first, end): (u32, u32)| f64::from(end - first);
         let mut samples = 0;
@@ -278,7 +289,7 @@ impl Plan {
         samples as f64 + SAMPLES_PER_PIXEL * side(pixels.columns) * side(pixels.rows)
     }
 
-    /// An image of nothing.
+    /// An empty image.
     pub fn nothing(rays: &Rays<'_>) -> Self {
         Self::empty(rays, Axes::of(2), 0)
     }
@@ -370,7 +381,7 @@ impl Plan {
                 .before
                 .is_some_and(|b| b.cuts(inverse_ratio, (0, self.columns), (0, self.rows))),
         };
-        // `div_euclid` rounds down: the first group or row may lie just outside.
+        // `div_euclid` rounds down: the first group or row can be just outside.
         let [u, v] = axes.map(|axis| occupied.along(axis).start as i64);
         while slice.groups.0 < slice.groups.1 && slice.group(slice.groups.0).voxel < u - GROUP_REACH {
             slice.groups.0 += 1;
@@ -393,14 +404,15 @@ impl Plan {
         (first * GROUP, end * GROUP)
     }
 
-    /// True if the detector's plane may cut the rays of a tile's rows before a slice.
+    /// True if the detector's plane can cut the rays of a tile's rows before a slice.
     #[inline(always)]
     pub fn meets_detector(&self, slice: &Slice, first_row: usize) -> bool {
         let Some(before) = self.before.as_ref().filter(|_| slice.meets_detector) else { return false };
         before.cuts(slice.inverse_ratio, self.seen_columns(first_row), (first_row, first_row + TILE_ROWS))
     }
 
-    /// The columns of an image row that are summed in a slice, half-open: those that the detector sees, before it.
+    /// The columns of an image row that are summed in a slice, half-open: those that the detector sees,
+    /// before it.
     #[inline(always)]
     pub fn summed_columns(&self, slice: &Slice, row: usize) -> (usize, usize) {
         let seen = self.seen_columns(row);
@@ -419,7 +431,7 @@ fn ends(mut of: impl Iterator<Item = usize>) -> Option<(usize, usize)> {
 
 /// True if rays between the corners meet the occupied box at a depth, in slices, before the detector's plane.
 fn is_met(occupied: &Occupied, source: Vec3, corners: &[Vec3; 4], axes: Axes, depth: f64) -> bool {
-    // At most five samples beside a ray are read, each at most 1.25 voxels from the next.
+    // At most five samples next to a ray are read, each at most 1.25 voxels from the next.
     const BESIDE: f64 = 8.0;
     let farthest = corners.iter().map(|d| d[axes.slow].abs()).fold(0.0, f64::max);
     let meets = |axis: usize| {
@@ -432,8 +444,9 @@ fn is_met(occupied: &Occupied, source: Vec3, corners: &[Vec3; 4], axes: Axes, de
     (MIN_PART_DEPTH..=farthest).contains(&depth) && meets(axes.u) && meets(axes.v)
 }
 
-/// The axis with the smallest maximum slope over the detector, if all rays have the same sign along it and none a larger slope than
-/// `limit`. Slopes are linear fractions of the pixel position, so their extremes are at the corners.
+/// The axis with the smallest maximum slope over the detector, if all rays have the same sign along it and
+/// none a larger slope than `limit`. Slopes are linear fractions of the pixel position, so their extremes are
+/// at the corners.
 fn best_axes(corners: &[Vec3; 4], limit: f64) -> Option<Axes> {
     let mut best: Option<(f64, Axes)> = None;
     for slow in 0..3 {

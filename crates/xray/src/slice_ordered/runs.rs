@@ -1,10 +1,11 @@
-//! Which groups of samples of a tile are interpolated in a slice, and which need no voxels because all that they read have one value.
+//! Selects the groups of a tile's samples that are interpolated in a slice; groups whose voxels all have one
+//! value need no voxel reads.
 
 use super::copies::{CELL, Copy3, LEVELS, MIXED, Voxel};
 use super::kernel::{GroupSums, Lanes};
 use super::plan::{GROUP, MAX_LINES, Plan, Slice, TILE_ROWS};
 
-/// How far ahead of a row's levels those of later slices are prefetched, which follow one another.
+/// Prefetch distance in the levels; those of later slices follow one another in memory.
 const LEVELS_AHEAD: usize = 4 * LEVELS;
 
 /// A run of groups interpolated at once, and the cells that they read; both half-open.
@@ -16,8 +17,8 @@ pub(super) struct Run {
     pub mixed: (usize, usize),
 }
 
-/// What a tile's samples get from groups of one value: the sum of their values, as differences from group to group. A weighted sum of
-/// equal voxels is exactly that voxel times the sum of the weights.
+/// Contribution of groups of one value to a tile's samples: the sum of their values, as differences from
+/// group to group. A weighted sum of equal voxels is exactly that voxel times the sum of the weights.
 #[derive(Debug, Default)]
 pub(super) struct LevelSums {
     steps: Vec<i64>,
@@ -50,7 +51,7 @@ impl LevelSums {
     }
 }
 
-/// Position of a tile's rows in a slice, and what has to be interpolated along them.
+/// Position of a tile's rows in a slice, and the runs to be interpolated along them.
 #[derive(Debug, Default)]
 pub(super) struct TileRows {
     /// For each image row, its first voxel line and the 15-bit fraction to the next.
@@ -70,7 +71,7 @@ pub(super) struct TileRows {
 pub(super) struct Summed {
     /// Columns of each row.
     pub columns: [(usize, usize); TILE_ROWS],
-    /// Groups with any of these columns, and groups of which all rows have all columns.
+    /// Groups with any of these columns, and groups whose rows all have all columns.
     pub any: (usize, usize),
     pub whole: (usize, usize),
 }
@@ -92,7 +93,7 @@ impl Summed {
         Self { columns, any, whole: (whole.0.div_ceil(GROUP), whole.1 / GROUP) }
     }
 
-    /// Adds those of a group's samples that are summed.
+    /// Adds a group's samples that are within the summed columns.
     #[inline(always)]
     pub fn add(&self, group: usize, samples: &GroupSums, sums: &mut GroupSums) {
         for ((sums, samples), columns) in sums.iter_mut().zip(samples).zip(&self.columns) {
@@ -106,7 +107,8 @@ impl Summed {
 }
 
 impl TileRows {
-    /// Finds what the tile reads in a slice, and adds what needs no reading to `known`; false if nothing has to be read.
+    /// Finds the voxels that the tile reads in a slice, and adds groups that need none to `known`; false if
+    /// nothing has to be read.
     #[inline(always)]
     pub fn place<T: Voxel, L: Lanes>(
         &mut self,
@@ -145,8 +147,8 @@ impl TileRows {
         true
     }
 
-    /// Splits the groups into those of one value, which are added to `known`, and runs to be interpolated. `lines` holds the levels of
-    /// each line.
+    /// Splits the groups into those of one value, which are added to `known`, and runs to be interpolated.
+    /// `lines` holds the levels of each line.
     #[inline(always)]
     fn find_runs<T: Voxel, L: Lanes>(
         &mut self,
@@ -157,10 +159,10 @@ impl TileRows {
         known: &mut LevelSums,
     ) {
         let (any, row_cells) = (self.summed.any, copy.row_cells());
-        // Levels of whole groups only.
+        // Only levels of whole groups.
         let within = (self.summed.whole.0.max(any.0), self.summed.whole.1.min(any.1));
         let reach = slice.reach();
-        // Before the first cell there is air.
+        // Air precedes the first cell.
         let (mut before, mut level, mut from, mut next) = ([0; LEVELS], 0, within.0, any.0);
         for at in (0..copy.levels_per_row()).step_by(LEVELS) {
             let (joined, mut changes) = lanes.join(lines, at, &before);
@@ -182,7 +184,7 @@ impl TileRows {
                 from = slice.first_group_from(voxel, within);
             }
         }
-        // After the last cell as well.
+        // Air also follows the last cell.
         let to = match level {
             MIXED => from,
             0 => within.1,
@@ -196,7 +198,7 @@ impl TileRows {
         self.run(slice, (next, any.1), row_cells);
     }
 
-    /// Finds what each run has to load.
+    /// Finds the cells that each run has to load.
     #[inline(always)]
     fn find_mixed(&mut self) {
         for run in &mut self.runs {

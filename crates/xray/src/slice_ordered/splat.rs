@@ -1,4 +1,5 @@
-//! The effect of a changed voxel on the intermediate image: exactly the products that the sum over slices adds for it.
+//! The effect of a changed voxel on the intermediate image: exactly the products that the sum over slices
+//! adds for it.
 
 use super::copies::{Copy3, Voxel};
 use super::kernel::between;
@@ -33,7 +34,7 @@ pub(crate) struct Dirty {
 impl Dirty {
     /// Maximum number of rectangles: each adds a margin of pixels around it.
     const MOST: usize = 8;
-    /// Number of pixels by which a rectangle may grow to absorb another one.
+    /// Number of pixels by which a rectangle can grow to absorb another one.
     const SLACK: usize = 1024;
 
     /// The rectangles.
@@ -70,8 +71,8 @@ pub(crate) struct Splatter {
 }
 
 impl Splatter {
-    /// Updates the image for a voxel that changes to `value`, and adds the changed pixels to `dirty`. Call before the change is applied
-    /// to the copy that the image was summed from.
+    /// Updates the image for a voxel that changes to `value`, and adds the changed pixels to `dirty`. Call
+    /// before the change is applied to the copy that the image was summed from.
     #[inline(always)]
     pub fn splat<T: Voxel>(
         &mut self,
@@ -137,7 +138,7 @@ impl Splatter {
     }
 }
 
-/// Samples along one image direction that may read a voxel at `position`, half-open.
+/// Samples along one image direction that can read a voxel at `position`, half-open.
 #[inline(always)]
 fn near(slice: &Slice, m: usize, position: i64, count: usize) -> (usize, usize) {
     // Computed in f64 with one extra sample on both sides: the caller checks each sample exactly.

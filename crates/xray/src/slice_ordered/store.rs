@@ -21,7 +21,8 @@ use crate::pieces::least_hu;
 use crate::removal::RemovedVoxels;
 use crate::vector::scale;
 
-/// The copy for slices across z, which another can serve, is made if it takes at most this part of the free memory.
+/// The copy for slices across z, for which another copy can substitute, is created only if it takes at most
+/// one part in this many of the free memory.
 const SHARE_OF_THIRD: u64 = 4;
 
 /// A stored voxel whose value changes.
@@ -116,7 +117,8 @@ impl Store {
         };
     }
 
-    /// The change in the store when a voxel of the volume changes from one value to another; `None` if the stored values stay the same.
+    /// The change in the store when a voxel of the volume changes from one value to another; `None` if the
+    /// stored values stay the same.
     pub fn change(&mut self, grid: &Grid, linear: usize, from: i16, to: i16) -> Option<Change> {
         match self {
             Self::Whole(_) => Some(Change { linear: linear as u32, value: to }),
@@ -152,7 +154,7 @@ impl Store {
         }
     }
 
-    /// Creates what slices across `slow` are read from, if it is missing.
+    /// Creates the copy that slices across `slow` are read from, if it is missing.
     pub fn ensure(&mut self, source: &Source<'_>, slow: usize) -> Result<(), DrrError> {
         let Source { view, removed, values, fill, machine } = *source;
         match self {
@@ -269,13 +271,15 @@ impl<T: Voxel> Copies<T> {
         }
     }
 
-    /// What slices across `slow` are read from: those across z, without a copy of their own, from that for slices across y.
+    /// The copy that slices across `slow` are read from. Without their own copy, slices across z use that for
+    /// slices across y.
     fn copy(&self, slow: usize) -> Option<&Copy3<T>> {
         let other = if slow == 2 { self.by_slow[1].as_ref() } else { None };
         self.by_slow[slow].as_ref().or(other)
     }
 
-    /// Creates what slices across `slow` are read from, if it is missing; `changed` lists the voxels that differ from those of `fill_row`.
+    /// Creates the copy that slices across `slow` are read from, if it is missing; `changed` lists the voxels
+    /// that differ from those of `fill_row`.
     fn ensure(
         &mut self,
         machine: &dyn Machine,
@@ -322,7 +326,8 @@ impl<T: Voxel> Copies<T> {
             let lines = (TILES * TILE_ROWS * part.plan.columns).max(1);
             jobs.extend(own.chunks_mut(lines).enumerate().map(|(n, out)| (copy, &part.plan, n, out)));
         }
-        // One group of tiles at a time, because those in the middle of an image take longest; finished ones pass on their workspace.
+        // One group of tiles at a time, because those in the middle of an image take longest; finished ones
+        // pass on their workspace.
         let spare = Mutex::new(Vec::new());
         let spare = || spare.lock().unwrap_or_else(PoisonError::into_inner);
         jobs.into_par_iter().with_max_len(1).for_each(|(copy, plan, tiles, out)| {

@@ -1,9 +1,10 @@
 //! From the intermediate image to the detector: sharpening, then one interpolation per pixel.
 //!
-//! Bilinear interpolation blurs: it convolves the voxels with a triangle, whose second moment of one sixth of a squared voxel spacing is
-//! twice that of the voxel itself. `I - alpha laplacian(I)` with `alpha = oversampling^2 / 12` undoes half of it. The image is then
-//! sampled with the Catmull-Rom cubic (Catmull and Rom, "A class of local interpolating splines", 1974), whose error is small compared
-//! with that of the voxels.
+//! Bilinear interpolation blurs: it convolves the voxels with a triangle, whose second moment of one sixth of
+//! a squared voxel spacing is twice that of the voxel itself. `I - alpha laplacian(I)` with `alpha =
+//! oversampling^2 / 12` undoes half of it. The image is then sampled with the Catmull-Rom cubic (Catmull and
+//! Rom, "A class of local interpolating splines", 1974), whose error is small compared with that of the
+//! voxels.
 //!
 //! Plain f32 and f64 arithmetic in a fixed order, without fused operations: vector code gives the same bits.
 
@@ -108,7 +109,8 @@ impl Warp<'_> {
             self.place(row, first_column + (chunk * CHUNK) as u32, &mut places);
             let weights = catmull_rom(&places.y);
             for (n, columns) in columns.iter_mut().enumerate().take(out.len()) {
-                // This early exit stops the compiler from gathering the taps of many pixels at a time (vgather), which is slower.
+                // This early exit stops the compiler from gathering the taps of many pixels at a time
+                // (vgather), which is slower.
                 let Some(taps) = taps(&rows, places.corner[n] as usize) else { break };
                 for (c, v) in columns.iter_mut().enumerate() {
                     *v = (weights[0][n] * taps[0][c] + weights[1][n] * taps[1][c])
@@ -162,8 +164,8 @@ impl Warp<'_> {
         }
     }
 
-    /// The image, and the image from its second, third and fourth row on, all of the same length, so that one bounds check covers all
-    /// four. `None` for an image with fewer rows, which never occurs.
+    /// The image, and the image from its second, third and fourth row on, all of the same length, so that one
+    /// bounds check covers all four. `None` for an image with fewer rows, which never occurs.
     #[inline(always)]
     fn rows(&self) -> Option<[&[f32]; 4]> {
         let width = self.plan.columns;

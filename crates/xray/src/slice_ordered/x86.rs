@@ -1,4 +1,5 @@
-//! AVX-512 (BW) and AVX2: the same integers as [`Scalar`](super::kernel::Scalar), 32 voxels and 16 samples at a time.
+//! AVX-512 (BW) and AVX2: the same integers as [`Scalar`](super::kernel::Scalar), 32 voxels and 16 samples at
+//! a time.
 //!
 //! `pulp` checks at run time that the instructions exist; its tokens make calling them safe.
 
@@ -76,7 +77,8 @@ const HALF: usize = GROUP / 2;
 #[derive(Clone, Copy)]
 pub(crate) struct HalfSteps {
     each: __m256i,
-    /// The first and the fifth again, as scalars: an address is ready sooner when computed from a scalar register.
+    /// The first and the fifth again, as scalars: an address is ready sooner when computed from a scalar
+    /// register.
     starts: [u32; 2],
 }
 
@@ -127,7 +129,8 @@ impl Avx2 {
 /// Eight voxels of a window, starting at one of its first sixteen.
 #[inline(always)]
 fn eight(window: &[i16; WINDOW], start: usize) -> __m128i {
-    // At most twelve steps of 1.25 voxels: the remainder changes nothing but proves the bound to the compiler.
+    // At most twelve steps of 1.25 voxels: the remainder changes nothing but proves the bound to the
+    // compiler.
     cast(window[start % GROUP..].first_chunk::<8>().copied().unwrap_or_default())
 }
 
@@ -167,7 +170,8 @@ impl Lanes for Avx2 {
         place: GroupPlace,
         sums: &mut GroupSums,
     ) {
-        // Unrolled by hand: vector code in a closure is not inlined into the function that enables the instruction set.
+        // Unrolled by hand: vector code in a closure is not inlined into the function that enables the
+        // instruction set.
         let [low, high] = &steps;
         let halves = [self.half_group(low, place.fraction), self.half_group(high, place.fraction)];
         for (window, sums) in rows.windows(place.first).zip(sums) {
@@ -189,7 +193,7 @@ impl Lanes for Avx2 {
         }
         let same = sse2._mm_cmpeq_epi8(differs, sse2._mm_setzero_si128());
         let joined = sse2._mm_or_si128(first, sse2._mm_andnot_si128(same, sse2._mm_set1_epi8(-1)));
-        // The last cell before these, then these but the last.
+        // The last preceding cell, then all of these except the last.
         let previous = ssse3._mm_alignr_epi8::<15>(joined, cast(*before));
         let changed = !(sse2._mm_movemask_epi8(sse2._mm_cmpeq_epi8(joined, previous)) as u32) & 0xFFFF;
         (cast(joined), changed)

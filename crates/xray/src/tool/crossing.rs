@@ -108,9 +108,8 @@ fn length(interval: Option<(f64, f64)>) -> f64 {
     interval.map_or(0.0, |(a, b)| b - a)
 }
 
-/// The point of the line o + t d closest to the origin. Measured from there, |o + t d| < r is solved without cancellation even for a
-/// distant source.
-/// away.
+/// The point of the line o + t d closest to the origin. Measured from there, |o + t d| < r is solved without
+/// cancellation even for a distant source.
 struct Closest {
     parameter: f64,
     square: f64,
@@ -195,8 +194,8 @@ impl AxialRay {
         overlap(slab, if d > 0.0 { (edge, f64::INFINITY) } else { (f64::NEG_INFINITY, edge) })
     }
 
-    /// Solves |across|^2 < (start + slope z)^2 between the caps, where the radius is not negative. The body is convex, so the solution is
-    /// one interval.
+    /// Solves |across|^2 < (start + slope z)^2 between the caps, where the radius is not negative. The body
+    /// is convex, so the solution is one interval.
     fn cross_cone(&self, caps: (f64, f64), start_m: f64, slope: f64) -> Option<Crossing> {
         let (o, d) = self.across;
         // Relative to the point closest to the cone's start, to avoid cancellation for a distant source.

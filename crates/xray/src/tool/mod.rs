@@ -1,8 +1,8 @@
 //! The tool: closed-form chords of its parts, and the anatomy that they displace.
 //!
-//! Along a ray, L = L_anatomy - (anatomy inside the union of the parts' envelopes) + sum(mu_metal * chord). The lumen of a hollow part
-//! belongs to its envelope and holds air, except where other parts occupy it (a drive cable). Metal in the overlap of two parts counts
-//! twice.
+//! Along a ray, L = L_anatomy - (anatomy inside the union of the parts' envelopes) + sum(mu_metal * chord).
+//! The lumen of a hollow part belongs to its envelope and holds air, except where other parts occupy it (a
+//! drive cable). Metal in the overlap of two parts counts twice.
 
 mod crossing;
 mod part;
@@ -25,8 +25,9 @@ pub enum ToolPart {
         start_m: [f64; 3],
         /// Where the axis meets the plane of the other end.
         end_m: [f64; 3],
-        /// Unit normals of the planes that cut the two ends, both from start to end and at most 60 degrees from the axis; `None` for flat
-        /// ends. The link beyond, cut by the same plane, fits without a gap and without overlap.
+        /// Unit normals of the planes that cut the two ends, both from start to end and at most 60 degrees
+        /// from the axis; `None` for flat ends. The link beyond, cut by the same plane, fits without a gap
+        /// and without overlap.
         normals: Option<[[f64; 3]; 2]>,
         /// Outer radius.
         outer_radius_m: f64,
@@ -59,7 +60,7 @@ pub enum ToolPart {
         /// Material.
         material: Material,
     },
-    /// The part of a solid sphere between two parallel planes, as of a ball in a row of balls that overlap.
+    /// The part of a solid sphere between two parallel planes, such as a ball in a row of overlapping balls.
     SphereZone {
         /// Centre.
         centre_m: [f64; 3],
@@ -67,7 +68,8 @@ pub enum ToolPart {
         radius_m: f64,
         /// Unit normal of the planes.
         axis: [f64; 3],
-        /// Where the planes are, from the centre along the axis; the first before the second, both within the sphere.
+        /// Positions of the planes along the axis, from the centre, in ascending order; both within the
+        /// sphere.
         along_m: [f64; 2],
         /// Material.
         material: Material,
@@ -82,7 +84,8 @@ impl ToolPart {
     }
 }
 
-/// A notch in a tube: the cut-out between two planes perpendicular to the axis and beyond a third plane parallel to it.
+/// A notch in a tube: the cut-out between two planes perpendicular to the axis and beyond a third plane
+/// parallel to it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Notch {
     /// From the tube's start to the first plane of the notch, along the axis.
@@ -95,7 +98,8 @@ pub struct Notch {
     pub depth_m: f64,
 }
 
-/// A tool: any number of parts, and the arm that carries it. A tool without parts costs nothing, nor does an absent arm.
+/// A tool: any number of parts, and the arm that carries it. A tool without parts costs nothing, nor does an
+/// absent arm.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Tool {
     /// The parts, in any order. The order of the sums follows it, and so do the last bits.
@@ -105,7 +109,7 @@ pub struct Tool {
 }
 
 impl Tool {
-    /// The parts, checked, in their order.
+    /// The validated parts, in their order.
     pub(crate) fn prepared(&self) -> impl Iterator<Item = Result<PreparedPart, DrrError>> {
         let prepare =
             |(part, given)| PreparedPart::new(given).map_err(|reason| DrrError::ToolPart { part, reason });

@@ -42,8 +42,9 @@ impl PreparedPart {
     /// Checks a part and computes its constants.
     ///
     /// # Errors
-    /// A number is not finite or above 100 m, a radius or length is not positive, the lumen is as wide as the tube, or a notch is outside
-    /// its tube, a zone outside its sphere, or an end is cut more obliquely than at 60 degrees.
+    /// A number is not finite or above 100 m, a radius or length is not positive, the lumen is as wide as the
+    /// tube, a notch is outside its tube, a zone outside its sphere, or an end is cut more obliquely than at
+    /// 60 degrees.
     pub fn new(part: &ToolPart) -> Result<Self, &'static str> {
         let (shape, material) = match *part {
             ToolPart::Sphere { centre_m, radius_m, material } => {
@@ -70,7 +71,7 @@ impl PreparedPart {
                 check_radius(widest_m)?;
                 // Negated, so that a NaN is refused.
                 if !(start_radius_m >= 0.0 && end_radius_m >= 0.0) {
-                    return Err("a radius of the cone is negative or NaN: give 0 for a point");
+                    return Err("a radius of the cone is negative or NaN: use 0 for a point");
                 }
                 let cone = |_, length_m: f64| {
                     let slope = (end_radius_m - start_radius_m) / length_m;
@@ -116,7 +117,8 @@ impl PreparedPart {
         }
     }
 
-    /// Centre and half-extent vectors of a bounding box, rotated to be as narrow as possible as seen from `source_m`.
+    /// Centre and half-extent vectors of a bounding box, rotated to be as narrow as possible as seen from
+    /// `source_m`.
     pub(crate) fn box_from(&self, source_m: Vec3) -> (Vec3, [Vec3; 3]) {
         match self.shape {
             Shape::Sphere { centre_m, radius_m: r } => {
@@ -133,7 +135,7 @@ impl PreparedPart {
                     Radii::Tube { outer_m, .. } => outer_m,
                     Radii::Cone { widest_m, .. } => widest_m,
                 };
-                // An oblique end stands out by the radius times the tangent of its angle.
+                // An oblique end protrudes by the radius times the tangent of its angle.
                 let [before_m, beyond_m] = normals.map(|normal| {
                     let cosine = dot(normal, axis);
                     if normal == axis { 0.0 } else { radius_m * norm(cross(normal, axis)) / cosine }
@@ -157,15 +159,16 @@ impl Notch {
         let inside = self.offset_m >= 0.0 && self.width_m > 0.0 && self.offset_m + self.width_m <= length_m;
         if !inside {
             return Err(
-                "its notch is not within the tube: give offset_m >= 0, width_m > 0, their sum at most the length",
+                "the notch is not within the tube: offset_m must be >= 0, width_m > 0, and their sum at most \
+                 the length",
             );
         }
         if !(self.depth_m > 0.0 && self.depth_m < 2.0 * outer_radius_m) {
-            return Err("its notch's depth is not between 0 and the outer diameter: correct depth_m");
+            return Err("the notch's depth_m is out of range: must be between 0 and the outer diameter");
         }
         let unit = (norm(self.side) - 1.0).abs() < 1e-6 && dot(self.side, axis).abs() < 1e-6;
         if !unit {
-            return Err("its notch's side is not a unit vector perpendicular to the axis: normalise it");
+            return Err("the notch's side is not a unit vector perpendicular to the axis: normalise it");
         }
         let along = (self.offset_m, self.offset_m + self.width_m);
         Ok(Cut { along, side: self.side, above: outer_radius_m - self.depth_m })
@@ -179,9 +182,8 @@ fn check_normals(normals: &[Vec3; 2], axis: Vec3) -> Result<(), &'static str> {
     if normals.iter().all(is_good) {
         Ok(())
     } else {
-        Err(
-            "the normal of an end is no unit vector within 60 degrees of the axis from start to end: correct normals",
-        )
+        Err("an end normal is not a unit vector within 60 degrees of the axis from start to end: \
+             correct `normals`")
     }
 }
 
@@ -189,7 +191,7 @@ fn check_points(points: &[Vec3]) -> Result<(), &'static str> {
     if points.iter().flatten().all(|x| x.abs() <= 100.0) {
         Ok(())
     } else {
-        Err("a coordinate is not finite or is beyond 100 m: give world positions in metres")
+        Err("a coordinate is not finite or exceeds 100 m: give world positions in metres")
     }
 }
 
@@ -197,20 +199,20 @@ fn check_radius(radius_m: f64) -> Result<(), &'static str> {
     if radius_m > 0.0 && radius_m <= 1.0 {
         Ok(())
     } else {
-        Err("a radius is not in 0 to 1 m (0 excluded): give it in metres")
+        Err("a radius is out of range: must be above 0 and at most 1 m")
     }
 }
 
 fn check_zone(radius_m: f64, axis: Vec3, [from_m, to_m]: [f64; 2]) -> Result<(), &'static str> {
-    // A NaN is neither.
+    // False for a NaN.
     let is_unit = (norm(axis) - 1.0).abs() < 1e-6;
     let rounded_m = radius_m * (1.0 + 1e-9);
     let is_within = -rounded_m <= from_m && from_m < to_m && to_m <= rounded_m;
     if !is_unit {
-        return Err("the axis of a zone is no unit vector: normalise it");
+        return Err("the axis of a sphere zone is not a unit vector: normalise it");
     }
     if !is_within {
-        return Err("the planes of a zone do not follow one another within its sphere: correct along_m");
+        return Err("along_m of a sphere zone must be in ascending order and within the sphere");
     }
     Ok(())
 }
@@ -222,7 +224,7 @@ fn check_tube(outer_radius_m: f64, inner_radius_m: f64) -> Result<(), &'static s
     }
     check_radius(inner_radius_m)?;
     if inner_radius_m >= outer_radius_m {
-        return Err("the inner radius is not below the outer one: give inner_radius_m < outer_radius_m");
+        return Err("the inner radius is too large: expected inner_radius_m < outer_radius_m");
     }
     Ok(())
 }
@@ -237,7 +239,7 @@ fn axial(
     let along = sub(end_m, start_m);
     let length_m = norm(along);
     if length_m < 1e-9 {
-        return Err("its two ends coincide: give it a length");
+        return Err("the two ends coincide: the length must be positive");
     }
     let axis = scale(along, 1.0 / length_m);
     let normals = normals.unwrap_or([axis; 2]);

@@ -8,7 +8,7 @@ fn assert_relative(got: f64, want: f64, tolerance: f64) {
 
 #[test]
 fn log_log_interpolation_gives_the_published_values_at_70_kev() {
-    // mu/rho (cm2/g) at 70 keV interpolated log-log from NIST by another program; four digits are given.
+    // mu/rho (cm2/g) at 70 keV interpolated log-log from NIST by another program, to four digits.
     for (material, density, mass_mu) in [
         (Material::Water, 1.0, 0.1936),
         (Material::SoftTissue, 1.06, 0.1924),
@@ -17,7 +17,7 @@ fn log_log_interpolation_gives_the_published_values_at_70_kev() {
         (Material::Steel316L, 7.99, 0.8655),
         (Material::Titanium, 4.506, 0.5446),
     ] {
-        // The other program interpolates between the elements' own energies (60 and 80 keV too): rounding only.
+        // The other program also interpolates between 60 and 80 keV, so the difference is rounding only.
         assert_relative(material.mu_per_m(70.0).unwrap(), 100.0 * density * mass_mu, 3e-3);
     }
 }

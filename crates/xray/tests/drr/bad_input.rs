@@ -1,4 +1,4 @@
-//! Bad input never silently becomes a wrong picture: it is refused by name, or shown as it is.
+//! Bad input never silently becomes a wrong image: it is refused by name, or rendered as given.
 
 use xray::message::{c_arm_message, c_arm_of};
 use xray::{
@@ -86,7 +86,8 @@ fn a_pose_with_a_nan_anywhere_is_refused_and_the_cache_survives() {
 fn a_source_inside_bone_sees_the_bone_between_it_and_the_detector() {
     let hu = vec![1000; grid().voxels()];
     let view = VolumeView::new(grid(), &hu).unwrap();
-    // From the middle of the volume to 10 cm in front of it; the central ray crosses half of the 40 mm along y.
+    // From the middle of the volume to 10 cm in front of it; the central ray crosses half of the 40 mm along
+    // y.
     let inside = CArm {
         source_m: [0.0, 0.0, 0.0],
         detector_centre_m: [0.0, -0.1, 0.0],
@@ -101,9 +102,9 @@ fn a_source_inside_bone_sees_the_bone_between_it_and_the_detector() {
         let mut renderer = renderer(&view, projector);
         frame(&mut renderer, &view, &inside).unwrap();
         let got = renderer.anatomy()[12];
-        // Sums over slices begin with a whole slice, of 2 mm, or 4 mm where voxels are joined.
+        // Sums over slices begin with a whole slice: 2 mm, or 4 mm for the preview's merged voxels.
         let slice = if projector == Projector::PREVIEW { 0.21 } else { 0.11 };
-        assert!((got / want - 1.0).abs() < slice, "{projector:?}: {got}, the half of the volume is {want}");
+        assert!((got / want - 1.0).abs() < slice, "{projector:?}: {got}, half of the volume is {want}");
     }
 }
 

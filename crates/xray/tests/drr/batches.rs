@@ -1,4 +1,4 @@
-//! Many frames at once are the frames one by one, bit for bit; a batch that is refused changes nothing.
+//! A batch of frames equals the frames rendered one by one, bit for bit; a refused batch changes nothing.
 
 use xray::{
     CArm, DrrError, DrrParameters, DrrRenderer, FrameReport, FrameSeed, Grid, Material, Output, Projector,
@@ -8,7 +8,8 @@ use xray::{
 use crate::frames::{batch, close_up, tool, volume};
 use crate::machine::{Desk, Small};
 
-/// Frontal, oblique, lateral, along an edge, from above; then with parts of the volume behind the detector, and from inside it.
+/// Frontal, oblique, lateral, along an edge and from above; then with parts of the volume behind the
+/// detector, and from inside the volume.
 fn c_arms() -> Vec<CArm> {
     let angles = [(0.0, 0.0), (37.0, 18.0), (90.0, 5.0), (46.0, -44.0), (5.0, 85.0)];
     let mut all: Vec<CArm> =
@@ -28,7 +29,7 @@ fn c_arms() -> Vec<CArm> {
     all
 }
 
-/// What a frame is made of: a C-arm, a tool, a seed.
+/// Inputs of the frames: C-arm, tool, seed.
 fn frames() -> Vec<(CArm, Tool, FrameSeed)> {
     let numbered = c_arms().into_iter().zip(0_u64..);
     numbered.map(|(c_arm, n)| (c_arm, tool(3 * n), FrameSeed { seed: 7, frame: n / 2 })).collect()
@@ -94,7 +95,7 @@ fn frames_of_a_batch_have_the_bits_of_frames_alone_on_any_number_of_threads() {
             renderer.remove(&view, &gone).unwrap();
             let what = format!("{:?}, {threads} threads", parameters.projector);
             assert_same(&at_once(&mut renderer, &view, &frames), &want, &what);
-            // With the memory of the frames before, of other sizes, in another order.
+            // Reuses the memory of earlier frames of other sizes, in another order.
             let mut again = at_once(&mut renderer, &view, &backwards);
             again.reverse();
             assert_same(&again, &want, &format!("{what}, again"));
@@ -116,7 +117,7 @@ fn a_batch_keeps_the_picture_of_the_stationary_c_arm() {
         assert_eq!(after[0].1.kind, RenderKind::Cached, "{:?}", parameters.projector);
         assert!(after[0].0 == before[0].0);
         for step in 0..4 {
-            // Removed before the batch, which shows it, and shown by the cached picture after it.
+            // Removed before the batch; the batch and the cached image after it must both show it.
             let new = batch(&grid, 1000 * step, 40);
             kept.remove(&view, &new).unwrap();
             gone.extend(new);
@@ -131,7 +132,7 @@ fn a_batch_keeps_the_picture_of_the_stationary_c_arm() {
             assert!(
                 pixels(one_by_one(&mut kept, &view, &standing))
                     == pixels(one_by_one(&mut fresh, &view, &standing)),
-                "{:?}: the stationary C-arm's picture after {step} batches",
+                "{:?}: the stationary C-arm's image after {step} batches",
                 parameters.projector
             );
         }
@@ -141,7 +142,7 @@ fn a_batch_keeps_the_picture_of_the_stationary_c_arm() {
 const BALL_OF_NOTHING: ToolPart =
     ToolPart::Sphere { centre_m: [0.0; 3], radius_m: -1e-3, material: Material::Steel316L };
 
-/// A change to a batch that is otherwise right.
+/// A change that makes a valid batch invalid.
 type Fault = fn(&mut CArm, &mut Tool, &mut Vec<u16>);
 
 #[test]
@@ -194,7 +195,7 @@ fn a_batch_of_nothing_is_nothing_and_one_in_another_grid_is_refused() {
     assert_eq!(renderer.render_batch(&elsewhere, &mut []), Err(DrrError::GridChanged));
 }
 
-/// One of the images fits, those of four threads do not.
+/// Memory for one thread's images fits, for four threads' it does not.
 #[test]
 fn a_batch_whose_images_the_memory_cannot_hold_is_refused_with_both_sizes() {
     static GIBIBYTE: Small = Small { free_bytes: Some(1 << 30), given_bytes: usize::MAX };

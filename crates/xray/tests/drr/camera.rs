@@ -11,7 +11,7 @@ fn arm(primary_deg: f64, secondary_deg: f64) -> CArm {
     CArm::from_positioner_angles(ISOCENTRE_M, angles, 0.7, 1.02, format).unwrap()
 }
 
-/// A detector shifted and tilted against the central ray, and the picture seen from the source.
+/// A detector shifted and tilted against the central ray, with the image seen from the source.
 fn general() -> CArm {
     let (s, c) = 0.2_f64.sin_cos();
     CArm {
@@ -61,8 +61,9 @@ fn a_camera_sees_points_where_the_c_arm_sees_them() {
 
 #[test]
 fn a_deepdrr_camera_with_negative_focal_length_and_half_pixels() {
-    // Source 0.8 m behind the world's origin on the posterior side, detector 0.4 m in front of it, 100 x 80 pixels of 2 mm; the
-    // patient's left on the right. fx = -1.2/0.002; the middle of the picture is at (50, 40) where centres are at halves.
+    // Source 0.8 m behind the world's origin on the posterior side, detector 0.4 m in front of it, 100 x 80
+    // pixels of 2 mm; the patient's left on the right. fx = -1.2/0.002; the image centre is at (50, 40) where
+    // pixel centres are at halves.
     let camera = Camera {
         intrinsics: [[-600.0, 0.0, 50.0], [0.0, 600.0, 40.0], [0.0, 0.0, 1.0]],
         rotation: [[-1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, -1.0, 0.0]],
@@ -115,7 +116,7 @@ proptest! {
 
 const PACKAGES: [&str; 2] = ["numpy==2.2.6", "opencv-python-headless==4.12.0.88"];
 
-/// OpenCV projects the points with K, R and t; this C-arm must see them within 1e-6 pixel of it.
+/// OpenCV projects points with K, R and t; this C-arm must agree within 1e-6 pixel.
 #[test]
 fn opencv_projects_points_to_the_same_pixels() {
     for c_arm in [arm(0.0, 0.0), arm(37.0, 18.0), arm(-100.0, -30.0), general()] {

@@ -1,10 +1,11 @@
-//! Attenuation coefficients compared with xraylib's, which are those of NIST's XCOM.
+//! Attenuation coefficients compared with xraylib's, which are NIST's XCOM values.
 
 use xray::{Material, Spectrum};
 
 const PACKAGES: [&str; 1] = ["xraylib==4.3.0"];
 
-/// Elements by atomic number and mass fraction: ICRU-44 as NIST lists it, and the alloys' nominal compositions.
+/// Elements by atomic number and mass fraction: ICRU-44 as NIST lists it, and the alloys' nominal
+/// compositions.
 const COMPOSITIONS: [(Material, &[(u32, f64)]); 6] = [
     (Material::Water, &[(1, 0.111898), (8, 0.888102)]),
     (
@@ -74,7 +75,8 @@ fn coefficients_are_those_of_xcom() {
     }
 }
 
-/// What 10 mm of aluminium take from each energy, beside xraylib's coefficient: the weights are relative, so pairs are compared.
+/// Attenuation by 10 mm of aluminium at each energy against xraylib's coefficient. The weights are relative,
+/// so pairs are compared.
 #[test]
 fn the_filter_is_xcoms_aluminium() {
     let weights =

@@ -1,4 +1,5 @@
-//! A burr that is longer than a ball: the union of its balls, counted once, at its place behind the tip. An outer tube.
+//! Burrs longer than a ball (the union of their balls, counted once, placed behind the tip), and the outer
+//! tube.
 
 use messages::State;
 use proptest::prelude::*;
@@ -42,7 +43,7 @@ fn crossed_m(part: &ToolPart, ray: &WorldRay) -> f64 {
 }
 
 proptest! {
-    /// Against the balls themselves, whose intervals on the ray are joined.
+    /// Compares with the balls themselves, whose intervals on the ray are joined.
     #[test]
     fn a_ray_crosses_as_much_of_the_burr_as_of_the_union_of_its_balls(
         shape in prop_oneof![Just(CutterShape::Cylinder), Just(CutterShape::Cone), Just(CutterShape::Bit)],
@@ -87,11 +88,12 @@ fn the_tube_ends_where_a_long_burr_begins() {
     assert!((length_m(long) - (0.03 - long.span_m())).abs() < 1e-12);
 }
 
-/// A ray across the tool, through both walls of the outer tube and of the tool's own where both are, of the own alone beyond.
+/// A ray across the tool crosses both walls of the outer tube and of the tool's own tube where both exist,
+/// and only the tool's own beyond.
 #[test]
 fn an_outer_tube_lies_about_the_tool_up_to_its_end() {
     let (mut state, axis) = state();
-    // A base away from the flange: behind it the tube goes on to the holder.
+    // A base away from the flange: behind it the tube continues to the holder.
     let flange_m = axis.map(|a| -0.2 * a);
     state.t_world_flange.position_m = flange_m;
     let outer_tube = Some(OuterTubeSize { outer_m: 4.5e-3, inner_m: 3.7e-3, end_m: 0.02 });

@@ -22,8 +22,8 @@ fn photon_numbers_have_the_poisson_mean_and_variance() {
         let average = draws(mean).sum::<f64>() / n;
         let variance = draws(mean).map(|x| (x - average).powi(2)).sum::<f64>() / n;
         println!("mean {mean}: average {average:.4}, variance {variance:.4}");
-        // Four standard errors: of the mean sqrt(mean/n); of the variance sqrt((mean + 2 mean^2)/n). The rounding of the
-        // normal approximation adds 1/12 to the variance.
+        // Four standard errors: of the mean sqrt(mean/n); of the variance sqrt((mean + 2 mean^2)/n). The
+        // rounding of the normal approximation adds 1/12 to the variance.
         assert!((average - mean).abs() < 4.0 * (mean / n).sqrt(), "{mean} {average}");
         let rounding = if mean < 30.0 { 0.0 } else { 1.0 / 12.0 };
         let bound = 4.0 * ((mean + 2.0 * mean * mean) / n).sqrt();
@@ -67,7 +67,7 @@ fn half_covered() -> (Grid, Vec<i16>, CArm) {
     (grid, hu, crate::poses::c_arm(0.0, 0.0, 96, 0.03))
 }
 
-/// A frame of it, with its line integrals.
+/// Renders a frame and returns it with its line integrals.
 fn frame(
     detector: DetectorParameters,
     mode: Display,
@@ -140,7 +140,7 @@ fn a_frame_depends_on_its_seed_and_not_on_threads_and_what_is_off_changes_nothin
     for other in [FrameSeed { seed: 2, frame: 2 }, FrameSeed { seed: 1, frame: 3 }] {
         assert_ne!(one, frame(noisy, Display::BoneDark, other, 1).0);
     }
-    // With everything off the logarithmic picture is the line integral itself.
+    // With everything off, the logarithmic image is the line integral itself.
     let (image, integrals) = frame(PLAIN, Display::BoneBright, seed, 2);
     assert!(image.iter().zip(&integrals).all(|(a, b)| *a == *b as f32));
 }
@@ -185,7 +185,8 @@ fn blur_keeps_the_sum_and_has_the_asked_width() {
         let reach = (weights.len() / 2) as f64;
         assert!((weights.iter().sum::<f64>() - 1.0).abs() < 1e-14);
         let variance: f64 = weights.iter().enumerate().map(|(i, w)| w * (i as f64 - reach).powi(2)).sum();
-        // Cutting at 3 sigma takes up to 3 % of the variance away; sampling a narrow bell changes it by as much.
+        // Truncation at 3 sigma removes up to 3 % of the variance; sampling a narrow Gaussian changes it by
+        // as much.
         assert!((variance.sqrt() / sigma - 1.0).abs() < 0.04, "{sigma} {variance}");
     }
     assert_eq!(gaussian_weights(0.0), [1.0]);
@@ -228,7 +229,7 @@ fn the_automatic_window_spans_the_object_and_leaves_room_for_metal() {
     anatomy.extend([0.0; 5000]);
     let window = Window::Automatic { low_share: 0.1, high_share: 0.05, metal_room: 0.5 };
     let WindowLimits { low, high } = window_limits(window, &anatomy);
-    // Percentiles to a histogram bin (0.005).
+    // Percentiles are accurate to a histogram bin (0.005).
     assert!((low - 1.2).abs() < 0.005, "{low}");
     assert!((high - (1.2 + 1.5 * (2.9 - 1.2))).abs() < 0.01, "{high}");
     assert_eq!(

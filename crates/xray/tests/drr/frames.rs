@@ -9,7 +9,7 @@ use crate::machine::Desk;
 
 const PIXELS: u32 = 72;
 
-/// An oblique, anisotropic volume with structure everywhere but in some empty blocks.
+/// An oblique, anisotropic volume with structure everywhere except in some empty blocks.
 pub fn volume() -> (Grid, Vec<i16>) {
     let (s, c) = 0.4_f64.sin_cos();
     let axes = [[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]];
@@ -85,7 +85,7 @@ fn frame(renderer: &mut DrrRenderer, view: &VolumeView<'_>, c_arm: &CArm, step: 
 fn assert_same(a: &Frame, b: &Frame) {
     assert!(a.anatomy == b.anatomy, "anatomy differs");
     assert!(a.total == b.total, "line integrals with the tool differ");
-    assert!(a.image == b.image, "the pictures differ");
+    assert!(a.image == b.image, "the images differ");
 }
 
 #[test]
@@ -103,7 +103,7 @@ fn a_cache_after_many_removals_equals_a_full_render_bit_for_bit() {
                 kept.remove(&view, &new).unwrap();
                 all.extend(new);
                 let (incremental, kind) = frame(&mut kept, &view, &c_arm, step);
-                // Sums over slices are updated or made anew, whichever is faster.
+                // Sums over slices are updated or recomputed, whichever is faster.
                 if matches!(projector, Projector::Joseph | Projector::Siddon) {
                     assert_ne!(kind, RenderKind::Full);
                 }
@@ -148,7 +148,8 @@ fn one_two_and_four_threads_any_order_and_any_history_give_the_same_frame() {
     let (want, _) = frame(&mut reference, &view, &c_arm, 5);
     for threads in [2, 4] {
         let mut renderer = DrrRenderer::new(&view, parameters(Projector::Joseph, threads), &Desk).unwrap();
-        // Another history: other poses, tools, frames and batches, and the voxels in reverse, some twice.
+        // A different history: other poses, tools, frames and batches, and the voxels in reverse order, some
+        // of them twice.
         for (step, chunk) in removed.rchunks(130).enumerate() {
             let reversed: Vec<u32> = chunk.iter().rev().copied().collect();
             renderer.remove(&view, &reversed).unwrap();
@@ -204,8 +205,8 @@ fn an_unchanged_frame_traces_nothing_and_irrelevant_removals_trace_little() {
     let air = hu.iter().position(|&h| h == -1000).unwrap();
     assert_eq!(renderer.remove(&view, &[air as u32]).unwrap(), 1);
     assert_eq!(frame(&mut renderer, &view, &c_arm, 2).1, RenderKind::Cached);
-    // One voxel of about 1 mm, magnified less than twice on pixels of 0.8 mm: the ray of a pixel further than 1 voxel
-    // cannot reach it, so a square of at most 2 sqrt(3) * 1.3 * 2 / 0.8 = 12 pixels a side.
+    // One voxel of about 1 mm, magnified less than twice on pixels of 0.8 mm: a ray that passes more than 1
+    // voxel away cannot reach it, so a square of at most 2 sqrt(3) * 1.3 * 2 / 0.8 = 12 pixels a side.
     let bone = hu.iter().position(|&h| h > 1000).unwrap() + grid.voxels() / 2;
     let bone = (bone..).find(|&i| hu[i] > 1000).unwrap();
     renderer.remove(&view, &[bone as u32]).unwrap();

@@ -18,7 +18,7 @@ fn bead(c_arm: &CArm, from_isocentre_m: [f64; 3]) -> (f64, f64) {
     let p = c_arm
         .project([0.1 + from_isocentre_m[0], 0.2 + from_isocentre_m[1], 0.3 + from_isocentre_m[2]])
         .unwrap();
-    // Millimetres from the middle pixel (50, 40), as the pitch is 1 mm.
+    // Millimetres from the centre pixel (50, 40), as the pitch is 1 mm.
     (p.column - 50.0, p.row - 40.0)
 }
 
@@ -62,7 +62,7 @@ fn cranial_angulation_moves_the_detector_to_the_head_and_anterior_beads_down() {
     let c_arm = arm(0.0, 30.0);
     let (s, c) = (0.5, 0.75_f64.sqrt());
     assert!((c_arm.detector_centre_m[2] - (0.3 + 0.3 * s)).abs() < 1e-12);
-    // A bead a in front (anterior): depth grows by a cos, down in the picture by a sin.
+    // A bead a in front (anterior): depth grows by a cos, down in the image by a sin.
     let a = 0.05;
     assert_near(bead(&c_arm, [0.0, -a, 0.0]), (0.0, 1e3 * a * s / (0.7 + a * c)));
     assert_near(bead(&arm(0.0, -30.0), [0.0, -a, 0.0]), (0.0, -1e3 * a * s / (0.7 + a * c)));
@@ -105,8 +105,8 @@ fn voxels_lie_along_the_axes_of_their_grid() {
     assert_eq!(grid.linear_of([4, 0, 0]), None);
 }
 
-/// The process took the axes of the message for rows, so in a run an oblique CT was seen turned the other way; physics and `trabecula
-/// drr` had it right.
+/// Regression: the process read the message's axes as rows, so a run showed an oblique CT rotated the wrong
+/// way; physics and `trabecula drr` were right.
 #[test]
 fn the_process_sees_an_oblique_ct_where_its_message_says_it_is() {
     // i runs to +y, j to +z, k to +x.
@@ -145,12 +145,12 @@ fn sheared_and_empty_grids_are_refused() {
 proptest! {
     #[test]
     fn projecting_a_detector_point_returns_its_pixel(
-        primary in -180.0..180.0_f64, secondary in -89.0..89.0_f64, column in -20.0..120.0_f64, row in -20.0..100.0_f64,
-        share in 0.05..1.0_f64,
+        primary in -180.0..180.0_f64, secondary in -89.0..89.0_f64,
+        column in -20.0..120.0_f64, row in -20.0..100.0_f64, share in 0.05..1.0_f64,
     ) {
         let c_arm = arm(primary, secondary);
         let pixel = c_arm.pixel_m(column, row);
-        // Any point on the ray falls on the same pixel.
+        // Any point on the ray projects to the same pixel.
         let point = std::array::from_fn(|a| c_arm.source_m[a] + share * (pixel[a] - c_arm.source_m[a]));
         let seen = c_arm.project(point).unwrap();
         prop_assert!((seen.column - column).abs() < 1e-9 && (seen.row - row).abs() < 1e-9);
@@ -162,7 +162,7 @@ proptest! {
         angle in 0.0..6.0_f64, x in -50.0..50.0_f64, y in -50.0..50.0_f64, z in -50.0..50.0_f64,
     ) {
         let (s, c) = angle.sin_cos();
-        // A left-handed, turned grid with three spacings.
+        // A left-handed, rotated grid with three different spacings.
         let axes = [[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, -1.0]];
         let grid = Grid::new([10, 20, 30], [0.5e-3, 0.7e-3, 1.1e-3], [0.1, -0.2, 0.3], axes).unwrap();
         let back = grid.world_to_index(grid.index_to_world([x, y, z]));

@@ -4,8 +4,9 @@ use xray::{CArm, DetectorFormat, PositionerAngles};
 
 const PACKAGES: [&str; 1] = ["SimpleITK==2.5.7"];
 
-/// ITK turns a frontal C-arm about the isocentre (`Euler3DTransform` with a centre, z y x), makes the detector an image with
-/// origin, spacing and direction, and says at which continuous index of it the ray to a point ends.
+/// ITK rotates a frontal C-arm about the isocentre (`Euler3DTransform` with a centre, z y x), represents the
+/// detector as an image with origin, spacing and direction, and returns the continuous index at which the ray
+/// to a point ends.
 const SCRIPT: &str = "
 import SimpleITK as sitk
 def add(a, b, s=1.0): return [x + s * y for x, y in zip(a, b)]

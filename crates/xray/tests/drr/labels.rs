@@ -29,7 +29,7 @@ fn labelled(
     renderer.labels(view, c_arm, &request).unwrap()
 }
 
-/// Anatomy and metal of the labels are computed apart and by another loop than the frame.
+/// Anatomy and metal of the labels are computed separately, by a different loop than the frame's.
 #[test]
 fn anatomy_and_metal_make_the_attenuation_of_the_frame() {
     let (grid, hu, removed) = turned_volume();
@@ -63,7 +63,7 @@ fn anatomy_and_metal_make_the_attenuation_of_the_frame() {
             let got = f64::from(labels.anatomy[i]) + f64::from(labels.metal[i]);
             assert!(
                 (got - want).abs() < 2e-6 * (1.0 + want),
-                "{spectrum:?}, pixel {i}: {got} against {want}"
+                "{spectrum:?}, pixel {i}: {got}, expected {want}"
             );
             let is_metal = labels.mask[i] & (Class::Tool.bit() | Class::Burr.bit()) != 0;
             assert!(is_metal == (labels.metal[i] > 0.0) || tool.arm.is_some(), "pixel {i}");
@@ -73,7 +73,7 @@ fn anatomy_and_metal_make_the_attenuation_of_the_frame() {
             with_metal += usize::from(is_metal);
         }
         assert!(with_metal > 300 && (only_arm > 300) == tool.arm.is_some(), "{with_metal}, {only_arm}");
-        // Neither threads nor the frame's projector change a label.
+        // Neither the number of threads nor the frame's projector changes a label.
         let other = make(Projector::default(), 1).labels(&view, &c_arm, &request).unwrap();
         assert_eq!(other.mask, labels.mask);
         let bits = |image: &[f32]| image.iter().map(|x| x.to_bits()).collect::<Vec<_>>();
@@ -90,7 +90,8 @@ fn anatomy_and_metal_make_the_attenuation_of_the_frame() {
     }
 }
 
-/// A plate of bone 20 mm thick in soft tissue, a drilled layer of 6 mm in it, and a ball before it, all seen along y.
+/// A plate of bone 20 mm thick in soft tissue, a drilled layer of 6 mm in it, and a ball in front of it, all
+/// seen along y.
 #[test]
 fn a_plate_with_a_tunnel_and_a_burr_by_hand() {
     let grid = Grid::centred([81, 81, 81], [1e-3; 3]).unwrap();
@@ -108,7 +109,7 @@ fn a_plate_with_a_tunnel_and_a_burr_by_hand() {
     let burr = ToolPart::Sphere { centre_m: [0.0, 0.03, 0.0], radius_m: 3e-3, material: Material::Steel316L };
     let labels =
         labelled(&view, &removed, &c_arm, &Tool { parts: vec![burr], arm: None }, &[[0.0, 0.03, 0.0]]);
-    let near = |got: f32, want: f64| assert!((f64::from(got) - want).abs() < 1e-6, "{got} against {want}");
+    let near = |got: f32, want: f64| assert!((f64::from(got) - want).abs() < 1e-6, "{got}, expected {want}");
     let middle = 30 * 61 + 30;
     near(labels.bone_m[middle], 0.021);
     near(labels.tunnel_m[middle], 0.0);
@@ -117,7 +118,8 @@ fn a_plate_with_a_tunnel_and_a_burr_by_hand() {
     let mu = Material::Steel316L.mu_per_m(60.0).unwrap();
     assert!((f64::from(labels.metal[middle]) - 6e-3 * mu).abs() < 1e-5);
     assert_eq!(labels.mask[middle], Class::Bone.bit() | Class::Burr.bit());
-    // The patient's right, x < 0, is on the left of an AP image. Its rays are longer by the secant of their angle.
+    // The patient's right, x < 0, is on the left of an AP image. Its rays are longer by the secant of their
+    // angle.
     let left = 30 * 61 + 10;
     let secant = (1.0_f64 + 0.02 * 0.02).sqrt();
     near(labels.bone_m[left], 0.015 * secant);
@@ -132,7 +134,7 @@ fn a_plate_with_a_tunnel_and_a_burr_by_hand() {
     assert_eq!(visibility, Visibility::Alone);
 }
 
-/// A rod with joints every 10 mm and a burr, from the side and from its end.
+/// A rod with joints every 10 mm and a burr, seen from the side and end-on.
 #[test]
 fn a_keypoint_is_overlapped_where_another_part_lies_on_its_ray() {
     let grid = Grid::centred([4, 4, 4], [1e-3; 3]).unwrap();
@@ -150,10 +152,10 @@ fn a_keypoint_is_overlapped_where_another_part_lies_on_its_ray() {
         labels.keypoints.iter().map(|point| point.visibility).collect()
     };
     use Visibility::{Alone, Outside, Overlapped};
-    // 64 mm on the detector are 45 mm at the isocentre: the base is 40 mm aside.
+    // 64 mm on the detector are 45 mm at the isocentre: the base is 40 mm to the side.
     assert_eq!(seen(0.0), [Outside, Outside, Alone, Alone, Alone, Alone]);
-    // Along the rod everything lies on everything: the lumen is open, but each ray to a joint ends in the burr, and that to the burr
-    // crosses nothing else, as it runs in the lumen.
+    // Seen end-on, everything overlaps. The lumen is open, but each ray to a joint crosses the burr; the ray
+    // to the burr runs in the lumen and crosses nothing else.
     assert_eq!(seen(90.0), [Overlapped, Overlapped, Overlapped, Overlapped, Overlapped, Alone]);
     // A point behind the source, and one behind the detector.
     let away = [[0.0, 2.0, 0.0], [0.0, -0.5, 0.0]];

@@ -1,4 +1,4 @@
-//! The choice of a projector by its measured error.
+//! Selection of a projector by its measured error.
 
 use xray::Projector;
 use xray::ladder::{Rung, choose, line_of, rungs};
@@ -15,7 +15,8 @@ fn the_quickest_rung_that_keeps_the_error_is_chosen() {
             assert!(quicker.clone().all(|other| other.error_rel > wanted), "{wanted}: {chosen:?}");
         }
     }
-    // What the table says today: a preview errs by half a percent, the sums over slices by two thousandths.
+    // Present values of the table: the preview's error is half a percent, that of the sums over slices two
+    // thousandths.
     assert!(matches!(choose(0.1).projector, Projector::Preview { .. }));
     assert_eq!(choose(2e-3).projector, Projector::SliceOrdered { oversampling: 0.8, sharpen: true });
     assert_eq!(choose(1.64e-3).projector, Projector::SLICE_ORDERED);

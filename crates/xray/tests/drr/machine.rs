@@ -1,4 +1,4 @@
-//! The machine that the tests render on, and tests that no machine changes a bit.
+//! Machines that the tests render on, and tests that the machine does not change a bit of a frame.
 
 use std::sync::LazyLock;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -13,7 +13,7 @@ use xray::{
 
 use crate::slice_ordered::{c_arm, hash, random, remove, volume};
 
-/// Threads of rayon, memory of the heap, and a clock that runs.
+/// Threads from rayon, memory from the heap, and a running clock.
 pub struct Desk;
 
 static START: LazyLock<Instant> = LazyLock::new(Instant::now);
@@ -28,7 +28,8 @@ impl Machine for Desk {
     }
 }
 
-/// A clock that advances by a second at every reading, so that a few changed voxels seem to cost more than a full sum.
+/// A clock that advances by a second at every reading, so that changing a few voxels appears to cost more
+/// than a full sum.
 struct SlowUpdates(AtomicU64);
 
 impl Machine for SlowUpdates {
@@ -41,7 +42,7 @@ impl Machine for SlowUpdates {
     }
 }
 
-/// A clock that stands still, so that updates never seem slower.
+/// A stopped clock, so that updates never appear slower.
 pub struct NoClock;
 
 impl Machine for NoClock {
@@ -50,7 +51,7 @@ impl Machine for NoClock {
     }
 }
 
-/// A machine that reports this much free memory, and gives at most this many bytes.
+/// A machine that reports this much free memory and allocates at most this many bytes.
 pub struct Small {
     pub free_bytes: Option<u64>,
     pub given_bytes: usize,
@@ -85,7 +86,7 @@ fn the_clock_decides_how_changes_are_worked_in_and_not_what_comes_out() {
         let mut image = vec![0.0; c_arm.pixels()];
         let mut updates = Vec::new();
         for step in 0..4_u64 {
-            // The first change tells what one voxel costs.
+            // The first change measures the cost of one voxel.
             let count = if step == 1 { 1 } else { 1000 * step };
             let batch: Vec<u32> =
                 (0..count).map(|i| (random(10_000 * step + i) % grid.voxels() as u64) as u32).collect();
@@ -126,7 +127,8 @@ fn a_copy_that_the_memory_cannot_hold_is_refused_with_both_sizes() {
 #[test]
 fn images_that_the_memory_cannot_hold_are_refused_with_both_sizes() {
     static GIBIBYTE: Small = Small { free_bytes: Some(1 << 30), given_bytes: usize::MAX };
-    // A slice of 3 x 3 m at four samples per voxel has 144 million samples of 12 bytes, less those between the halves of the detector.
+    // A slice of 3 x 3 m at four samples per voxel has 144 million samples of 12 bytes, less those between
+    // the halves of the detector.
     let grid = Grid::centred([3000, 3000, 1], [1e-3; 3]).unwrap();
     let hu = vec![100; grid.voxels()];
     let view = VolumeView::new(grid, &hu).unwrap();
@@ -147,7 +149,7 @@ fn images_that_the_memory_cannot_hold_are_refused_with_both_sizes() {
 
 #[test]
 fn slices_across_z_have_the_same_bits_with_a_copy_of_their_own_and_without() {
-    // A quarter of it does not hold a third copy (0.8 MB).
+    // A third copy (0.8 MB) does not fit into a quarter of it.
     static SCARCE: Small = Small { free_bytes: Some(2_000_000), given_bytes: usize::MAX };
     static PLENTY: Small = Small { free_bytes: Some(1 << 30), given_bytes: usize::MAX };
     let (grid, hu) = volume(2500);

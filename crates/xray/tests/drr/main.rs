@@ -1,6 +1,6 @@
-//! The X-ray against closed forms, tables and itself.
+//! Tests of the X-ray model against closed forms, tables and itself.
 //!
-//! The modules are `cfg(test)` so that clippy knows their helpers for tests, which may unwrap.
+//! The modules are `cfg(test)` so that clippy treats their helpers as test code, which may unwrap.
 
 #[cfg(test)]
 mod attenuation;
@@ -46,7 +46,8 @@ mod spectrum;
 #[cfg(test)]
 mod tool;
 
-/// Runs a script in an environment with pinned packages; `None`, with a message, where it cannot be made; in CI that fails.
+/// Runs a script in an environment with pinned packages. If the environment cannot be created, prints a
+/// message and returns `None`; in CI this is a failure.
 #[cfg(test)]
 #[allow(clippy::unwrap_used, reason = "helpers of tests")]
 fn run_python(name: &str, packages: &[&str], probe: &str, script: &str) -> Option<String> {

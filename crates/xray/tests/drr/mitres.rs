@@ -1,4 +1,4 @@
-//! Links that meet at an angle: nothing is missing between them, and nothing counts twice.
+//! Mitred links: nothing is missing where links meet at an angle, and nothing counts twice.
 
 use messages::State;
 use proptest::prelude::*;
@@ -10,7 +10,7 @@ use xray::{Material, PreparedPart, Tool, ToolPart};
 const OUTER_M: f64 = 3e-3;
 const INNER_M: f64 = 2e-3;
 
-/// Metal of a material on a ray.
+/// Path length in a material on a ray.
 #[allow(clippy::unwrap_used, reason = "a helper that fails is a failed test")]
 fn metal_m(tool: &Tool, material: Material, from: [f64; 3], to: [f64; 3]) -> f64 {
     let ray = WorldRay::between(from, to);
@@ -22,7 +22,8 @@ fn metal_m(tool: &Tool, material: Material, from: [f64; 3], to: [f64; 3]) -> f64
         .sum()
 }
 
-/// A tool with joints in the xz plane that turns by the angle at every joint: shaft of 30 mm, then links of 4 mm.
+/// A tool with joints in the xz plane, bent by the angle at every joint: a shaft of 30 mm, then links of 4
+/// mm.
 fn bent(turn_rad: f64) -> (State, Vec<[f64; 3]>) {
     let mut state = State::zeroed();
     let ahead = |link: usize| [(link as f64 * turn_rad).sin(), 0.0, (link as f64 * turn_rad).cos()];
@@ -42,7 +43,8 @@ fn bent(turn_rad: f64) -> (State, Vec<[f64; 3]>) {
     (state, joints)
 }
 
-/// Along the joint's plane a tube is an ellipse: its chord is that across the tube over the cosine of half the angle.
+/// In the joint's plane, the tube's section is an ellipse: its chord is the transverse chord divided by the
+/// cosine of half the angle.
 #[test]
 fn the_metal_at_a_joint_is_that_of_the_ellipse_in_its_plane() {
     for turn_rad in [0.02_f64, 0.2, 0.6] {
@@ -51,7 +53,7 @@ fn the_metal_at_a_joint_is_that_of_the_ellipse_in_its_plane() {
         for (joint, at) in joints.iter().enumerate() {
             let middle = (joint as f64 + 0.5) * turn_rad;
             let (normal, along) = ([middle.sin(), 0.0, middle.cos()], [middle.cos(), 0.0, -middle.sin()]);
-            // Just before and just behind the plane.
+            // Just in front of and just behind the plane.
             for beside_m in [-1e-9, 1e-9] {
                 let place =
                     |by_m: f64| std::array::from_fn(|i| at[i] + beside_m * normal[i] + by_m * along[i]);
@@ -70,7 +72,7 @@ fn the_metal_at_a_joint_is_that_of_the_ellipse_in_its_plane() {
     }
 }
 
-/// A straight tool has the flat ends of before: the same bits.
+/// A straight tool has flat ends, bit-identical to parts without mitres.
 #[test]
 fn links_in_line_end_flat() {
     let tool = tool_of(&bent(0.0).0, &STANDARD_RADII, &STANDARD_HOLDER, None);
@@ -81,7 +83,7 @@ fn links_in_line_end_flat() {
         "{tool:?}"
     );
     assert_eq!(tool.parts.len(), 11);
-    // So oblique that a mitre would stick out by more than the tube is wide.
+    // So oblique that a mitre would protrude by more than the tube's width.
     let tool = tool_of(&bent(2.2).0, &STANDARD_RADII, &STANDARD_HOLDER, None);
     assert!(
         tool.parts
@@ -91,7 +93,8 @@ fn links_in_line_end_flat() {
     );
 }
 
-/// From a base 200 mm before the flange, the shaft goes on to the holder of 60 mm: a straight ray along y crosses its two walls.
+/// With the base 200 mm in front of the flange, the shaft continues to the 60 mm holder: a straight ray along
+/// y crosses its two walls.
 #[test]
 fn the_shaft_goes_on_behind_the_base_to_the_holder() {
     let (mut state, joints) = bent(0.2);
@@ -110,7 +113,7 @@ fn the_shaft_goes_on_behind_the_base_to_the_holder() {
         assert!((metal(z, Material::Steel316L) - steel_m).abs() < 1e-12, "z {z}");
     }
     assert!(matches!(tool.parts.last(), Some(ToolPart::Sphere { .. })), "the burr is the last part");
-    // A base nearer than the holder is long: no bare shaft. On the flange: neither.
+    // A base nearer than the holder's length has no bare shaft; a base on the flange has neither.
     for (z, parts) in [(-0.04, 2 * (joints.len() + 1) + 2), (0.0, 2 * (joints.len() + 1) + 1)] {
         state.t_world_flange.position_m = [0.0, 0.0, z];
         assert_eq!(tool_of(&state, &STANDARD_RADII, &STANDARD_HOLDER, None).parts.len(), parts);
@@ -137,7 +140,8 @@ fn an_end_cut_too_obliquely_or_by_no_unit_normal_is_refused() {
 }
 
 proptest! {
-    /// Every point of the shell about the bent axis is in one link, by which side of the joints' planes it is on.
+    /// Every point of the shell about the bent axis belongs to exactly one link, determined by the sides of
+    /// the joint planes.
     #[test]
     fn the_metal_of_a_bent_tool_agrees_with_counting_points_on_the_ray(
         from in prop::array::uniform3(-0.02..0.02_f64), to in prop::array::uniform3(-0.02..0.02_f64),
@@ -147,7 +151,8 @@ proptest! {
         let tool = tool_of(&state, &STANDARD_RADII, &STANDARD_HOLDER, None);
         let [from, to] = [from, to].map(|p| [p[0] + 4e-3, p[1], p[2] + 0.035]);
         let got = metal_m(&tool, Material::Nitinol, from, to);
-        let ends: Vec<[f64; 3]> = [[0.0; 3]].into_iter().chain(joints).chain([state.t_world_burr.position_m]).collect();
+        let ends: Vec<[f64; 3]> =
+            [[0.0; 3]].into_iter().chain(joints).chain([state.t_world_burr.position_m]).collect();
         let n = 20_000;
         let inside = |t: f64| {
             let p: [f64; 3] = std::array::from_fn(|a| from[a] + t * (to[a] - from[a]));
@@ -165,7 +170,7 @@ proptest! {
         let count = (0..n).filter(|&i| inside((f64::from(i) + 0.5) / f64::from(n))).count();
         let length_m = WorldRay::between(from, to).length_m;
         let want = count as f64 / f64::from(n) * length_m;
-        // At most four boundaries a link, each off by one sample.
+        // At most four boundaries per link, each off by one sample.
         prop_assert!((got - want).abs() <= 20.0 * length_m / f64::from(n), "{} {}", got, want);
     }
 }

@@ -69,8 +69,8 @@ fn box_chord_m(ray: &WorldRay, low: [f64; 3], high: [f64; 3]) -> f64 {
 
 #[test]
 fn two_voxels_by_hand() {
-    // Two 10 mm voxels along x: water and twice water. A ray along x through both, one through the second only, and one that
-    // ends in the middle of the second.
+    // Two 10 mm voxels along x: water and twice water. A ray along x through both, one through the second
+    // only, and one that ends in the middle of the second.
     let grid = Grid::axis_aligned([2, 1, 1], [0.01; 3], [0.0; 3]).unwrap();
     let scene = Scene::new(grid, vec![0, 1000]);
     let mu = water();
@@ -82,7 +82,7 @@ fn two_voxels_by_hand() {
     assert!((scene.joseph(&across) - mu * 0.02).abs() < 1e-12);
     let ends_inside = WorldRay::between([-0.1, 0.0, 0.0], [0.01, 0.0, 0.0]);
     assert!((scene.siddon(&ends_inside) - mu * (0.01 + 2.0 * 0.005)).abs() < 1e-12);
-    // Half way between the centres, Joseph's interpolation across the ray gives the mean.
+    // Halfway between the centres, Joseph's interpolation across the ray gives the mean.
     let between = WorldRay::between([0.005, -0.1, 0.0], [0.005, 0.1, 0.0]);
     assert!((scene.joseph(&between) - mu * 0.015).abs() < 1e-12);
     // A quarter voxel beyond the last centre it has dropped to three quarters.
@@ -127,8 +127,8 @@ fn an_ellipsoid_phantom_at_two_resolutions() {
         ]);
     }
     println!("relative rms [siddon, joseph, joseph against siddon] at 1 and 0.5 mm: {errors:?}");
-    // Published figures for such phantoms at 0.5 mm and five times the size: 2.0e-3, 2.1e-3, 0.7e-3. Here structures are a
-    // quarter of that in voxels; edges make the error first order in the voxel size.
+    // Published values for such phantoms at 0.5 mm and five times the size: 2.0e-3, 2.1e-3, 0.7e-3. Here
+    // structures are a quarter of that in voxels; edges make the error first order in the voxel size.
     for (coarse, fine) in errors[0].iter().zip(&errors[1]) {
         assert!(*coarse < 0.016 && *fine < 0.6 * coarse, "{errors:?}");
     }
@@ -141,7 +141,7 @@ fn joseph_is_of_second_order_in_the_voxel_size() {
     let c_arm = crate::poses::c_arm(25.0, 15.0, 24, 0.03);
     let mut errors = Vec::new();
     for n in [1_usize, 2, 4] {
-        // 12 sigma wide; -1000 HU is no attenuation.
+        // 12 sigma wide; -1000 HU means no attenuation.
         let side = 48 * n;
         let grid = Grid::centred([side; 3], [1e-3 / n as f64; 3]).unwrap();
         let hu: Vec<i16> = (0..grid.voxels())
@@ -215,7 +215,8 @@ proptest! {
     fn joseph_gives_a_slabs_chord_exactly_on_rays_through_both_faces(
         x in -0.004..0.004_f64, y in -0.004..0.004_f64, u in -0.004..0.004_f64, v in -0.004..0.004_f64,
     ) {
-        // 20 mm of 15 x 15 x 20 voxels; the ray enters by one z face and leaves by the other, away from the sides.
+        // 20 mm of 15 x 15 x 20 voxels; the ray enters by one z face and leaves by the other, away from the
+        // sides.
         let grid = Grid::centred([15, 15, 20], [1e-3; 3]).unwrap();
         let scene = Scene::new(grid, vec![700; grid.voxels()]);
         let ray = WorldRay::between([x, y, -0.02], [u, v, 0.02]);
@@ -228,8 +229,8 @@ proptest! {
         filled in prop::collection::vec(0_usize..24 * 17 * 33, 1..6),
         primary in -180.0..180.0_f64, secondary in -90.0..90.0_f64,
     ) {
-        // Single voxels in air. Siddon's sum over a fine detector is the volume of the voxels, whatever the view; and block
-        // skipping must give the same as a volume where nothing can be skipped.
+        // Single voxels in air. Siddon's sum over a fine detector is the volume of the voxels, whatever the
+        // view; and block skipping must give the same as a volume where nothing can be skipped.
         let grid = Grid::centred([24, 17, 33], [1e-3; 3]).unwrap();
         let mut hu = vec![-1000_i16; grid.voxels()];
         filled.iter().for_each(|&i| hu[i] = 1000);

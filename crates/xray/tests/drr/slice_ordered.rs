@@ -1,4 +1,4 @@
-//! Sums over slices: against closed forms and Siddon; the same bits whatever runs them.
+//! Sums over slices against closed forms and Siddon; bit-identical across instruction sets and threads.
 
 use xray::ray::{IndexRay, RayFan};
 use xray::removal::{AttenuationField, BlockMap, RemovedVoxels};
@@ -30,7 +30,7 @@ fn with(instructions: Instructions) -> SliceOrderedOptions {
     SliceOrderedOptions { instructions, ..SliceOrderedOptions::default() }
 }
 
-/// Line integrals and sums of a C-arm from nothing, with voxels removed beforehand.
+/// Line integrals and sums of a C-arm computed from scratch, with voxels removed beforehand.
 pub fn full(
     view: &VolumeView<'_>,
     options: SliceOrderedOptions,
@@ -46,7 +46,7 @@ pub fn full(
     (image, slices.sums().values.to_vec())
 }
 
-/// Removes voxels that are still there, as the renderer does.
+/// Removes voxels that are still present, as the renderer does.
 pub fn remove(
     slices: &mut SliceOrdered,
     view: &VolumeView<'_>,
@@ -72,7 +72,8 @@ pub fn random(i: u64) -> u64 {
     FrameSeed { seed: 41, frame: 0 }.hash(i)
 }
 
-/// An oblique, anisotropic volume with air and values up to `largest`; its sizes are multiples of nothing that the sums work in.
+/// An oblique, anisotropic volume with air and values up to `largest`; its sizes are not multiples of any
+/// block size that the sums use.
 pub fn volume(largest: i16) -> (Grid, Vec<i16>) {
     let (s, c) = 0.3_f64.sin_cos();
     let axes = [[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]];
@@ -87,7 +88,7 @@ pub fn volume(largest: i16) -> (Grid, Vec<i16>) {
     (grid, hu)
 }
 
-/// The same within air, of another width on each side.
+/// The same surrounded by air, with a different margin on each side.
 pub fn volume_in_air(largest: i16) -> (Grid, Vec<i16>) {
     let (grid, mut hu) = volume(largest);
     let is_air =
@@ -132,7 +133,8 @@ fn the_error_beside_closed_forms_is_the_voxels_own() {
         let sharp = error(SliceOrderedOptions::default(), &truth);
         let fine = error(SliceOrderedOptions { oversampling: 3.0, ..plain }, &by_ray);
         println!(
-            "{primary} {secondary}: siddon {siddons:.2e}, joseph {josephs:.2e}, sharp {sharp:.2e}, plain {:.2e}, os 3 against joseph {fine:.2e}",
+            "{primary} {secondary}: siddon {siddons:.2e}, joseph {josephs:.2e}, sharp {sharp:.2e}, plain \
+             {:.2e}, os 3 against joseph {fine:.2e}",
             error(plain, &truth)
         );
         // The published prototype is below Joseph's error; here structures are a third of its size in voxels.
@@ -168,7 +170,7 @@ fn every_instruction_set_and_number_of_threads_gives_the_same_bits() {
     let sets = Instructions::available();
     println!("instructions here: {:?}", sets.iter().map(|s| s.name()).collect::<Vec<_>>());
     let mut golden = Vec::new();
-    // 32767: eight slices fill the 32-bit sums.
+    // At 32767, eight slices fill the 32-bit sums.
     for largest in [2000, 31_767] {
         let (grid, hu) = volume(largest);
         let view = VolumeView::new(grid, &hu).unwrap();
@@ -197,7 +199,7 @@ fn every_instruction_set_and_number_of_threads_gives_the_same_bits() {
         }
     }
     let all: Vec<u8> = golden.iter().flat_map(|h| h.to_le_bytes()).collect();
-    // Changes only with the algorithm: it must then be renewed with a reason.
+    // Changes only with the algorithm; update it only with a stated reason.
     assert_eq!(xxh3_64(&all), GOLDEN, "{:#018x}", xxh3_64(&all));
 }
 
@@ -232,7 +234,7 @@ fn a_source_inside_the_volume_and_inside_bone_sees_what_lies_before_it() {
     let fan = RayFan::new(&grid, &inside);
     for (i, value) in (0_u32..).zip(&image) {
         let ray = fan.world_ray(i % 32, i / 32);
-        // From y = 6 mm to the face at -30 mm; the first slice and a half may be missing.
+        // From y = 6 mm to the face at -30 mm; the first slice and a half can be missing.
         let want = 2.0 * water() * 0.036 * ray.length_m / ray.direction_m[1].abs();
         let slice = 2.0 * water() * 1.6e-3;
         assert!(*value <= want + 1e-6 && *value >= want - slice, "{value} {want}");

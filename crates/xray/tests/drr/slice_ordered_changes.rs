@@ -1,4 +1,4 @@
-//! Sums over slices, changed by removed voxels: they equal full renders, and cost little.
+//! Sums over slices updated for removed voxels: they equal full renders, and cost little.
 
 use proptest::prelude::*;
 use xray::removal::RemovedVoxels;
@@ -8,8 +8,9 @@ use xray::{CArm, DrrParameters, DrrRenderer, FrameSeed, Grid, Projector, RenderK
 use crate::machine::{Desk, NoClock};
 use crate::slice_ordered::{POSES, c_arm, full, hash, random, remove, slices, table, volume, water};
 
-/// Removes voxels in batches of these sizes; after each, sums and image are those of a full render with the voxels in reverse order.
-/// Returns how many batches changed the kept sums instead of making them anew.
+/// Removes voxels in batches of these sizes; after each, sums and image must equal a full render with the
+/// voxels in reverse order. Returns the number of batches that updated the cached sums instead of recomputing
+/// them.
 pub fn assert_removals_equal_full_renders(
     view: &VolumeView<'_>,
     grid: &Grid,
@@ -59,7 +60,7 @@ fn removals_by_ones_and_by_thousands_equal_full_renders_bit_for_bit() {
 fn blocks_of_equal_voxels_hold_exactly_what_their_voxels_take_away_one_by_one() {
     let dims = [128, 96, 40];
     let grid = Grid::centred(dims, [1e-3; 3]).unwrap();
-    // Seams beside the cells of 32 voxels and across them; blocks longer and shorter than a group of samples.
+    // Seams next to and across the 32-voxel cells; blocks longer and shorter than a group of samples.
     let block = |v: [usize; 3]| (v[0] / 65 + v[0] / 96 + v[1] / 40 + v[2] / 9) % 4;
     let hu: Vec<i16> = (0..grid.voxels())
         .map(|n| [-1000, 300, 1200, 1200][block([n % dims[0], n / dims[0] % dims[1], n / dims[0] / dims[1]])])
@@ -80,7 +81,7 @@ fn blocks_of_equal_voxels_hold_exactly_what_their_voxels_take_away_one_by_one() 
             for batch in all.chunks(20_000) {
                 remove(&mut kept, &view, &mut set, batch);
                 let update = kept.project(&view, &set, &c_arm, &mut image).unwrap();
-                assert!(!matches!(update, Update::Full), "summed anew");
+                assert!(!matches!(update, Update::Full), "summed again");
             }
             assert!(kept.sums().values.iter().all(|sum| *sum == 0), "something is left");
             kept.forget();
@@ -90,7 +91,7 @@ fn blocks_of_equal_voxels_hold_exactly_what_their_voxels_take_away_one_by_one() 
     }
 }
 
-/// Sums know the box of what attenuates. Irrigation also fills air beyond it.
+/// Sums cover the box of voxels that attenuate. Irrigation also fills air outside it.
 #[test]
 fn air_beyond_the_bone_that_is_filled_is_summed() {
     let dims = [60, 50, 40];
@@ -101,7 +102,7 @@ fn air_beyond_the_bone_that_is_filled_is_summed() {
         (0..grid.voxels()).map(|n| if is_bone(grid.voxel_of(n)) { 900 } else { -1000 }).collect();
     let view = VolumeView::new(grid, &hu).unwrap();
     let c_arm = c_arm(40.0, 20.0, 64);
-    // Through the bone, beside it, and in the volume's corners.
+    // Through the bone, outside it, and in the volume's corners.
     let filled: Vec<u32> = [[25, 30, 20], [21, 22, 9], [19, 30, 20], [0, 0, 0], [59, 49, 39], [40, 2, 30]]
         .map(|voxel| grid.linear_of(voxel).unwrap() as u32)
         .to_vec();
@@ -167,7 +168,7 @@ fn removals_far_apart_are_shown_as_small_rectangles() {
         .to_vec();
     remove(&mut kept, &view, &mut set, &voxels);
     match kept.refresh(&c_arm, &mut image) {
-        // One rectangle around them would be most of the picture.
+        // One rectangle around them would cover most of the image.
         Some(Update::Changed(pixels)) => assert!(4 * pixels <= image.len(), "{pixels}"),
         other => panic!("{other:?}"),
     }
@@ -205,7 +206,7 @@ fn a_frame_rendered_aside_leaves_the_standing_c_arm_its_cache() {
             renderer.remove(&view, &after).unwrap();
             removed.extend_from_slice(&after);
             let report = renderer.render(&view, &stands, &tool, seed, &mut image).unwrap();
-            // Incremental, or full where the measured costs say that this is faster.
+            // Incremental, or full where the measured costs predict that to be faster.
             assert_ne!(report.kind, RenderKind::Cached, "{projector:?} round {round}");
             let want = fresh(&stands, &removed);
             assert!(image == want.0 && hash(renderer.anatomy()) == want.1, "{projector:?} round {round}");

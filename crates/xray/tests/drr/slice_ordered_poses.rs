@@ -1,4 +1,5 @@
-//! Sums over slices from every side: the detector before, behind and inside the volume, the source outside and inside, wide fans.
+//! Sums over slices from every side: the detector in front of, behind and inside the volume, the source
+//! outside and inside, wide fans.
 
 use std::sync::LazyLock;
 
@@ -76,7 +77,7 @@ const INSIDE: [Pose; 4] = [
     pose((-140.0, 40.0), 0.0103, 0.04, 0.2),
 ];
 
-/// Those that one image does not serve.
+/// Poses that need more than one image.
 fn unordinary() -> impl Iterator<Item = Pose> {
     CORNERS_BEHIND.into_iter().chain(CUT).chain(WIDE).chain(INSIDE)
 }
@@ -122,7 +123,7 @@ impl Thigh {
         VolumeView::new(self.grid, &self.hu).unwrap()
     }
 
-    /// Every pixel by `of`.
+    /// Computes every pixel with `of`.
     fn image(&self, c_arm: &CArm, of: impl Fn(&WorldRay) -> f64) -> Vec<f64> {
         let fan = RayFan::new(&self.grid, c_arm);
         let pixels = 0..c_arm.pixels() as u32;
@@ -142,7 +143,8 @@ impl Thigh {
         self.image(c_arm, |ray| joseph::line_integral(&field, &IndexRay::new(&self.grid, ray)))
     }
 
-    /// Number of images, and relative errors: of Joseph's and of the sums, by the closed form, and between these two.
+    /// Number of images and relative errors: of Joseph's method and of the sums against the closed form, and
+    /// between the two.
     fn errors(&self, c_arm: &CArm, options: SliceOrderedOptions) -> (usize, [f64; 3]) {
         let half_m = 0.5 * self.grid.dims()[2] as f64 * self.grid.spacing_m()[2];
         let truth = self.image(c_arm, |ray| closed_form(&self.shapes, half_m, ray));
@@ -162,7 +164,7 @@ fn every_pose_has_the_error_of_ordinary_poses() {
     for pose in ORDINARY.into_iter().chain(unordinary()) {
         let (images, [joseph, sums, between]) = thigh.errors(&pose.c_arm(96), SliceOrderedOptions::default());
         println!("{pose:?}: {images} images, joseph {joseph:.2e}, sums {sums:.2e}, between {between:.2e}");
-        // The bound of ordinary poses: `the_error_beside_closed_forms_is_the_voxels_own`.
+        // The bound for ordinary poses: `the_error_beside_closed_forms_is_the_voxels_own`.
         assert!(sums < 1.1 * joseph, "{pose:?}: {sums} {joseph}");
     }
 }
@@ -185,7 +187,7 @@ fn a_detector_that_cuts_only_air_takes_one_image() {
 
 #[test]
 fn thick_slices_seen_along_an_edge_have_the_error_of_joseph() {
-    // Slices eight times as thick as wide: a few degrees turn the best axis.
+    // Slices eight times as thick as wide: a few degrees change the best axis.
     let thigh = Thigh::new([180, 152, 29], [0.5e-3, 0.5e-3, 4e-3]);
     for degrees in [(0.0, 84.0), (20.0, 80.0), (-70.0, -85.0)] {
         let pose = pose(degrees, 0.2, 0.3, 0.35);
@@ -199,7 +201,7 @@ fn thick_slices_seen_along_an_edge_have_the_error_of_joseph() {
 fn every_instruction_set_and_number_of_threads_gives_the_same_bits_from_every_side() {
     let sets = Instructions::available();
     let mut golden = Vec::new();
-    // 32767: four slices fill the 32-bit sums.
+    // At 32767, four slices fill the 32-bit sums.
     for largest in [2000, 31_767] {
         let (grid, hu) = volume(largest);
         let view = VolumeView::new(grid, &hu).unwrap();
@@ -227,7 +229,7 @@ fn every_instruction_set_and_number_of_threads_gives_the_same_bits_from_every_si
         }
     }
     let all: Vec<u8> = golden.iter().flat_map(|h| h.to_le_bytes()).collect();
-    // Changes only with the algorithm: it must then be renewed with a reason.
+    // Changes only with the algorithm; update it only with a stated reason.
     assert_eq!(xxh3_64(&all), GOLDEN, "{:#018x}", xxh3_64(&all));
 }
 
@@ -247,13 +249,14 @@ fn removals_from_every_side_equal_full_renders_bit_for_bit() {
     }
 }
 
-/// Errors of Joseph's method and of the sums at a pose about a coarse thigh, and the number of images; `None` where the source is in it.
+/// Errors of Joseph's method and of the sums at a pose about a coarse thigh, and the number of images; `None`
+/// if the source is inside it.
 fn errors_at(degrees: (f64, f64), source_m: f64, beyond_m: f64, field_m: f64) -> Option<(usize, [f64; 2])> {
     static WHOLE: LazyLock<Thigh> = LazyLock::new(|| Thigh::new([45, 38, 86], [2e-3; 3]));
     let thigh = &*WHOLE;
     let c_arm = pose(degrees, source_m, source_m + beyond_m, field_m).c_arm(64);
-    // Where one image serves all rays, the slice nearest to the source is missing: nothing must attenuate there. A slice is 2 mm thick,
-    // rays run askew in it, and the voxels of the skin stand out of the skin: 4 mm.
+    // Where one image serves all rays, the slice nearest to the source is missing: nothing must attenuate
+    // there. A slice is 2 mm thick, rays cross it obliquely, and surface voxels protrude from the skin: 4 mm.
     let [x, y, z] = std::array::from_fn(|a| c_arm.source_m[a] / (thigh.shapes[0].semi_axes_m[a] + 4e-3));
     if x * x + y * y + z * z <= 1.0 {
         return None;
@@ -262,12 +265,13 @@ fn errors_at(degrees: (f64, f64), source_m: f64, beyond_m: f64, field_m: f64) ->
     Some((images, [joseph, sums]))
 }
 
-/// Two samplings of one edge differ by chance at a pose (next test), and not over many: the same 500 poses every time.
+/// Two samplings of an edge differ by chance at a single pose (next test), but not over many: the same 500
+/// poses every time.
 #[test]
 fn many_poses_have_together_the_error_of_joseph() {
     let (mut count, mut joseph2, mut sums2) = (0, 0.0, 0.0);
     for n in 1..=500 {
-        // Roberts' sequence in five dimensions fills the ranges evenly: powers of 1/g, g^6 = g + 1.
+        // Roberts' sequence in five dimensions covers the ranges evenly: powers of 1/g, with g^6 = g + 1.
         let between = |low: f64, high: f64, axis: i32| {
             low + (high - low) * (f64::from(n) * 1.134_724_138_401_519_5_f64.powi(-axis)).fract()
         };
@@ -293,7 +297,8 @@ proptest! {
         let found = errors_at((primary, secondary), source_m, beyond_m, field_m);
         prop_assume!(found.is_some());
         let (images, [joseph, sums]) = found.unwrap();
-        // Two samplings of one edge differ by chance: of 12 000 poses 24 had more than 1.08 times Joseph's error, the worst 1.29.
+        // Two samplings of an edge differ by chance: 24 of 12 000 poses had more than 1.08 times Joseph's
+        // error, the worst 1.29.
         prop_assert!(sums < 1.5 * joseph, "{images} images: {sums} {joseph}");
     }
 }

@@ -22,7 +22,7 @@ fn between(n: u64, low: f64, high: f64) -> f64 {
     low + (high - low) * (random(n) >> 11) as f64 / (1_u64 << 53) as f64
 }
 
-/// A place near the origin in any orientation.
+/// A pose near the origin in any orientation.
 fn any_pose(n: u64, range_m: f64) -> Pose {
     let quaternion: [f64; 4] = std::array::from_fn(|i| between(10 * n + i as u64, -1.0, 1.0));
     let length = quaternion.iter().map(|x| x * x).sum::<f64>().sqrt();
@@ -41,7 +41,7 @@ fn turned([x, y, z, w]: [f64; 4], v: [f64; 3]) -> [f64; 3] {
     [0, 1, 2].map(|i| v[i] + w * t[i] + across[i])
 }
 
-/// A surface over two angles: around once each way, as a torus, or from pole to pole, as a ball.
+/// A surface over two angles: periodic in both, as a torus, or from pole to pole, as a ball.
 fn surface(steps: [usize; 2], is_torus: bool, at: impl Fn(f64, f64) -> [f64; 3]) -> ClosedMesh {
     let [m, n] = steps;
     let turn = std::f64::consts::TAU;
@@ -63,7 +63,7 @@ fn surface(steps: [usize; 2], is_torus: bool, at: impl Fn(f64, f64) -> [f64; 3])
 }
 
 fn ball(radius_m: f64, steps: usize) -> ClosedMesh {
-    // The poles' points have to be equal to the bit.
+    // The poles' points must be bit-identical.
     surface([steps, steps / 2], false, |u, v| {
         let across = if v == 0.0 || v > 0.999 * std::f64::consts::PI { 0.0 } else { v.sin() };
         [radius_m * across * u.cos(), radius_m * across * u.sin(), radius_m * v.cos()]
@@ -85,7 +85,7 @@ pub fn cuboid(half_m: [f32; 3]) -> ClosedMesh {
     ClosedMesh::new(&halves.map(|triangle| triangle.map(corner)).collect::<Vec<_>>()).unwrap()
 }
 
-/// Line integrals of a frame that shows nothing but this.
+/// Line integrals of a frame that shows only this tool.
 fn shown(c_arm: &CArm, tool: &Tool, parameters: DrrParameters) -> Vec<f64> {
     let grid = Grid::centred([4; 3], [1e-3; 3]).unwrap();
     let view_hu = vec![-1000; grid.voxels()];
@@ -147,7 +147,7 @@ fn a_box_is_as_long_on_every_ray_as_between_its_faces() {
         }
     }
     println!("box: {hit} rays through it, worst {worst:.1e} m");
-    // Rounding of depths of a metre.
+    // Rounding of depths of about a metre.
     assert!(hit > 5_000 && worst < 1e-12);
 }
 
@@ -163,21 +163,22 @@ fn a_ball_of_ever_more_facets_comes_to_its_chord() {
             let along = (0..3).map(|i| from[i] * way[i]).sum::<f64>() / norm(way);
             let squared = radius_m * radius_m - (norm(from).powi(2) - along * along);
             let expected = 2.0 * squared.max(0.0).sqrt();
-            // Where a ray grazes, the chord changes without bound.
+            // Where a ray grazes, the chord's sensitivity is unbounded.
             if expected > radius_m {
                 worst = worst.max((found - expected).abs());
             }
         }
         println!("ball of {steps} steps: worst {worst:.2e} m");
-        // To first order the sagitta of a quad, r (1 - cos(pi / n)) each way, where the ray enters and leaves, over the least cosine of 1/2; so a
-        // quarter with twice the steps. Corners are rounded to single precision.
+        // To first order the sagitta of a quad, r (1 - cos(pi / n)) each way, where the ray enters and
+        // leaves, over the least cosine of 1/2; so a quarter with twice the steps. Corners are rounded to
+        // single precision.
         let sagitta_m = radius_m * (1.0 - (std::f64::consts::PI / steps as f64).cos());
         assert!(worst < 1.1 * 8.0 * sagitta_m + 1e-8 && worst < 0.35 * before);
         before = worst;
     }
 }
 
-/// Where Parry's rays enter and leave, one after the other.
+/// Path length from Parry's successive entry and exit points.
 fn parrys_length_m(mesh: &TriMesh, from: [f64; 3], way: [f64; 3]) -> f64 {
     let length = norm(way);
     let (origin, direction) = (Vector::from(from), Vector::from(way.map(|x| x / length)));
@@ -216,12 +217,12 @@ fn meshes_that_are_not_convex_are_as_long_as_parrys_rays_find_them() {
     off.sort_by(f64::total_cmp);
     let (worst, beyond) = (off[off.len() - 1], off.iter().filter(|off| **off > 1e-7).count());
     println!("{rays_through} rays through meshes: worst {worst:.1e} m, {beyond} beyond 1e-7 m");
-    // Parry may find an edge twice or not at all where a ray meets it to rounding: as good as never.
+    // Parry can find an edge twice or not at all where a ray meets it to within rounding, which is very rare.
     assert!(rays_through > 10_000 && beyond * 10_000 < rays_through);
 }
 
-/// A slab of cells as large as pixels, cut along the rays: all its corners lie on pixel centres, to the bit, and all its edges on rows, on
-/// columns or through centres. A pixel is in it or not.
+/// A slab of cells as large as pixels, cut along the rays: all its corners lie exactly on pixel centres, and
+/// all its edges on rows, on columns or through centres. A pixel is either inside or outside.
 #[test]
 fn pixels_on_edges_and_corners_are_counted_once() {
     let pitch_m = 1.0 / 1024.0;
@@ -295,7 +296,7 @@ fn frames_do_not_depend_on_the_threads_and_meshes_behind_source_and_detector_do_
     }
 }
 
-/// Aluminium thinned to a third, with a spectrum and beside the tool: the sum over the energies.
+/// Aluminium at a third of its density, with a spectrum and next to the tool: the sum over the energies.
 #[test]
 fn the_arm_attenuates_as_its_mass_does_with_and_without_a_spectrum() {
     let c_arm = crate::poses::c_arm(0.0, 0.0, 41, 0.05);
@@ -345,12 +346,14 @@ fn impossible_solids_are_refused_with_the_field() {
     assert!(refused(&[none], 1.0).to_string().contains("quaternion"));
 }
 
-/// Two joints and a mesh on the second: its shadow is where the joints put it, seen from a flange that a state places.
+/// Two joints and a mesh on the second: its shadow is where the joints put it, for a flange pose given by a
+/// state.
 #[test]
 fn the_arm_of_a_scene_shows_where_its_joints_put_it() {
     let text = "name = \"a\"\nrun = { mode = \"lockstep\", duration_s = 1.0 }\n\
-        tool = { burr_start_mm = [0.0, 0.0, 0.0], direction = [0.0, 0.0, 1.0], bend_toward = [1.0, 0.0, 0.0] }\n\
-        [arm]\nxray_density_g_per_cm3 = 2.0\ninitial_joints_deg = [0.0, 10.0, 20.0, 30.0, 40.0, 50.0]\n";
+                tool = { burr_start_mm = [0.0, 0.0, 0.0], direction = [0.0, 0.0, 1.0], bend_toward = [1.0, \
+                0.0, 0.0] }\n[arm]\nxray_density_g_per_cm3 = 2.0\n\
+                initial_joints_deg = [0.0, 10.0, 20.0, 30.0, 40.0, 50.0]\n";
     let joint = |i: usize, x_mm: f64| {
         let axis = if i.is_multiple_of(2) { "[0.0, 0.0, 1.0]" } else { "[0.0, 1.0, 0.0]" };
         format!(
@@ -369,7 +372,7 @@ fn the_arm_of_a_scene_shows_where_its_joints_put_it() {
     let mut state = State::new_zeroed();
     let angles = [0.3, -0.4, 0.5, 0.6, -0.2, 0.1];
     state.arm_joint_position_rad[..6].copy_from_slice(&angles);
-    // By hand, from the base on: places along x, turns about z and y in turn.
+    // By hand, from the base on: translations along x, rotations about z and y alternately.
     let about = |i: usize, angle: f64, [x, y, z]: [f64; 3]| {
         let (sin, cos) = angle.sin_cos();
         if i.is_multiple_of(2) {
@@ -385,7 +388,7 @@ fn the_arm_of_a_scene_shows_where_its_joints_put_it() {
         })
     };
     let (centre, flange) = (in_base(4, [0.02, 0.0, 0.005]), in_base(6, [0.0; 3]));
-    // The base stands in the world unturned, so the flange is turned as all joints together are.
+    // The base is aligned with the world, so the flange's rotation is the product of all joint rotations.
     let axes = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]].map(|axis| {
         let end = in_base(6, axis);
         [0, 1, 2].map(|i| end[i] - flange[i])
@@ -404,7 +407,7 @@ fn the_arm_of_a_scene_shows_where_its_joints_put_it() {
     }
     let middle = at.map(|x| x / sum);
     println!("shadow at {middle:?}, the centre's projection {} {}", shadow.column, shadow.row);
-    // A sphere's shadow is an ellipse whose middle is a little outside of its centre's projection.
+    // A sphere's shadow is an ellipse whose centre is slightly outside the projection of the sphere's centre.
     assert!((middle[0] - shadow.column).abs() < 0.1 && (middle[1] - shadow.row).abs() < 0.1);
     let thickest = found.iter().fold(0.0_f64, |most, x| most.max(*x));
     assert!((thickest - 0.02 * 2.0 / ALUMINIUM_G_PER_CM3).abs() < 1e-4, "{thickest}");
@@ -412,7 +415,7 @@ fn the_arm_of_a_scene_shows_where_its_joints_put_it() {
     assert!(ArmModel::new(&without, std::iter::empty()).is_none());
 }
 
-/// Of a rotation's columns (Shepperd's method for a trace above 0).
+/// Quaternion of a rotation's columns (Shepperd's method for a trace above 0).
 fn quaternion([x, y, z]: [[f64; 3]; 3]) -> [f64; 4] {
     let w = 0.5 * (1.0 + x[0] + y[1] + z[2]).sqrt();
     let part = |a: f64, b: f64| (a - b) / (4.0 * w);

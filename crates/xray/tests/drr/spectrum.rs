@@ -35,10 +35,10 @@ fn the_table_is_the_sum_over_energies_to_the_error_stated() {
             }
         }
         println!("{tube_kv} kV: worst error of -ln I over 490 mm of tissue and 155 mm of bone {worst:.2e}");
-        // Linear interpolation errs by h^2/8 times the curvature, which is the variance of mu over the spectrum that is
-        // left: at most (60 /m)^2 for bone at 60 kV, with steps of 0.625 mm: 2e-4.
+        // The error of linear interpolation is h^2/8 times the curvature, which is the variance of mu over
+        // the remaining spectrum: at most (60 /m)^2 for bone at 60 kV, with steps of 0.625 mm: 2e-4.
         assert!(worst < 2e-4, "{worst}");
-        // Beyond the table the sum itself.
+        // Outside the table, the sum itself is used.
         let far = by_hand(&spectrum, &[(Material::Water, 0.6), (Material::CorticalBone, 0.2)]);
         assert!((table.attenuation(0.6, 0.2) - far).abs() < 1e-9 * far);
     }
@@ -103,7 +103,7 @@ fn a_frame_of_slabs_and_metal_is_the_sum_over_energies() {
     let got = renderer.line_integrals()[20 * 41 + 20];
     let want = by_hand(&spectrum, &[(Material::Water, 0.025), (Material::CorticalBone, 0.015)]);
     assert!((got - want).abs() < 1e-3, "{got} {want}");
-    // Removal takes both parts away, pixel by pixel the same as a renderer that never saw them.
+    // Removal removes both parts: pixel by pixel the same as a renderer that never had them.
     let gone: Vec<u32> = (0..grid.voxels() as u32).filter(|i| i % 7 == 2).collect();
     renderer.remove(&view, &gone).unwrap();
     renderer.render(&view, &c_arm, &tool, FrameSeed::default(), &mut image).unwrap();

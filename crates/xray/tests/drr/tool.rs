@@ -82,7 +82,8 @@ fn intervals_are_joined() {
     assert_eq!(join_intervals(&mut []), 0);
 }
 
-/// A noise-free picture of a tool in a 40 mm water cube against mu_w (cube - union of envelopes) + mu_metal chords.
+/// A noise-free image of a tool in a 40 mm water cube against mu_w (cube - union of envelopes) + mu_metal
+/// chords.
 #[test]
 fn metal_displaces_the_anatomy_once() {
     let grid = Grid::centred([40; 3], [1e-3; 3]).unwrap();
@@ -102,7 +103,8 @@ fn metal_displaces_the_anatomy_once() {
         let mut image = vec![0; c_arm.pixels()];
         renderer.render(&view, &c_arm, &tool, FrameSeed::default(), &mut image).unwrap();
         let (total, anatomy) = (renderer.line_integrals(), renderer.anatomy());
-        // Row 20 is the plane z = 0 (the tool's axis lies in it); the ray of column c meets y = 0 at x = (c - 20) pitch 0.7.
+        // Row 20 is the plane z = 0 (the tool's axis lies in it); the ray of column c meets y = 0 at x = (c -
+        // 20) pitch 0.7.
         let mut checked = 0;
         for c in 0..41_usize {
             let i = 20 * 41 + c;
@@ -126,7 +128,8 @@ fn metal_displaces_the_anatomy_once() {
             checked += 1;
         }
         assert!(checked > 15);
-        // On the axis: 40 mm of water less 6 mm, two nitinol walls, a 2 mm cable (the ray of column 20 is straight).
+        // On the axis: 40 mm of water minus 6 mm, two nitinol walls, a 2 mm cable (the ray of column 20 is
+        // straight).
         let want = water * (0.04 - 0.006) + nitinol * 2e-3 + steel * 2e-3;
         assert!((total[20 * 41 + 20] - want).abs() < 1e-12);
     }
@@ -134,7 +137,7 @@ fn metal_displaces_the_anatomy_once() {
 
 #[test]
 fn a_tool_in_a_drilled_channel_displaces_nothing_more() {
-    // All voxels around the tube are removed: air, so the metal is all that is added.
+    // All voxels around the tube are removed and become air, so only the metal is added.
     let grid = Grid::centred([40; 3], [1e-3; 3]).unwrap();
     let hu = vec![300; grid.voxels()];
     let view = VolumeView::new(grid, &hu).unwrap();
@@ -159,7 +162,8 @@ fn a_tool_in_a_drilled_channel_displaces_nothing_more() {
     assert!((added - NITINOL.mu_per_m(60.0).unwrap() * 2e-3).abs() < 1e-12, "{added}");
 }
 
-/// A chain of 27 links, two of three of them notched and every second with mitred ends, a shaft, a cone and a burr, bent in a plane; half a metre of shaft leaves the picture.
+/// A chain of 27 links, two of three of them notched and every second with mitred ends, a shaft, a cone and a
+/// burr, bent in a plane; half a metre of shaft extends out of the image.
 pub fn whole_tool() -> Tool {
     let mut at = [0.0_f64, -0.01, 0.0];
     let along = |angle: f64| [angle.cos() * 0.8, -0.6, angle.sin() * 0.8];
@@ -195,7 +199,7 @@ pub fn whole_tool() -> Tool {
     Tool { parts, arm: None }
 }
 
-/// A turned grid of air and of numbers without order, and voxels removed from it.
+/// A rotated grid of air and pseudo-random values, and voxels removed from it.
 pub fn turned_volume() -> (Grid, Vec<i16>, Vec<u32>) {
     let (s, c) = 0.3_f64.sin_cos();
     let axes = [[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]];
@@ -207,7 +211,8 @@ pub fn turned_volume() -> (Grid, Vec<i16>, Vec<u32>) {
     (grid, hu, removed)
 }
 
-/// Outlines, sweeps and the short-interval integral against every part on every pixel, and the projectors' own intervals.
+/// Outlines, sweeps and the short-interval integral against every part at every pixel, and the projectors'
+/// own intervals.
 #[test]
 fn the_fast_tool_layer_is_every_part_on_every_pixel() {
     let (grid, hu, removed) = turned_volume();
@@ -231,7 +236,8 @@ fn the_fast_tool_layer_is_every_part_on_every_pixel() {
         let report = renderer.render(&view, &c_arm, &tool, FrameSeed::default(), &mut image).unwrap();
         let (total, anatomy) = (renderer.line_integrals(), renderer.anatomy());
         let fan = RayFan::new(&grid, &c_arm);
-        // The renderer's own set of removed voxels; without block flags for them nothing may be skipped wrongly.
+        // The renderer's own set of removed voxels; without block flags for them, nothing must be skipped by
+        // mistake.
         let gone: &RemovedVoxels = renderer.removed();
         let mut every = vec![0; grid.voxels()];
         every.clone_from(&hu);
@@ -278,15 +284,15 @@ fn the_fast_tool_layer_is_every_part_on_every_pixel() {
 fn a_notch_and_a_cone_by_hand() {
     let notch = Notch { offset_m: 0.01, width_m: 5e-3, side: [0.0, 1.0, 0.0], depth_m: 2.5e-3 };
     let link = notched(notch);
-    // Rounding of parameters of a ray of 1 m.
+    // Rounding of ray parameters over 1 m.
     let near = |got: f64, want: f64| assert!((got - want).abs() < 1e-13, "got {got}, want {want}");
-    // Along y through the notch: the wall at -y only, as y > 0.5 mm is open; beside the notch both walls.
+    // Along y through the notch: the wall at -y only, as y > 0.5 mm is open; outside the notch, both walls.
     near(metal_m(&link, [0.0, -0.5, 0.012], [0.0, 0.5, 0.012]), 1e-3);
     near(metal_m(&link, [0.0, -0.5, 0.008], [0.0, 0.5, 0.008]), 2e-3);
     // Along x in the notch at y = 1 mm: nothing; at y = 0: both walls.
     near(metal_m(&link, [-0.5, 1e-3, 0.012], [0.5, 1e-3, 0.012]), 0.0);
     near(metal_m(&link, [-0.5, 0.0, 0.012], [0.5, 0.0, 0.012]), 2e-3);
-    // Along the axis in the wall: all but the notch's width.
+    // Along the axis in the wall: everything except the notch's width.
     near(metal_m(&link, [0.0, 2.5e-3, -0.1], [0.0, 2.5e-3, 0.1]), 0.025);
     let cone = |start_radius_m, end_radius_m| ToolPart::Cone {
         start_m: [0.0; 3],
@@ -369,7 +375,11 @@ proptest! {
         let ray = WorldRay::between(from, to);
         let [start_radius_m, end_radius_m] = radii;
         let part = ToolPart::Cone {
-            start_m: [0.0, 0.0, -0.005], end_m: [0.0, 0.0, 0.007], start_radius_m, end_radius_m, material: NITINOL,
+            start_m: [0.0, 0.0, -0.005],
+            end_m: [0.0, 0.0, 0.007],
+            start_radius_m,
+            end_radius_m,
+            material: NITINOL,
         };
         let got = PreparedPart::new(&part).unwrap().cross(&ray).map_or(0.0, |c| c.metal_m);
         let n = 20_000;

@@ -1,5 +1,5 @@
-//! Ten defects of the published simulator (read in its source), and its position-set method: each test shows the published rule
-//! fail and ours hold.
+//! Ten defects of the published simulator (found in its source), and its position-set method: each test shows
+//! that the published rule fails and ours holds.
 
 use std::path::Path;
 
@@ -28,7 +28,7 @@ fn tool(change: impl Fn(&mut ManipulatorParameters)) -> Manipulator {
     Manipulator::new(p, &rest()).unwrap()
 }
 
-/// Bend at rest in degrees under a tension.
+/// Returns the bend at rest in degrees under a tension.
 fn bend_deg(m: &mut Manipulator, tension_n: [f64; 2], dt_s: f64) -> f64 {
     for _ in 0..(1.0 / dt_s) as usize {
         m.step(dt_s, &pull(tension_n, &[])).unwrap();
@@ -36,7 +36,8 @@ fn bend_deg(m: &mut Manipulator, tension_n: [f64; 2], dt_s: f64) -> f64 {
     m.bend_rad().to_degrees()
 }
 
-/// A ball of 10 g pressed with 0.1 N on a plane at some height, by the published contact: how deep it ends, m.
+/// Returns the final depth, m, of a ball of 10 g pressed with 0.1 N onto a plane at some height, with the
+/// published contact.
 fn published_ball(height_m: f64, absolute_arm: bool) -> f64 {
     let contact = PenaltyContact { mass_kg: 0.01, weight: 50.0, bias: 0.4, dt_s: DT_S };
     let (mut z, mut v) = (height_m, 0.0);
@@ -66,8 +67,8 @@ fn s1_contact_does_not_depend_on_where_the_anatomy_stands() {
         here * 1e3,
         there * 1e3
     );
-    assert!((there - here).abs() > 0.1, "the published contact falls through what stands elsewhere");
-    // Ten metres hold 2e-15 m a digit; a thousand steps.
+    assert!((there - here).abs() > 0.1, "the published contact falls through when the anatomy is moved");
+    // At ten metres one unit in the last place is 2e-15 m; a thousand steps.
     assert!(ours < 1e-9);
 }
 
@@ -93,14 +94,15 @@ fn s2_a_penalty_of_twenty_newtons_a_metre_sinks_and_impulses_do_not() {
         sinks(1.0) * 1e3,
         deepest * 1e6
     );
-    // The impulse of htp2/continuum-manip-volumetric-drilling-plugin, branch devel, is a penalty F = w m ((b / dt) depth - 2 v) with
-    // w = 50, m = 1e-3, b = 0.4, dt = 1e-3: k = w m b / dt = 20 N/m. Its arithmetic, replayed, sinks 4.8 and 47.5 mm.
+    // The impulse of htp2/continuum-manip-volumetric-drilling-plugin, branch devel, is a penalty F = w m ((b
+    // / dt) depth - 2 v) with w = 50, m = 1e-3, b = 0.4, dt = 1e-3: k = w m b / dt = 20 N/m. Its arithmetic,
+    // replayed, sinks 4.8 and 47.5 mm.
     assert!((sinks(0.1) - 5e-3).abs() < 0.5e-3 && (sinks(1.0) - 50e-3).abs() < 5e-3);
     assert!(force > 0.5 && deepest < 10e-6);
 }
 
-/// A tool at some height whose last shaft sphere alone overlaps by 20 µm with a wall: the shaft's forces in N, with the height
-/// of their points in the world, and the moment on the flange about y, N m.
+/// A tool at some height of which only the last shaft sphere overlaps a wall, by 20 µm. Returns the shaft's
+/// forces in N, with the height of their points in the world, and the moment on the flange about y, N m.
 fn touched_at_the_shaft(height_m: f64) -> (Vec<(f64, f64)>, f64) {
     let mut p = ManipulatorParameters { damping_ratio: 1.0, ..ManipulatorParameters::jhu_27() };
     p.contact.friction_coefficient = 0.0;
@@ -133,14 +135,15 @@ fn s3_each_shaft_sphere_answers_for_itself_wherever_the_tool_is() {
     // The published rule: the first cursor's impulse for all six.
     let published_nm: f64 = forces.iter().map(|(_, arm_m)| first_n * arm_m).sum();
     let (up, up_nm) = touched_at_the_shaft(UP_M);
-    // And the point in the world taken for the arm.
+    // And the world point used as the lever arm.
     let published_up_nm = up[up.len() - 1].0 * up[up.len() - 1].1;
     println!(
-        "force {force_n:.3} N: moment {exact_nm:.5}, published {published_nm:.5}, ours {flange_nm:.5} N m; {UP_M} m up: published {published_up_nm:.3}, ours {up_nm:.5} N m"
+        "force {force_n:.3} N: moment {exact_nm:.5}, published {published_nm:.5}, ours {flange_nm:.5} N m; \
+         {UP_M} m up: published {published_up_nm:.3}, ours {up_nm:.5} N m"
     );
     assert!(force_n > 0.5 && first_n == 0.0);
-    assert!(published_nm.abs() < 0.01 * exact_nm, "it transmits nothing");
-    assert!(published_up_nm > 10.0 * exact_nm, "it twists by where the tool stands");
+    assert!(published_nm.abs() < 0.01 * exact_nm, "the published rule transmits no moment");
+    assert!(published_up_nm > 10.0 * exact_nm, "the published moment depends on the tool position");
     for moment_nm in [flange_nm, up_nm] {
         assert!((moment_nm - exact_nm).abs() < 1e-3 * exact_nm);
     }
@@ -156,7 +159,7 @@ fn s4_the_stiffness_that_was_asked_for_is_the_one_that_runs() {
         runs[0], runs[1]
     );
     assert!((runs[0] - 31.25).abs() < 1e-9 && (runs[1] / runs[0] - 4.0).abs() < 1e-9);
-    // At rest no step shows.
+    // At rest the step size has no effect.
     assert!(ours.iter().all(|bend| (bend - ours[0]).abs() < 1e-6));
 }
 
@@ -176,14 +179,15 @@ fn s5_a_tendon_pulls_only_rubs_and_bends_along_its_whole_length() {
     let unloading = bend_deg(&mut rough, [8.0, 0.0], DT_S);
     let pair = bend_deg(&mut tool(|_| ()), [6.0, 6.0], DT_S);
     println!(
-        "-6 N: published {:.1} degrees, ours {pushed:.1}; 8 N loading {loading:.1}, unloading {unloading:.1}; both tendons {pair:.1e}",
+        "-6 N: published {:.1} degrees, ours {pushed:.1}; 8 N loading {loading:.1}, unloading \
+         {unloading:.1}; both tendons {pair:.1e}",
         published.bend_rad().to_degrees()
     );
-    assert!(published.bend_rad().to_degrees() < -40.0, "it pushes");
+    assert!(published.bend_rad().to_degrees() < -40.0, "the published tendon pushes");
     assert!(pushed.abs() < 1e-9 && unloading > loading + 5.0 && pair.abs() < 1e-6);
 }
 
-/// Pull of tendon 0 after 0.4 s of a motion to 4 mm, m.
+/// Returns the pull of tendon 0 after 0.4 s of a motion to 4 mm, m.
 fn pulled_after_0_4_s(dt_ms: f64) -> f64 {
     let run = format!("{{ mode = \"lockstep\", duration_s = 3.0, dt_ms = {dt_ms:?} }}");
     let text = format!("name = \"free_tool\"\nrun = {run}\n{TOOL}");
@@ -207,12 +211,12 @@ fn pulled_after_0_4_s(dt_ms: f64) -> f64 {
 #[test]
 fn s5_a_tendon_moves_as_fast_whatever_the_step() {
     let steps_ms = [0.5, 1.0, 2.0];
-    // 0.001 of its units a step toward the goal.
+    // 0.001 of its units per step toward the goal.
     let published = steps_ms.map(|dt_ms| (0.4e3 / dt_ms * 0.001f64).min(1.0));
     let ours = steps_ms.map(pulled_after_0_4_s);
     println!("after 0.4 s, steps of {steps_ms:?} ms: published {published:?} units, ours {ours:?} m");
     assert!(published[0] > 3.9 * published[2]);
-    // On the way, and equal: half of the largest step at 5 mm/s is 5 um.
+    // In motion, and equal: half of the largest step at 5 mm/s is 5 um.
     assert!(ours[0] > 0.5e-3 && ours[0] < 3.5e-3);
     assert!(ours.iter().all(|pull| (pull - ours[0]).abs() < 5e-6));
 }
@@ -230,7 +234,7 @@ fn s6_strength_follows_density_and_a_reset_restores_it() {
     let parameters = BoneParameters { threshold_hu: -200, ..BoneParameters::default() };
     let energy: Vec<f64> = hu.iter().map(|hu| parameters.material.specific_energy_j_m3(*hu)).collect();
     println!("published hardness {published:?}; ours {energy:?} J/m3");
-    assert_eq!(published, [0.5, 0.5, 0.5, 1.5], "all but the densest are alike");
+    assert_eq!(published, [0.5, 0.5, 0.5, 1.5], "all except the densest are equal");
     assert!(energy.windows(2).all(|pair| pair[1] > 1.1 * pair[0]));
     let mut field = BoneField::new(geometry, &hu, parameters).unwrap();
     let burr = BurrState {
@@ -268,17 +272,18 @@ fn s7_real_masses_are_stepped_at_a_millisecond() {
     let mut ours = tool(|p| p.damping_ratio = 0.05);
     let bend = bend_deg(&mut ours, [5.0, 0.0], DT_S);
     println!(
-        "explicit: lost {lost} at {hz:.1} Hz, lost {held_lost} at {slow_hz:.3} Hz; ours {bend:.1} degrees at {hz:.1} Hz"
+        "explicit: lost {lost} at {hz:.1} Hz, lost {held_lost} at {slow_hz:.3} Hz; ours {bend:.1} degrees \
+         at {hz:.1} Hz"
     );
-    // Eigenvalues of the chain: 26 Hz with real masses (solid tube 6/4 mm, 0.101 kg/m, burr 1 g), 1.4 Hz with the links of the
-    // plugin's chain (10 g and 1e-5 kg m^2 each).
+    // Eigenvalues of the chain: 26 Hz with real masses (solid tube 6/4 mm, 0.101 kg/m, burr 1 g), 1.4 Hz with
+    // the links of the plugin's chain (10 g and 1e-5 kg m^2 each).
     assert!((hz - 26.0).abs() < 3.0 && lost && slow_hz < 1.4);
     assert!(ours.t_world_tip().translation.vector.norm() < 0.1 && (bend - 5.0 * 8.65).abs() < 1.0);
 }
 
 #[test]
 fn s8_equal_commands_make_equal_bits() {
-    // The published step is as long as the wall clock says.
+    // The published step's length is taken from the wall clock.
     let wall_clock = |seed: u64| {
         let mut m = tool(|p| p.damping_ratio = 0.05);
         let mut noise = seed;
@@ -305,17 +310,18 @@ fn s9_the_table_is_in_newton_metres_a_radian() {
     let (right, wrong) =
         (bend_deg(&mut tool(|_| ()), [2.0, 0.0], DT_S), bend_deg(&mut typed, [2.0, 0.0], DT_S));
     println!(
-        "2 N: {right:.2} degrees, with the table typed per degree {wrong:.1} (on its stops); {compliance:.3} rad/N m"
+        "2 N: {right:.2} degrees, with the table typed per degree {wrong:.1} (on its stops); \
+         {compliance:.3} rad/N m"
     );
-    // scripts/replace_cm_joint_properties.py of the plugin's branch devel: sum 1/k = 60.39 rad/(N m), times d = 2.5 mm 8.65 degrees a
-    // newton; stops at 27 x 5 degrees.
+    // scripts/replace_cm_joint_properties.py of the plugin's branch devel: sum 1/k = 60.39 rad/(N m), times d
+    // = 2.5 mm 8.65 degrees per newton; stops at 27 x 5 degrees.
     assert!((compliance - 60.39).abs() < 0.01 && (right - 2.0 * 8.65).abs() < 0.1);
     assert!(wrong > 130.0);
 }
 
 #[test]
 fn s10_a_ct_keeps_its_hounsfield_units() {
-    // 8-bit pictures over 12 bits of HU: steps of 16.
+    // 8-bit images over 12 bits of HU: steps of 16.
     let parameters = BoneParameters::default();
     let threshold = parameters.threshold_hu;
     let wrong =

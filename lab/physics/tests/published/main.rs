@@ -1,5 +1,5 @@
 //! The baselines against the simulation.
-#![allow(clippy::unwrap_used, reason = "a test that cannot build its tool has failed")]
+#![allow(clippy::unwrap_used, reason = "a panic fails the test")]
 
 mod defects;
 mod methods;

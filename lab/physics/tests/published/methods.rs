@@ -1,4 +1,4 @@
-//! The baselines are what they are said to be: exact, or wrong, or unstable, where the reference says so.
+//! The baselines are exact, wrong or unstable as documented.
 
 use nalgebra::{Isometry3, Vector3};
 use physics_lab::{RapierChain, RapierJoints, Wall, explicit_chain};
@@ -22,7 +22,7 @@ fn beam(links: usize) -> ManipulatorParameters {
     p
 }
 
-/// Where our chain comes to rest, and its first mode.
+/// Returns the rest position of our chain, and its first mode.
 fn ours(p: &ManipulatorParameters, tension_n: f64) -> (Vector3<f64>, f64) {
     let mut m = Manipulator::new(p.clone(), &rest()).unwrap();
     for _ in 0..600 {
@@ -43,9 +43,10 @@ fn rapiers_multibody_is_exact_and_its_spring_joints_are_not() {
         (m.tip_m() - exact).norm()
     });
     println!("15 N, 26 links: multibody {:.1e} m, spring joints {:.1e} m from equilibrium", off[0], off[1]);
-    // Prototypes on Rapier 0.36.1: a multibody with `set_spring` stands in equilibrium within 0.001 um; impulse joints with spring
-    // motors are off by millimetres to metres (or lost altogether) with 1 to 64 substeps. Ours stands on a mount, which Rapier's
-    // tool does not have; a tendon's forces are internal and do not load it.
+    // Prototypes on Rapier 0.36.1: a multibody with `set_spring` is in equilibrium within 0.001 um; impulse
+    // joints with spring motors are off by millimetres to metres (or lost altogether) with 1 to 64 substeps.
+    // Our tool is on a mount, which Rapier's tool does not have; a tendon's forces are internal and do not
+    // load it.
     assert!(off[0] < 1e-8, "{}", off[0]);
     assert!(off[1] > 1e-3 || off[1].is_nan(), "{}", off[1]);
 }
@@ -64,7 +65,7 @@ fn explicit_springs_blow_up_at_a_millisecond_and_hold_at_a_microsecond() {
     };
     let (coarse, fine) = (run(1e-3, 200), run(1e-6, 300_000));
     println!("explicit: {coarse:.1e} m off at 1 ms, {fine:.1e} m off at 1 us after 0.3 s");
-    // 0.3 s of 0.05 of 60 Hz leave exp(-5.6) of a swing of 6 mm.
+    // 0.3 s at a damping ratio of 0.05 and 60 Hz leave exp(-5.6) of a swing of 6 mm.
     assert!((coarse.is_nan() || coarse > 1e-2) && fine < 5e-5, "{coarse} {fine}");
 }
 
@@ -91,11 +92,14 @@ fn rapiers_multibody_rests_on_a_wall_as_ours_does() {
         ours.last_report().active_contact_count,
         apart * 1e6
     );
-    // Ours gives force / 1e6 N/m, a few micrometres; Rapier's contact of 1e5 Hz less.
+    // Ours yields by force / 1e6 N/m, a few micrometres; Rapier's contact of 1e5 Hz yields less.
     assert!(ours.last_report().active_contact_count > 0 && apart < 30e-6, "{apart}");
     rapier.remove_walls();
     for _ in 0..800 {
         rapier.step(1e-3, &input(10.0));
     }
-    assert!((rapier.tip_m() - ours.t_world_tip().translation.vector).norm() > 1e-3, "the wall is gone");
+    assert!(
+        (rapier.tip_m() - ours.t_world_tip().translation.vector).norm() > 1e-3,
+        "the bodies still agree without the wall"
+    );
 }

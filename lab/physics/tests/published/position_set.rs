@@ -1,4 +1,5 @@
-//! The published position-set method: it winds the velocity up and tunnels, a proxy hides energy, and ours does neither.
+//! The published position-set method accumulates velocity and tunnels, and a proxy hides energy; ours does
+//! neither.
 
 use nalgebra::{Isometry3, Vector3};
 use physics_lab::{ProxyDrive, ProxyTool, Wall, proxy_of};
@@ -6,8 +7,8 @@ use simulation::manipulator::{ManipulatorModel, ManipulatorParameters};
 
 use crate::tool::{DT_S, pressed, pull, rest};
 
-/// The position-set contact that Phalen et al. 2023 (doi 10.1007/s11548-023-02945-8, Methods) call unstable beside forces, in its
-/// simplest case: 10 g, 10 N, a wall of 6 mm.
+/// The position-set contact that Phalen et al. 2023 (doi 10.1007/s11548-023-02945-8, Methods) call unstable
+/// in combination with forces, in its simplest case: 10 g, 10 N, a wall of 6 mm.
 #[test]
 fn a_position_that_is_set_winds_the_velocity_up_and_tunnels() {
     let radius_m = 3e-3;
@@ -26,7 +27,8 @@ fn a_position_that_is_set_winds_the_velocity_up_and_tunnels() {
     assert!(tunnelled.is_some_and(|k| k < 20) && v.norm() > 150.0);
 }
 
-/// E3: 30 N of tension against a wall. A proxy hides kinetic energy at rest and passes no force on; impulses do neither.
+/// E3: 30 N of tension against a wall. A proxy hides kinetic energy at rest and transmits no force; impulses
+/// do neither.
 #[test]
 fn a_proxy_hides_energy_at_rest_and_as_a_force_is_unstable() {
     let mut p = ManipulatorParameters { damping_ratio: 0.05, ..ManipulatorParameters::jhu_27() };
@@ -45,7 +47,8 @@ fn a_proxy_hides_energy_at_rest_and_as_a_force_is_unstable() {
     let ours = pressed(Isometry3::identity());
     let pushed = ours.flange_wrench().force_n.x.abs();
     println!(
-        "kinetic energy at rest: position-set {:.1e} J, ours {:.1e} J; force on the flange {:.2} and {pushed:.2} N; as a force: lost {}, {:.1e} J",
+        "kinetic energy at rest: position-set {:.1e} J, ours {:.1e} J; force on the flange {:.2} and \
+         {pushed:.2} N; as a force: lost {}, {:.1e} J",
         position.1,
         ours.kinetic_energy_j(),
         position.2,

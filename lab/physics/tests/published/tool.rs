@@ -18,7 +18,8 @@ pub fn pull(tension_n: [f64; 2], contacts: &[ContactPlane]) -> StepInput<'_> {
     StepInput { base: rest(), tendon, tip_wrench: Wrench::zero(), contacts }
 }
 
-/// Pulled with 8 N against a wall 8 mm beside the axis, for a second; the tool and what the wall stands on may be elsewhere.
+/// Pulls the tool with 8 N against a wall 8 mm beside the axis, for a second; tool and wall can be moved
+/// together.
 pub fn pressed(place: Isometry3<f64>) -> Manipulator {
     let mut p = ManipulatorParameters { damping_ratio: 1.0, ..ManipulatorParameters::jhu_27() };
     p.contact.friction_coefficient = 0.0;

@@ -39,7 +39,7 @@ impl Cores {
     }
 }
 
-/// The cores that this process was allowed when it started.
+/// Returns the cores allowed when this process started.
 fn allowed() -> Vec<usize> {
     static ALLOWED: std::sync::OnceLock<Vec<usize>> = std::sync::OnceLock::new();
     let read = || {

@@ -30,7 +30,7 @@ name = \"echo\"
 drives = [\"tendon\"]
 external = true
 ";
-/// How long to wait for the client.
+/// Timeout for the client.
 const LIMIT: Duration = Duration::from_secs(20);
 
 /// Measures round trips with a client in a separate process.
@@ -71,7 +71,7 @@ pub(super) fn measure(
         waker.wake();
         loop {
             if let Some(command) = commands.receive().map_err(failed)? {
-                // Read the message, as the physics would.
+                // Reads the message, as the physics would.
                 if command.message().state_tick == state.tick {
                     return Ok(began.elapsed().as_nanos() as u64);
                 }
@@ -81,7 +81,7 @@ pub(super) fn measure(
                 Wait::Yield => std::thread::yield_now(),
                 Wait::Hybrid => {
                     waiter.wait_until(Instant::now() + Duration::from_millis(10), || commands.has_message());
-                    // A client that joins after a state was published gets it from here.
+                    // A client that joins after a state was published gets it here.
                     states.deliver_history().map_err(failed)?;
                 }
             }

@@ -1,6 +1,6 @@
-//! Measures the time from publishing a state to receiving the command that answers it, by language and wait strategy,
-//! with bare iceoryx2 and sockets for comparison. All are measured alternately in one run, because a time depends on
-//! the machine, a ratio less so.
+//! Measures the time from publishing a state to receiving the command that answers it, by language and wait
+//! strategy, with plain iceoryx2 and sockets for comparison. All are measured alternately in one run, because
+//! times depend on the machine, ratios less so.
 
 mod cores;
 mod hub;
@@ -24,13 +24,13 @@ use peers::Programs;
 use trabecula::failure::Failure;
 use trabecula::machine::Machine;
 
-/// Round trips when both sides spin on a shared core: each takes two of the scheduler's slices.
+/// Round trips when both sides spin on a shared core: each takes two scheduler slices.
 const SHARED_SPIN_ROUNDS: usize = 50;
 
-/// Who answers.
+/// The answering side.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Peer {
-    /// Bare iceoryx2, bytes of the same lengths.
+    /// Plain iceoryx2, messages of the same length.
     Iceoryx2,
     /// The Rust client.
     Rust,
@@ -38,9 +38,9 @@ pub enum Peer {
     C,
     /// The Python client.
     Python,
-    /// A Unix stream socket, bytes of the same lengths.
+    /// A Unix stream socket, messages of the same length.
     Unix,
-    /// UDP over the loopback, bytes of the same lengths.
+    /// UDP over loopback, messages of the same length.
     Udp,
 }
 
@@ -74,7 +74,8 @@ pub fn run(rounds: usize, turns: usize, python: PathBuf, sheet: &mut Sheet) -> R
     let programs = Programs::prepare(python);
     let (state, command) = (State::DESCRIPTION.size, Command::DESCRIPTION.size);
     sheet.line(&format!(
-        "round trip from state ({state} bytes) to command ({command} bytes), us; {turns} turns of {rounds} each"
+        "round trip from state ({state} bytes) to command ({command} bytes), us; {turns} turns of {rounds} \
+         each"
     ));
     for cores in Cores::available() {
         for wait in [Wait::Spin, Wait::Hybrid] {
@@ -90,7 +91,8 @@ pub fn run(rounds: usize, turns: usize, python: PathBuf, sheet: &mut Sheet) -> R
                 sheet.push(
                     "round_trips",
                     json!({
-                        "peer": peer.name(), "waiting": how, "cores": cores.name(), "not_measured": row.absent,
+                        "peer": peer.name(), "waiting": how, "cores": cores.name(),
+                        "not_measured": row.absent,
                         "times": row.samples.figures(), "times_iceoryx2": ratio,
                     }),
                 );

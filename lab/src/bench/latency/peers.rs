@@ -16,28 +16,28 @@ use trabecula::failure::Failure;
 
 const LIMIT: Duration = Duration::from_secs(20);
 
-/// The programs of other languages; for a missing one, the reason.
+/// The programs of other languages, or the reason why one is missing.
 #[derive(Debug)]
 pub(super) struct Programs {
-    /// Deleted with its content when the measurement is over.
+    /// Deleted with its contents when the measurement is over.
     _folder: Option<tempfile::TempDir>,
     library: Result<PathBuf, String>,
     c: Result<PathBuf, String>,
     python: PathBuf,
 }
 
-/// Source folder that this program was built from.
+/// Returns the source folder that this program was built from.
 fn sources() -> &'static Path {
     Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../clients"))
 }
 
-/// The client library beside this program.
+/// Returns the client library next to this program.
 fn library() -> Result<PathBuf, String> {
     let program = std::env::current_exe().map_err(|cause| cause.to_string())?;
     let folder = program.parent().unwrap_or(Path::new("."));
     // Cargo copies it out of `deps` only when its package is built by name.
     let places = ["deps/libtrabecula_client.so", "libtrabecula_client.so"].map(|name| folder.join(name));
-    let missing = || format!("no libtrabecula_client.so beside {}", program.display());
+    let missing = || format!("no libtrabecula_client.so next to {}", program.display());
     places.into_iter().find(|path| path.exists()).ok_or_else(missing)
 }
 
@@ -64,7 +64,7 @@ fn compile_c(folder: &Path, library: &Path) -> Result<PathBuf, String> {
 }
 
 impl Programs {
-    /// Compiles the C program and looks for what the others need.
+    /// Compiles the C program and locates what the others need.
     pub(super) fn prepare(python: PathBuf) -> Programs {
         let library = library();
         let folder = tempfile::tempdir().map_err(|cause| cause.to_string());
@@ -75,7 +75,7 @@ impl Programs {
         Programs { _folder: folder.ok(), library, c, python }
     }
 
-    /// Command line of a language's answering side, or why it is missing.
+    /// Returns the command line of a language's answering side, or why it is missing.
     pub(super) fn command(&self, peer: Peer, wait: Wait, rounds: usize) -> Result<Program, String> {
         let how = if wait == Wait::Spin { "spin" } else { "event" };
         let mut command = match peer {
@@ -88,7 +88,9 @@ impl Programs {
                 let found = probe.args(["-c", "import numpy"]).stderr(Stdio::null()).status();
                 if !found.is_ok_and(|status| status.success()) {
                     let name = self.python.display();
-                    return Err(format!("{name} has no NumPy; name one that has: --python PATH"));
+                    return Err(format!(
+                        "{name} has no NumPy; choose another interpreter with --python PATH"
+                    ));
                 }
                 command.arg(sources().join("python/bench/echo.py"));
                 command
@@ -100,7 +102,7 @@ impl Programs {
     }
 }
 
-/// Command line that starts this program as an answering side.
+/// Returns the command line that starts this program as an answering side.
 ///
 /// # Errors
 /// This program cannot find its own path.

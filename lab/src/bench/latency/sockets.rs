@@ -1,4 +1,4 @@
-//! What a controller without shared memory would use: a Unix stream socket, or UDP over loopback.
+//! Transports of a controller without shared memory: a Unix stream socket, or UDP over loopback.
 
 use std::io::{ErrorKind, Read, Write};
 use std::net::UdpSocket;
@@ -82,7 +82,7 @@ pub(super) fn measure(peer: Peer, wait: Wait, rounds: usize, cores: Cores) -> Re
     let mut command = echo_command(peer, wait, rounds, &address)?;
     let mut child = cores.apart(|| bind_to_parent(&mut command).spawn().map_err(failed))?;
     let socket = if peer == Peer::Udp {
-        // The other side's first datagram tells its address.
+        // The other side's first datagram contains its address.
         let (_, from) = udp.recv_from(&mut [0]).map_err(failed)?;
         udp.connect(from).map_err(failed)?;
         Socket::Udp(udp)

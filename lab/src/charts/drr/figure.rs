@@ -6,7 +6,7 @@ use figures::{
     WIDTH, duration_label,
 };
 
-/// Height of the plot with its axes, and of a line of the legend below it.
+/// Height of the plot with its axes, and of a legend line below it.
 const PLOT: f64 = 480.0;
 const LINE: f64 = 21.0;
 /// Methods in a line of the legend.
@@ -14,7 +14,7 @@ const COLUMNS: usize = 3;
 const SKY: RGBColor = RGBColor(86, 180, 233);
 const GREY: RGBColor = RGBColor(130, 130, 130);
 
-/// The mark of a method: ours are discs and rings; peers are crosses, told apart by the colour of their place.
+/// Returns the mark of a method: ours are discs and rings; peers are crosses, distinguished by colour.
 fn mark(method: &str, peers: &[&str]) -> Key {
     let [blue, vermilion, green, purple] = COLOURS;
     match method {
@@ -101,7 +101,7 @@ mod tests {
             .collect();
         let marks: Vec<Key> = points.iter().map(|point| mark(&point.method, &peers)).collect();
         for (index, own) in marks.iter().enumerate() {
-            assert!(!marks[..index].contains(own), "{own:?} stands for two methods");
+            assert!(!marks[..index].contains(own), "two methods share the mark {own:?}");
         }
         let figure = draw(&points, 8.8).unwrap();
         assert_eq!(figure.collisions(), []);

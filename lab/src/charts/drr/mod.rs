@@ -1,9 +1,10 @@
-//! `trabecula-lab chart drr`: each projector's error against its time, on a phantom with line integrals in closed form.
+//! `trabecula-lab chart drr`: each projector's error against its time, on a phantom with line integrals in
+//! closed form.
 //!
-//! The phantom's box is 256 x 256 x 200 mm, at full resolution 512 x 512 x 400 voxels of 0.5 mm; source to isocentre
-//! 700 mm, to the detector 1000 mm, detector 307 mm square. Times are those of a full frame at a new pose, without
-//! noise and blur, as minimum and median over rounds; errors are relative to the root mean square (r.m.s.) and the
-//! maximum of the reference.
+//! The phantom's box is 256 x 256 x 200 mm, at full resolution 512 x 512 x 400 voxels of 0.5 mm; source to
+//! isocentre 700 mm, to the detector 1000 mm, detector 307 mm square. Times are those of a full frame at a
+//! new pose, without noise and blur, as minimum and median over rounds; errors are relative to the root mean
+//! square (r.m.s.) and the maximum of the reference.
 
 mod figure;
 mod peers;
@@ -25,7 +26,7 @@ use crate::phantom::Phantom;
 use trabecula::failure::Failure;
 use trabecula::output::{refuse_existing, within};
 
-/// What to measure, and where to write it.
+/// Measurements and output of the chart.
 #[derive(Debug, Clone)]
 pub struct Plan {
     pub out: PathBuf,
@@ -91,7 +92,7 @@ pub struct PosedReference {
     pub siddon: Vec<f64>,
 }
 
-/// The default projector, timed again next to each peer.
+/// The default projector, timed again after each peer.
 pub const STANDARD: (&str, Projector) = ("slice_ordered 1", Projector::SLICE_ORDERED);
 
 /// The projectors of the chart, from exact to fast.
@@ -179,7 +180,8 @@ fn sample(phantom: &Phantom, coarseness: usize) -> Result<Sample, xray::DrrError
     Ok(Sample { grid, hu, coarseness })
 }
 
-/// No noise, no blur, no window search, and all values above -1000 HU attenuate: only the projection is timed.
+/// No noise, no blur, no window search, and all values above -1000 HU attenuate: only the projection is
+/// timed.
 fn parameters(projector: Projector, threads: usize) -> DrrParameters {
     DrrParameters {
         projector,
@@ -218,7 +220,7 @@ fn references(phantom: &Phantom, finest: &Sample, side: u32) -> Result<Vec<Posed
         .collect()
 }
 
-/// A projector as the chart names it.
+/// A projector with its name in the chart.
 struct Candidate<'a> {
     name: &'a str,
     projector: Projector,
@@ -268,8 +270,8 @@ fn measure(
     Ok(())
 }
 
-/// Shortest time (ms) to read `bytes` once from memory with 1 and with 2 threads: a lower bound for any projector that
-/// reads every voxel.
+/// Shortest time (ms) to read `bytes` once from memory with 1 and with 2 threads: a lower bound for any
+/// projector that reads every voxel.
 fn stream_ms(bytes: usize, rounds: usize) -> [f64; 2] {
     let words = vec![1_u64; bytes / 8];
     [1, 2].map(|threads| {

@@ -1,9 +1,10 @@
 //! Other projectors on the same volume and poses.
 //!
-//! Each `NAME.py` of the peers' folder, with its pinned packages in `NAME.txt`, is run in a virtual environment of its own with the
-//! folder of its input: `mu.raw` (float32 attenuation per millimetre, x fastest) and `poses.json` (grid and poses, millimetres). It
-//! writes, for each pose and number of threads, `NAME_POSE_T.raw` (float32 line integrals, row by row), and prints
-//! `POSE THREADS MS` for every timed frame.
+//! Each `NAME.py` of the peers' folder, with its pinned packages in `NAME.txt`, is run in its own virtual
+//! environment with its input folder: `mu.raw` (float32 attenuation per millimetre, x
+//! fastest) and `poses.json` (grid and poses, millimetres). It writes, for each pose and number of threads,
+//! `NAME_POSE_T.raw` (float32 line integrals, row by row), and prints `POSE THREADS MS` for every timed
+//! frame.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -15,8 +16,8 @@ use super::{Candidate, Errors, Plan, Point, PosedReference, STANDARD, Sample};
 use crate::charts::peers::{new_input, run, scripts};
 use trabecula::failure::Failure;
 
-/// Runs every script, and after each the default projector again, so that both have seen the same machine state. A
-/// script that cannot be installed or run is a note, not a failure. Returns the notes.
+/// Runs every script, and after each the default projector again, so that both see the same machine state. A
+/// script that cannot be installed or run gives a note, not a failure. Returns the notes.
 pub fn measure(
     folder: &Path,
     plan: &Plan,

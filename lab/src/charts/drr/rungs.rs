@@ -1,8 +1,8 @@
 //! Writes `crates/xray/src/rungs.csv`, from which a scene's `tolerance.drr_rel` chooses.
 //!
-//! The thigh of [`reference`](mod@reference) in 512 x 512 x 400 voxels of 0.5 mm; three poses, 512 x 512 pixels. For
-//! each projector: the largest error over the poses against Siddon's sum in f64, relative and r.m.s., on every eighth
-//! pixel in both directions; and the median time of full frames with two threads.
+//! The thigh of [`reference`](mod@reference) in 512 x 512 x 400 voxels of 0.5 mm; three poses, 512 x 512
+//! pixels. For each projector: the largest error over the poses against Siddon's sum in f64, relative and
+//! r.m.s., on every eighth pixel in both directions; and the median time of full frames with two threads.
 
 use std::path::Path;
 use std::time::Instant;
@@ -23,7 +23,7 @@ const SIDE: u32 = 512;
 const STRIDE: u32 = 8;
 const FIELD_M: f64 = 0.3072;
 
-/// The problem that the errors are measured on.
+/// The problem on which errors are measured.
 struct Problem {
     grid: Grid,
     hu: Vec<i16>,
@@ -51,7 +51,7 @@ impl Problem {
         VolumeView::new(self.grid, &self.hu)
     }
 
-    /// Line integrals of every eighth pixel, of all poses in turn.
+    /// Returns the line integrals of every eighth pixel, for all poses in order.
     fn integrals(&self, projector: Projector) -> Result<Vec<f64>, DrrError> {
         let view = self.view()?;
         let mut renderer = DrrRenderer::new(&view, parameters(projector, 2), &ThisMachine)?;
@@ -68,7 +68,7 @@ impl Problem {
         Ok(all)
     }
 
-    /// Median time of the poses' frames, in ms.
+    /// Returns the median time of the poses' frames, in ms.
     fn frame_ms(&self, projector: Projector, rounds: usize) -> Result<f64, DrrError> {
         let view = self.view()?;
         let mut renderer = DrrRenderer::new(&view, parameters(projector, 2), &ThisMachine)?;
@@ -83,7 +83,7 @@ impl Problem {
         Ok(median(&times))
     }
 
-    /// Each projector with its largest error over the poses.
+    /// Returns each projector with its largest error over the poses.
     fn errors(&self) -> Result<Vec<(Projector, f64)>, DrrError> {
         let exact = self.integrals(Projector::Siddon)?;
         let pixels = exact.len() / self.c_arms.len();
@@ -99,7 +99,7 @@ impl Problem {
     }
 }
 
-/// The C-arm reduced to every `stride`-th pixel, starting with the first.
+/// Returns the C-arm reduced to every `stride`-th pixel, starting with the first.
 fn every(c_arm: &CArm, stride: u32) -> CArm {
     let (columns, rows) = (c_arm.columns.div_ceil(stride), c_arm.rows.div_ceil(stride));
     let middle = |n: u32| f64::from(stride) * (f64::from(n) - 1.0) / 2.0;
@@ -131,7 +131,7 @@ pub fn write(path: &Path, rounds: usize) -> Result<(), Failure> {
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "a test may fail")]
+#[allow(clippy::unwrap_used, reason = "a panic fails the test")]
 mod tests {
     use super::*;
 
@@ -142,11 +142,12 @@ mod tests {
         assert_eq!(measured.len(), table.len());
         for (projector, error_rel) in measured {
             let rung = table.iter().find(|rung| rung.projector == projector).unwrap();
-            // Errors do not depend on the machine. Four digits are written; 1 % allows for a different summation order
-            // in a kernel.
+            // Errors do not depend on the machine. Four digits are written; 1 % allows for a different
+            // summation order in a kernel.
             assert!(
                 (error_rel - rung.error_rel).abs() <= 0.01 * error_rel,
-                "{projector:?}: {error_rel:e}, the table says {:e}: write it with `trabecula-lab chart drr --rungs`",
+                "{projector:?}: {error_rel:e}, the table says {:e}: update it with `trabecula-lab chart drr \
+                 --rungs`",
                 rung.error_rel
             );
         }

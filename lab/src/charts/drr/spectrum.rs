@@ -1,4 +1,5 @@
-//! Errors of the polychromatic table against its sum over energies, and of a single energy against both.
+//! Errors of the polychromatic table relative to its sum over energies, and of a single energy relative to
+//! both.
 
 use xray::{DrrError, Material, Spectrum, SpectrumTable};
 
@@ -12,13 +13,13 @@ pub struct SpectrumErrors {
     pub table: f64,
     /// Photon energy at which 200 mm of tissue attenuates as much as with the spectrum, keV.
     pub effective_kev: f64,
-    /// By how much that single energy overestimates 20 mm of cortical bone and 3 mm of nitinol behind that tissue,
-    /// relative.
+    /// Relative overestimate of 20 mm of cortical bone and 3 mm of nitinol behind that tissue by that single
+    /// energy.
     pub bone_20_mm: f64,
     pub nitinol_3_mm: f64,
 }
 
-/// Errors at three tube voltages.
+/// Returns the errors at three tube voltages.
 pub fn errors() -> Result<Vec<SpectrumErrors>, DrrError> {
     [60.0, 90.0, 120.0].into_iter().map(at).collect()
 }

@@ -1,11 +1,11 @@
-//! The chart's numbers: `drr.csv`, and the table printed and written as `drr.md`.
+//! The chart's numbers: `drr.csv`, and the table that is printed and written as `drr.md`.
 
 use std::fmt::Write;
 
 use super::spectrum::SpectrumErrors;
 use super::{Point, STANDARD};
 
-/// The table, the ratio to the peers, and the spectrum's errors.
+/// Returns the table, the ratio to the peers, and the spectrum's errors.
 pub fn text(points: &[Point], stream_ms: &[f64; 2], spectrum: &[SpectrumErrors]) -> String {
     let mut text = full_resolution(points);
     // Writing to a String cannot fail.
@@ -18,8 +18,9 @@ pub fn text(points: &[Point], stream_ms: &[f64; 2], spectrum: &[SpectrumErrors])
     for errors in spectrum {
         let _ = writeln!(
             text,
-            "Spectrum of {} kV: its table errs by at most {:.1e} in -ln I. One energy instead ({:.0} keV, right for 200 mm of tissue): \
-             20 mm of bone behind it by {:+.0} %, 3 mm of nitinol by {:+.0} %.",
+            "Spectrum of {} kV: table error at most {:.1e} in -ln I. Error of a single energy ({:.0} keV, \
+             exact for 200 mm of tissue): 20 mm of bone behind the tissue {:+.0} %, \
+             3 mm of nitinol {:+.0} %.",
             errors.tube_kv,
             errors.table,
             errors.effective_kev,
@@ -30,7 +31,7 @@ pub fn text(points: &[Point], stream_ms: &[f64; 2], spectrum: &[SpectrumErrors])
     text
 }
 
-/// One row per point.
+/// Returns one row per point.
 pub fn csv(points: &[Point]) -> String {
     let mut csv =
         "method,coarseness,pose,threads,least_ms,median_ms,exact_rms,exact_max,siddon_rms,siddon_max\n"
@@ -46,7 +47,8 @@ pub fn csv(points: &[Point]) -> String {
     csv
 }
 
-/// The points of the finest volume: one line per method and number of threads, the poses side by side.
+/// Returns the points of the finest volume: one line per method and number of threads, with the poses side by
+/// side.
 fn full_resolution(points: &[Point]) -> String {
     let finest = points.iter().map(|p| p.coarseness).min();
     let at_full: Vec<&Point> = points.iter().filter(|p| Some(p.coarseness) == finest).collect();
@@ -61,7 +63,8 @@ fn full_resolution(points: &[Point]) -> String {
         }
     }
     let mut text = format!(
-        "| method | threads | ms least (median): {} | r.m.s. error, exact | largest, exact | r.m.s. error, Siddon |\n\
+        "| method | threads | ms min (median): {} | r.m.s. error, exact | largest, exact | r.m.s. error, \
+        Siddon |\n\
          |---|---|---|---|---|---|\n",
         poses.join(", ")
     );
@@ -91,9 +94,9 @@ fn error(value: f64) -> String {
     if value == 0.0 { "0".to_owned() } else { format!("{value:.2e}") }
 }
 
-/// Sentences about the default projector at full resolution with two threads. For each pose: the time of the fastest
-/// peer with an equal or larger error against the closed-form integrals, divided by our time, from the minimum and
-/// from the median times; then the median over the poses.
+/// Returns sentences about the default projector at full resolution with two threads. For each pose: the time
+/// of the fastest peer with an equal or larger error against the closed-form integrals, divided by our time,
+/// from the minimum and from the median times; then the median over the poses.
 fn ratio_to_peers(points: &[Point]) -> Option<String> {
     let finest = points.iter().map(|p| p.coarseness).min()?;
     let at_full: Vec<&Point> = points.iter().filter(|p| p.coarseness == finest && p.threads == 2).collect();
@@ -109,7 +112,7 @@ fn ratio_to_peers(points: &[Point]) -> Option<String> {
         let name = fastest.method.trim_start_matches("peer:");
         let _ = writeln!(
             text,
-            "{}: {} is {by_least:.1} times as fast as {name} by the least times, {by_median:.1} by the medians.",
+            "{}: {} is {by_least:.1} times as fast as {name} by minimum times, {by_median:.1} by medians.",
             own.pose, own.method
         );
         least_ratios.push(by_least);
@@ -122,8 +125,8 @@ fn ratio_to_peers(points: &[Point]) -> Option<String> {
     let (by_least, by_median) = (middle(&mut least_ratios)?, middle(&mut median_ratios)?);
     let _ = writeln!(
         text,
-        "Median of the poses, the fastest peer of equal or larger error: {by_least:.1} times by the least times, \
-         {by_median:.1} by the medians."
+        "Median over the poses, against the fastest peer of equal or larger error: {by_least:.1} times by \
+         minimum times, {by_median:.1} by medians."
     );
     Some(text)
 }

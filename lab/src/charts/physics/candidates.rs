@@ -1,4 +1,4 @@
-//! The settings that a plan chooses from, measured on the chart's problems.
+//! The settings from which a plan chooses, measured on the chart's problems.
 
 use crate::effort::Effort;
 use ipc_types::scene::{ContactVoxels, Integrator as SceneIntegrator};
@@ -13,9 +13,9 @@ use trabecula::failure::Failure;
 use trabecula::plan::measure::against::{References, distance_mm};
 use trabecula::plan::{Beam, Pull, Row, Settings};
 
-/// Links of each measured rung, which is all but `modal`: a tolerance never chooses it, because it is not valid where single flexures stand
-/// on their stops. The tool has 27 flexures. A richer rung is not worth its cost while the error from few links
-/// dominates.
+/// Link counts of each measured rung. `modal` is not measured: a tolerance never chooses it, because it is
+/// not valid where single flexures are at their stops. The tool has 27 flexures. A richer rung is not worth
+/// its cost while the error from few links dominates.
 const LINKS: [(Rung, &[usize]); 4] = [
     (Rung::ConstantCurvature, &[27]),
     (Rung::Planar, &[4, 8, 13, 27]),
@@ -23,7 +23,7 @@ const LINKS: [(Rung, &[usize]); 4] = [
     (Rung::Full, &[13, 27]),
 ];
 const DT_MS: [f64; 3] = [0.5, 1.0, 2.0];
-/// The settings whose path shows what the voxels do.
+/// The settings whose path shows the effect of the voxels.
 const STANDARD: Settings = Settings {
     rung: Rung::Planar,
     links: 27,
@@ -31,7 +31,7 @@ const STANDARD: Settings = Settings {
     dt_ms: 1.0,
     contact: ContactVoxels::Planes,
 };
-/// Measured and drawn beside them, but in no table: no plan chooses it.
+/// Also measured and drawn, but in no table, because no plan chooses it.
 const BESIDE: Settings = Settings { rung: Rung::Modal, ..STANDARD };
 /// Voxel of the default scene, mm.
 const SPACING_MM: f64 = 0.5;
@@ -42,17 +42,17 @@ const TIMINGS: usize = 2;
 /// Fraction of the drilled path used with quick effort.
 const QUICK_SHARE: f64 = 0.02;
 
-/// What the settings came to.
+/// Results for the settings.
 pub struct Settled {
-    /// The table of the settings that a plan chooses from.
+    /// The table of settings from which a plan chooses.
     pub rows: Vec<Row>,
-    /// Moment modes, measured likewise.
+    /// Moment modes, measured in the same way.
     pub beside: Row,
-    /// How far voxels of twice the size move the drilled path, mm.
+    /// Change of the drilled path with voxels of twice the size, mm.
     pub coarse_mm: f64,
 }
 
-/// The settings to measure at this effort.
+/// Returns the settings to measure at this effort.
 pub fn settings(effort: Effort) -> Vec<Settings> {
     let (euler, contact) = (SceneIntegrator::LinearlyImplicitEuler, ContactVoxels::Planes);
     if effort == Effort::Quick {
@@ -84,15 +84,15 @@ pub fn settings(effort: Effort) -> Vec<Settings> {
     all
 }
 
-/// The contact kind only matters when the tool touches bone. The other kind is measured with the time step of most
-/// scenes, and only where the drilled path is measured.
+/// The contact kind only matters when the tool touches bone. The other kind is measured with the time step of
+/// most scenes, and only where the drilled path is measured.
 fn with_the_other_contact(settings: &Settings) -> Option<Settings> {
     let drilled = is_drilled(settings) && settings.dt_ms == 1.0;
     drilled.then_some(Settings { contact: ContactVoxels::Balls, ..*settings })
 }
 
-/// Whether to measure the drilled path with these settings. In contact both integrators are linearly implicit Euler,
-/// so varying one of them is enough.
+/// Whether to measure the drilled path with these settings. In contact both integrators are linearly implicit
+/// Euler, so varying one of them is enough.
 fn is_drilled(settings: &Settings) -> bool {
     let hybrid = settings.integrator == SceneIntegrator::Hybrid;
     match (settings.rung, settings.links) {
@@ -103,7 +103,7 @@ fn is_drilled(settings: &Settings) -> bool {
     }
 }
 
-/// The chart's method for these settings.
+/// Returns the chart's method for these settings.
 pub fn method(settings: &Settings) -> Method {
     let integrator = match settings.integrator {
         SceneIntegrator::LinearlyImplicitEuler => Integrator::LinearlyImplicitEuler,
@@ -112,7 +112,7 @@ pub fn method(settings: &Settings) -> Method {
     Method::Rung(settings.rung, integrator)
 }
 
-/// The errors without bone: on the beam, and of the standard tool's pulls.
+/// Measures the errors without bone: on the beam, and on the standard tool's pulls.
 ///
 /// # Errors
 /// Invalid parameters.
@@ -198,7 +198,8 @@ pub fn measure(
     Ok(Settled { rows, beside, coarse_mm: off_mm })
 }
 
-/// The errors and the cost of drilling; with quick effort only of the default scene's beginning.
+/// Measures the errors and the cost of drilling; with quick effort only at the beginning of the default
+/// scene.
 fn in_bone(
     row: &mut Row,
     drilling: &Drilling,
@@ -223,7 +224,8 @@ fn in_bone(
 
 fn tell(row: &Row) {
     say!(
-        "plan        {:<62} rest {:.4} mm, hard {:.4}; path {:.4} mm, hard {:.4}, drilled {:.4} + {:.4}; {:.2} us/ms free, {:.2} drilling",
+        "plan        {:<62} rest {:.4} mm, hard {:.4}; path {:.4} mm, hard {:.4}, drilled {:.4} + {:.4}; \
+         {:.2} us/ms free, {:.2} drilling",
         row.settings.text(),
         row.rest_mm,
         row.hard_rest_mm,
@@ -242,10 +244,10 @@ mod tests {
     use super::*;
     use trabecula::plan::{TABLE, table::read};
 
-    /// Share by which the step's own error may differ between numbers of links.
+    /// Fraction by which the step's own error may differ between link counts.
     const ROUNDED: f64 = 0.05;
 
-    /// Pairs of rows of the table, with planes, that differ in the number of links: fewer and more.
+    /// Returns pairs of table rows, with planes, that differ in the number of links: fewer and more.
     fn pairs(rows: &[Row]) -> Vec<(&Row, &Row)> {
         let planes = |row: &&Row| row.settings.contact == ContactVoxels::Planes;
         let more = |few: &Row, many: &Row| {
@@ -256,8 +258,9 @@ mod tests {
         rows.iter().filter(planes).flat_map(of).collect()
     }
 
-    /// More links are never worse: the reference has the tool's own flexures. What remains at 27 links is the step's. Hard pulls are left out:
-    /// they throw the flexures against their stops, where the step decides.
+    /// More links are never worse: the reference has the tool's own flexures. The error left at 27 links is
+    /// that of the step. Hard pulls are excluded: they throw the flexures against their stops, where the step
+    /// dominates.
     #[test]
     fn errors_of_the_table_fall_as_links_rise() {
         let rows = read(TABLE).unwrap();
@@ -280,7 +283,8 @@ mod tests {
         }
     }
 
-    /// Where each flexure lies decides a drilled path: equal links are off by about the same, however many.
+    /// A drilled path depends on the position of each flexure: equal links have about the same error
+    /// regardless of their number.
     #[test]
     fn a_drilled_path_is_best_with_the_tools_own_flexures() {
         let rows = read(TABLE).unwrap();
@@ -304,8 +308,8 @@ mod tests {
         }
     }
 
-    /// The errors do not depend on the machine: 1e-3 covers the rounding of the table's five digits, and 1 nm the
-    /// rounding of errors that are zero.
+    /// The errors do not depend on the machine: 1e-3 covers the rounding of the table's five digits, and 1 nm
+    /// the rounding of errors that are zero.
     #[test]
     fn the_table_of_measured_errors_is_current() {
         let (rows, mut references) = (read(TABLE).unwrap(), References::default());
@@ -327,7 +331,8 @@ mod tests {
             ] {
                 assert!(
                     (then - now).abs() <= 1e-3 * then + 1e-6,
-                    "{}, {name}: the table says {then} mm, measured {now}; make it anew: trabecula-lab chart physics, then physics-plan.csv to src/plan/table.csv",
+                    "{}, {name}: the table says {then} mm, measured {now}; update it: \
+                     trabecula-lab chart physics, then copy physics-plan.csv to src/plan/table.csv",
                     settings.text()
                 );
             }

@@ -1,9 +1,11 @@
-//! A contact problem for other simulators: the tool of 27 flexures in a winding tunnel, its burr pulled across.
+//! A contact problem for other simulators: the tool with 27 flexures in a winding tunnel, its burr pulled
+//! sideways.
 //!
-//! Each sphere lies between two planes of its own; contacts are springs without friction. Every program starts straight, where the
-//! tunnel overlaps the tool by up to 0.08 mm, pulls up slowly and waits for rest. Each `NAME_contact.py` of the folder gets
-//! `contact.json` and prints one line per run: `contact NAME CONTACTS DAMPING_RATIO DT_MS US_PER_MS ANGLE...` (rad, base to tip). All
-//! are judged here, by those angles alone.
+//! Each sphere is between its own two planes; contacts are frictionless springs. Every program starts
+//! straight, where the tunnel overlaps the tool by up to 0.08 mm, increases the pull slowly and waits for
+//! rest. Each `NAME_contact.py` in the folder gets `contact.json` and prints one line per run: `contact NAME
+//! CONTACTS DAMPING_RATIO DT_MS US_PER_MS ANGLE...` (rad, base to tip). All are evaluated here, by these
+//! angles alone.
 
 use std::f64::consts::PI;
 use std::fmt::Write as _;
@@ -22,32 +24,32 @@ use trabecula::failure::Failure;
 use crate::charts::peers::{new_input, run, scripts};
 use crate::effort::Effort;
 
-/// The scripts of this problem end so.
+/// Suffix of the scripts for this problem.
 pub(super) const SUFFIX: &str = "_contact";
 /// Spheres between walls, on every third link from the tip and on every link: 10 and 30 contacts.
 const SPHERES: [(usize, usize); 2] = [(5, 3), (15, 1)];
-/// Across the tunnel, between its middle and the axis.
+/// Lateral distance of the tunnel's centre line from the axis.
 const AMPLITUDE_M: f64 = 0.1e-3;
 const WAVE_LENGTH_M: f64 = 12.0e-3;
 /// Where the tunnel crosses the axis.
 const CROSSING_M: f64 = 36.0e-3;
-/// On both sides of a sphere in the middle of the tunnel.
+/// Clearance on both sides of a sphere in the middle of the tunnel.
 const CLEARANCE_M: f64 = 20.0e-6;
 const TIP_FORCE_N: f64 = 4.0;
 const RAMP_S: f64 = 0.3;
 const DURATION_S: f64 = 1.0;
 /// Damping ratio of the first mode, and step, ms: critical as in the other problems, then the tool's own.
 const SETTINGS: [(f64, f64); 3] = [(1.0, 1.0), (0.05, 1.0), (0.05, 0.25)];
-/// Of the run that judges.
+/// Settings of the reference run.
 const REFERENCE: (f64, f64) = (1.0, 0.05);
-/// Errors below this count as equal: they are what is left of the motion, and rounding.
+/// Errors below this count as equal: they are residual motion and rounding.
 const EQUAL_UM: f64 = 0.01;
 
-/// A plane that one sphere meets, in the bending plane (x, z).
+/// A plane in contact with one sphere, in the bending plane (x, z).
 struct ContactWall {
     link: usize,
     point_m: Vector2<f64>,
-    /// To the sphere.
+    /// Normal, toward the sphere.
     normal: Vector2<f64>,
 }
 
@@ -57,17 +59,17 @@ struct Case {
     walls: Vec<ContactWall>,
 }
 
-/// A pose of the chain by the stated laws.
+/// A pose of the chain according to the stated laws.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Pose {
     tip_m: Vector2<f64>,
     most_overlap_m: f64,
     pressing: usize,
-    /// Largest torque of a hinge that springs, contacts and the full load leave unbalanced.
+    /// Largest torque of a hinge not balanced by springs, contacts and the full load.
     unbalanced_nm: f64,
 }
 
-/// What a program reached.
+/// Final state reached by a program.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Rest {
     name: String,
@@ -76,7 +78,7 @@ pub(super) struct Rest {
     dt_ms: f64,
     us_per_ms: f64,
     pose: Pose,
-    /// To the reference.
+    /// Distance from the reference.
     error_um: f64,
     /// Its cost divided by that of our cheapest run with no larger error; ours is timed before and after it.
     cost_ratio: Option<f64>,
@@ -136,7 +138,7 @@ impl Case {
         Pose { tip_m: at_m, most_overlap_m, pressing, unbalanced_nm: unbalanced.iter().fold(0.0, largest) }
     }
 
-    /// Runs our planar rung to rest: angles, and the median time of a simulated millisecond, µs.
+    /// Runs our planar rung to rest; returns the angles, and the median time of a simulated millisecond, µs.
     fn ours(&self, damping_ratio: f64, dt_ms: f64) -> Result<(Vec<f64>, f64), ManipulatorError> {
         let (dt_s, base) = (dt_ms * 1e-3, BaseMotion::at_rest(Isometry3::identity()));
         let parameters = ManipulatorParameters { damping_ratio, ..self.tool.clone() };
@@ -174,7 +176,7 @@ impl Case {
     }
 }
 
-/// The standard tool on a rigid mount, without burr and friction.
+/// Returns the standard tool on a rigid mount, without burr and friction.
 fn tool() -> ManipulatorParameters {
     let mut tool = ManipulatorParameters::jhu_27();
     tool.integrator = Integrator::LinearlyImplicitEuler;
@@ -191,7 +193,8 @@ fn lengths_m(tool: &ManipulatorParameters) -> Vec<f64> {
     gaps.chain([tool.tip_offset_m]).collect()
 }
 
-/// Of each link's sphere from its hinge. That of the last is as far as that of the one before it: the rest is the burr's shank.
+/// Returns the distance of each link's sphere from its hinge. The last one equals the one before it: the rest
+/// is the burr's shank.
 fn sphere_along_m(tool: &ManipulatorParameters) -> Vec<f64> {
     let mut along: Vec<f64> = lengths_m(tool).iter().map(|length| 0.5 * length).collect();
     let last = along.len() - 1;
@@ -199,7 +202,7 @@ fn sphere_along_m(tool: &ManipulatorParameters) -> Vec<f64> {
     along
 }
 
-/// What the scripts read.
+/// Returns the input of the scripts.
 fn input(problem: &Problem) -> Result<String, ManipulatorError> {
     let tool = tool();
     let base = BaseMotion::at_rest(Isometry3::identity());
@@ -212,7 +215,11 @@ fn input(problem: &Problem) -> Result<String, ManipulatorError> {
         .zip(&lengths_m)
         .map(|(mass, length)| mass * (length * length / 12.0 + 0.25 * (outer * outer + inner * inner)))
         .collect();
-    let wall = |w: &ContactWall| json!({ "link": w.link, "point_m": w.point_m.as_slice(), "normal": w.normal.as_slice() });
+    let wall = |w: &ContactWall| {
+        json!({
+            "link": w.link, "point_m": w.point_m.as_slice(), "normal": w.normal.as_slice(),
+        })
+    };
     let walls: Vec<Vec<_>> =
         problem.cases.iter().map(|(case, _)| case.walls.iter().map(wall).collect()).collect();
     Ok(json!({
@@ -221,7 +228,7 @@ fn input(problem: &Problem) -> Result<String, ManipulatorError> {
         "mass_kg": mass_kg,
         "inertia_kg_m2": inertia_kg_m2,
         "stiffness_nm_per_rad": tool.joint_stiffness_nm_per_rad,
-        // Times stiffness and damping ratio: a hinge's damper.
+        // Multiplied by stiffness and damping ratio, this is a hinge's damper.
         "damping_s": 1.0 / (PI * first_hz),
         "sphere_along_m": sphere_along_m(&tool),
         "sphere_radius_m": tool.segment_sphere_radius_m,
@@ -254,7 +261,7 @@ impl Problem {
         Ok(Problem { cases, settings: SETTINGS[..few].to_vec() })
     }
 
-    /// A run's line; `None` for any other text.
+    /// Parses a run's line; `None` for any other text.
     fn read(&self, line: &str) -> Option<Rest> {
         let words: Vec<&str> = line.split_whitespace().collect();
         let ["contact", name, rest @ ..] = words.as_slice() else { return None };
@@ -299,7 +306,7 @@ fn failed(cause: ManipulatorError) -> Failure {
     Failure::failed(cause.to_string())
 }
 
-/// Runs ours and every script. One that cannot be installed or run is reported, not a failure.
+/// Runs our rung and every script. A script that cannot be installed or run is reported, not a failure.
 ///
 /// # Errors
 /// No folder of scripts, or a file that cannot be written.
@@ -343,7 +350,7 @@ impl Rest {
         self.cost_ratio = cheapest.filter(|_| is_comparable).map(|us| self.us_per_ms / us);
     }
 
-    /// What minimises the energy has no step.
+    /// Whether the program takes steps; minimising the energy does not.
     fn takes_steps(&self) -> bool {
         self.dt_ms > 0.0
     }
@@ -361,14 +368,15 @@ impl Rest {
         let Pose { most_overlap_m, pressing, unbalanced_nm, .. } = self.pose;
         let ratio = self.cost_ratio.map_or(String::new(), |ratio| format!("; {ratio:.2} times ours"));
         format!(
-            "{head}, tip error {:.5} um, overlap {:.3} um, {pressing} press, unbalanced {unbalanced_nm:.1e} N m{ratio}",
+            "{head}, tip error {:.5} um, overlap {:.3} um, {pressing} press, unbalanced {unbalanced_nm:.1e} \
+             N m{ratio}",
             self.error_um,
             most_overlap_m * 1e6
         )
     }
 }
 
-/// Lines of the CSV.
+/// Returns the lines of the CSV.
 pub(super) fn csv(all: &[Rest]) -> String {
     let mut text = String::new();
     for rest in all {
@@ -386,7 +394,8 @@ pub(super) fn csv(all: &[Rest]) -> String {
             // Writing to a String cannot fail.
             let _ = writeln!(
                 text,
-                "contact_{contacts},{name} at damping ratio {damping_ratio},27,{dt_ms},{us_per_ms:.3},{figure},{value:.6e}"
+                "contact_{contacts},{name} at damping ratio \
+                 {damping_ratio},27,{dt_ms},{us_per_ms:.3},{figure},{value:.6e}"
             );
         }
     }
@@ -400,12 +409,12 @@ mod tests {
     #[test]
     fn the_planar_rung_rests_where_the_stated_laws_balance() -> Result<(), ManipulatorError> {
         let problem = Problem::new(Effort::Quick)?;
-        // Tip by SciPy's least energy, mm.
+        // Tip by SciPy's energy minimum, mm.
         let (case, tip_m) = &problem.cases[0];
         assert!((tip_m * 1e3 - Vector2::new(-0.045_077_95, 71.465_809_9)).norm() < 1e-5, "{tip_m}");
         let (angles_rad, _) = case.ours(1.0, 1.0)?;
         let pose = case.pose(&angles_rad);
-        // The mount gives by a few tenths of a nanometre.
+        // The mount yields by a few tenths of a nanometre.
         assert!((pose.tip_m - tip_m).norm() < 1e-8 && pose.unbalanced_nm < 5e-5, "{pose:?}");
         assert_eq!(pose.pressing, 5);
         Ok(())

@@ -20,7 +20,7 @@ pub struct Drilling {
 }
 
 impl Drilling {
-    /// The scene with this voxel size, for a fraction of its length.
+    /// Creates the scene with this voxel size, for a fraction of its length.
     ///
     /// # Errors
     /// The scene or its phantom cannot be built.
@@ -43,18 +43,18 @@ impl Drilling {
         Ok(Drilling { ct, scene })
     }
 
-    /// Drills with these settings, beside the reference.
+    /// Drills with these settings, and compares with the reference.
     ///
     /// # Errors
-    /// The physics refuses them.
+    /// The physics refuses the settings.
     pub fn compare(&self, settings: &Settings, references: &mut References) -> Result<Compared, Failure> {
         Ok(against_reference(&Run::new(&self.with(settings), Some(self.ct())), references)?)
     }
 
-    /// Drills with these settings: the burr's path, and what a simulated millisecond costs, µs.
+    /// Drills with these settings; returns the burr's path, and the cost of a simulated millisecond, µs.
     ///
     /// # Errors
-    /// The physics refuses them.
+    /// The physics refuses the settings.
     pub fn path(&self, settings: &Settings) -> Result<(Vec<Vector3<f64>>, f64), Failure> {
         Ok(path(&Run::new(&self.with(settings), Some(self.ct())))?)
     }

@@ -3,8 +3,8 @@
 /// Steps of the integration.
 const STEPS: usize = 4000;
 
-/// Tip (across, along) over the length for `load` = P L² / EI: theta'' = -load cos theta, theta(0) = 0, theta'(1) = 0,
-/// by shooting on theta'(0) with the classical Runge-Kutta method.
+/// Tip (across, along) over the length for `load` = P L² / EI: theta'' = -load cos theta, theta(0) = 0,
+/// theta'(1) = 0, by shooting on theta'(0) with the classical Runge-Kutta method.
 pub fn elastica(load: f64) -> [f64; 2] {
     let (mut low, mut high) = (0.0, load);
     for _ in 0..60 {

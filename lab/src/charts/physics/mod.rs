@@ -1,4 +1,5 @@
-//! `trabecula-lab chart physics`: error against cost for every rung, integrator and baseline, one panel per problem.
+//! `trabecula-lab chart physics`: error against cost for every rung, integrator and baseline, one panel per
+//! problem.
 
 mod candidates;
 mod contact;
@@ -34,7 +35,7 @@ use trabecula::report::ReportError;
 const HEIGHT: f64 = 1375.0;
 /// Height of the legend.
 const FOOT: f64 = 295.0;
-/// Errors below this are rounding and are drawn at it, in each problem's unit.
+/// Errors below this are rounding and are drawn at this value, in each problem's unit.
 const ROUNDING: f64 = 1e-4;
 /// Okabe and Ito 2008, and greys for the baselines, in the order of [`Method::ALL`].
 const COLOURS: [RGBColor; 11] = [
@@ -59,12 +60,12 @@ const PEER_COLOURS: [RGBColor; 5] = [
     RGBColor(0, 0, 0),
 ];
 
-/// What to measure, and where to write it.
+/// Measurements and output of the chart.
 #[derive(Debug, Clone)]
 pub struct Plan {
     /// Output folder.
     pub out: PathBuf,
-    /// How much.
+    /// Effort.
     pub effort: Effort,
     /// Folder of the peers' scripts.
     pub peers: Option<PathBuf>,
@@ -74,17 +75,18 @@ pub struct Plan {
     pub contact_only: bool,
 }
 
-/// The files it writes.
+/// The output files.
 const FILES: [&str; 4] =
     ["physics-plan.csv", "accuracy-physics.csv", "accuracy-physics.png", "accuracy-physics.svg"];
 
-/// The file of the peers' contact problem alone.
+/// The output file of the peers' contact problem.
 const CONTACT_FILE: &str = "peers-contact.csv";
 
 /// First line of a CSV.
 const COLUMNS: &str = "problem,method,links,dt_ms,us_per_ms,figure,value\n";
 
-/// Measures, and writes `accuracy-physics.svg`, `.png` and `.csv`, and `physics-plan.csv`, into the folder; of the settings only the last.
+/// Measures, and writes `accuracy-physics.svg`, `.png` and `.csv`, and `physics-plan.csv`, to the folder; for
+/// the settings alone, only the last one.
 ///
 /// # Errors
 /// A file that cannot be written.
@@ -108,7 +110,7 @@ pub fn run(plan: &Plan) -> Result<(), Failure> {
         contact = contact::measure(scripts, folder, plan.effort)?;
         took("peers", began);
     }
-    // Save the settings as they are measured, so that an interrupted run keeps its results.
+    // Saves the settings as they are measured, so that an interrupted run keeps its results.
     let mut settings = SavedFile::create(&folder.join(FILES[0]))?;
     let save = |rows: &[Row]| Ok(settings.save(trabecula::plan::write(rows))?);
     let began = Instant::now();
@@ -166,7 +168,8 @@ fn measure_all(problem: Problem, effort: Effort) -> Result<Vec<Point>, Failure> 
     Ok(points)
 }
 
-/// The drilled paths with the tool's own flexures, the arc as it is; voxels as planes, since no line joins planes and balls.
+/// Returns the drilled paths with the tool's own flexures, and the arc unchanged; with voxels as planes,
+/// because no line joins planes and balls.
 fn drilled_points(rows: &[Row]) -> Vec<Point> {
     let most = rows.iter().map(|row| row.settings.links).max().unwrap_or(0);
     let is_drawn = |row: &&Row| {
@@ -248,7 +251,7 @@ fn draw_panel(figure: &mut Figure, cell: Rect, problem: Problem, points: &[Point
         if (0.01..1e5).contains(&value) { format!("{value}") } else { format!("{value:.0e}") }
     };
     let x = Axis::logarithmic("time of a simulated millisecond", sound().map(|(us, _)| us), duration_label);
-    // Errors worse than 100 mm or equivalent are drawn at the same height.
+    // Errors above 100 mm or equivalent are drawn at the same height.
     let y = Axis::logarithmic(problem.axis(), sound().map(|(_, error)| error).chain([high]), label);
     let mut panel = Panel::new(figure, cell, problem.title(), x, y);
     for (method, colour) in Method::ALL.into_iter().zip(COLOURS) {
@@ -273,7 +276,7 @@ fn stroke(method: Method, colour: RGBColor) -> Stroke {
     Stroke { colour, width: 2.0, dash }
 }
 
-/// Peers are crosses.
+/// Draws the legend of the peers, which are crosses.
 fn draw_peer_legend(figure: &mut Figure, left: f64, top: f64, peers: &[Peer]) {
     let measured = |name: &str| peers.iter().any(|peer| peer.name == name);
     let shown = peers::NAMES.into_iter().zip(PEER_COLOURS).filter(|(name, _)| measured(name));

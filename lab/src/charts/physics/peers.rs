@@ -1,8 +1,8 @@
 //! Other simulators on the chart's beam.
 //!
-//! Each `NAME.py` of the folder gets `beam.json` and prints one line per measurement: `PROBLEM NAME LINKS DT_MS
-//! US_PER_MS LOAD X Z`. In `end_moment` and `tip_force` (LOAD is P L² / EI) X and Z are where the tip rests, across
-//! and along, m; in `vibration` X is the first frequency, Hz.
+//! Each `NAME.py` in the folder gets `beam.json` and prints one line per measurement: `PROBLEM NAME LINKS
+//! DT_MS US_PER_MS LOAD X Z`. In `end_moment` and `tip_force` (LOAD is P L² / EI) X and Z are the tip's rest
+//! position, across and along, m; in `vibration` X is the first frequency, Hz.
 
 use crate::effort::Effort;
 use std::path::Path;
@@ -23,7 +23,7 @@ use trabecula::failure::Failure;
 pub const NAMES: [&str; 5] = ["mujoco", "mujoco_cable", "drake", "pybullet", "pyelastica"];
 /// The problems that the scripts measure.
 const PROBLEMS: [Problem; 3] = [Problem::EndMoment, Problem::TipForce, Problem::Vibration];
-/// Our methods to compare with.
+/// Our methods for comparison.
 const OURS: [Method; 2] = [
     Method::Rung(Rung::Planar, Integrator::LinearlyImplicitEuler),
     Method::Rung(Rung::Planar, Integrator::Hybrid),
@@ -44,12 +44,12 @@ pub struct Peer {
     pub us_per_ms: f64,
     /// Error in the problem's unit; for `tip_force`, at the worst load.
     pub error: f64,
-    /// Its cost divided by that of our cheapest planar setting with no larger error, if there is one; ours is timed
-    /// before and after the peer.
+    /// Its cost divided by that of our cheapest planar setting with no larger error, if there is one; ours is
+    /// timed before and after the peer.
     pub cost_ratio: Option<f64>,
 }
 
-/// Runs every script. One that cannot be installed or run is reported, not a failure.
+/// Runs every script. A script that cannot be installed or run is reported, not a failure.
 ///
 /// # Errors
 /// No folder of scripts, or a file that cannot be written.
@@ -86,7 +86,7 @@ pub fn measure(folder: &Path, out: &Path, effort: Effort) -> Result<Vec<Peer>, F
     Ok(all)
 }
 
-/// The planar rung on the scripts' problems.
+/// Measures the planar rung on the scripts' problems.
 fn ours(effort: Effort) -> Result<Vec<(Problem, Point)>, Failure> {
     let mut points = Vec::new();
     for problem in PROBLEMS {
@@ -99,7 +99,7 @@ fn ours(effort: Effort) -> Result<Vec<(Problem, Point)>, Failure> {
     Ok(points)
 }
 
-/// The same points, each with the mean of its two costs.
+/// Returns the same points, each with the mean of its two costs.
 fn between(mut before: Vec<(Problem, Point)>, after: &[(Problem, Point)]) -> Vec<(Problem, Point)> {
     for ((_, first), (_, second)) in before.iter_mut().zip(after) {
         first.us_per_ms = 0.5 * (first.us_per_ms + second.us_per_ms);
@@ -107,7 +107,7 @@ fn between(mut before: Vec<(Problem, Point)>, after: &[(Problem, Point)]) -> Vec
     before
 }
 
-/// Adds a printed line; the loads of one setting become one point. Ignores other lines.
+/// Adds an output line; the loads of one setting become one point. Ignores other lines.
 fn collect(line: &str, peers: &mut Vec<Peer>) {
     let words: Vec<&str> = line.split_whitespace().collect();
     let [problem, name, rest @ ..] = words.as_slice() else { return };
@@ -135,7 +135,7 @@ fn collect(line: &str, peers: &mut Vec<Peer>) {
     }
 }
 
-/// Prints a peer's point, and next to it our cheapest one with no larger error.
+/// Prints a peer's point, followed by our cheapest one with no larger error.
 fn compare(peer: &mut Peer, own: &[(Problem, Point)]) {
     let head = format!(
         "{:<11} {:<19} {:>2} links, dt {:>7} ms: {:>9.2} us/ms, error {:.4}",
@@ -146,8 +146,8 @@ fn compare(peer: &mut Peer, own: &[(Problem, Point)]) {
         peer.us_per_ms,
         peer.error
     );
-    // Euler's numerical damping hides its frequency, so the vibration problem is compared with our other integrator
-    // only.
+    // Euler's numerical damping distorts its frequency, so the vibration problem is compared only with our
+    // other integrator.
     let comparable = |problem: Problem, method: Method| problem != Problem::Vibration || method == OURS[1];
     // Two programs that solve the same equations differ by rounding.
     let as_good = own
@@ -164,7 +164,7 @@ fn compare(peer: &mut Peer, own: &[(Problem, Point)]) {
             own.dt_ms,
             own.error
         ),
-        _ if peer.error.is_finite() => say!("{head}; none of ours is as good"),
+        _ if peer.error.is_finite() => say!("{head}; no setting of ours is as accurate"),
         _ => say!("{head}; lost"),
     }
 }

@@ -1,4 +1,5 @@
-//! The chart's problems. Each gives an error against a solution outside the method, and the cost of a millisecond.
+//! The chart's problems. Each gives an error relative to an independent solution, and the cost per simulated
+//! millisecond.
 
 use crate::effort::Effort;
 use physics_lab::Wall;
@@ -26,17 +27,17 @@ const ROOTS: [f64; 3] = [1.875_104_068_711_961, 4.694_091_132_974_175, 7.854_757
 /// A panel of the chart.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Problem {
-    /// 0.06 N m on the tip: an arc of 90 degrees.
+    /// 0.06 N m at the tip: an arc of 90 degrees.
     EndMoment,
     /// A dead force across the tip: P L² / EI of 0.25 to 10; the largest error.
     TipForce,
-    /// A tendon in a channel with friction, against the closed form of the continuous channel.
+    /// A tendon in a channel with friction, compared with the closed form of the continuous channel.
     Capstan,
     /// Free vibration: the first three frequencies and the first mode's decay.
     Vibration,
-    /// A sudden pull against a frictionless wall: the path against that of 64 links at 0.05 ms.
+    /// A sudden pull against a frictionless wall: the path compared with that of 64 links at 0.05 ms.
     Wall,
-    /// The default scene and tunnels, drilled open loop: the burr's path against that of the reference.
+    /// The default scene and tunnels, drilled open loop: the burr's path compared with the reference.
     Drilled,
 }
 
@@ -69,7 +70,7 @@ impl Problem {
         }
     }
 
-    /// What the error is, and its unit.
+    /// Returns the error's name and unit.
     pub fn axis(self) -> &'static str {
         match self {
             Problem::EndMoment | Problem::TipForce => "tip error (µm)",
@@ -145,11 +146,11 @@ fn still() -> Drive {
     Drive::still(rest())
 }
 
-/// A uniform beam that 30 N on a tendon at 2 mm bends by 90 degrees, on a mount too stiff to matter.
+/// A uniform beam that is bent by 90 degrees by 30 N on a tendon at 2 mm, on a mount too stiff to matter.
 fn beam(method: Method, links: usize, damping_ratio: f64) -> ManipulatorParameters {
     let mut p = ManipulatorParameters::uniform_beam(links, LENGTH_M, RIGIDITY_NM2);
     p.damping_ratio = damping_ratio;
-    // Explicit springs are stable only on a softer mount, which gives by 1 µm at the largest load.
+    // Explicit springs are only stable on a softer mount, which yields by 1 µm at the largest load.
     p.mount_stiffness_n_per_m = [if method == Method::Explicit { 1e7 } else { 1e9 }; 3];
     // Thin, so that the full rung's shear and stretch, which the closed forms lack, are negligible.
     p.tube_radii_m = [1e-5, 0.0];
@@ -157,7 +158,7 @@ fn beam(method: Method, links: usize, damping_ratio: f64) -> ManipulatorParamete
     p
 }
 
-/// Measures a problem with a method; one point per setting.
+/// Measures a problem with a method; returns one point per setting.
 ///
 /// # Errors
 /// Invalid parameters.
@@ -171,7 +172,7 @@ pub fn measure(problem: Problem, method: Method, effort: Effort) -> Result<Vec<P
                 Problem::Capstan => capstan(method, links, dt_ms),
                 Problem::Vibration => vibration(method, links, dt_ms),
                 Problem::Wall => wall(method, links, dt_ms),
-                // Measured with the settings that a plan chooses from.
+                // Measured with the settings from which a plan chooses.
                 Problem::Drilled => Ok((0.0, f64::NAN, Vec::new())),
             }?;
             Ok(Point { method, links, dt_ms, us_per_ms, error, more })
@@ -179,7 +180,7 @@ pub fn measure(problem: Problem, method: Method, effort: Effort) -> Result<Vec<P
         .collect()
 }
 
-/// Links and step (ms) of each point. Static problems vary the links, dynamic ones the step.
+/// Returns links and step (ms) of each point. Static problems vary the links, dynamic ones the step.
 fn settings(problem: Problem, method: Method, effort: Effort) -> Vec<(usize, f64)> {
     let quick = effort == Effort::Quick;
     let arc = matches!(method, Method::Rung(Rung::ConstantCurvature, _));
@@ -205,7 +206,7 @@ fn settings(problem: Problem, method: Method, effort: Effort) -> Vec<(usize, f64
         (false, _) if arc => vec![(16, 1.0)],
         (false, _) if quick => vec![(8, 1.0)],
         (false, _) if slow => vec![(4, 1.0), (8, 1.0), (16, 1.0), (26, 1.0)],
-        // These rungs take no more.
+        // These rungs support no more.
         (false, Method::Rung(Rung::Modal | Rung::Planar, _)) => {
             [4, 6, 8, 13, 26, 32].map(|links| (links, 1.0)).to_vec()
         }
@@ -219,7 +220,7 @@ fn settings(problem: Problem, method: Method, effort: Effort) -> Vec<(usize, f64
 /// Cost in µs per simulated millisecond, error in the problem's unit, other figures.
 pub(super) type Measured = Result<(f64, f64, Vec<(&'static str, f64)>), ManipulatorError>;
 
-/// The explicit method cannot be critically damped, so wait until its oscillation has died out.
+/// The explicit method cannot be critically damped, so it waits until the oscillation has died out.
 fn static_damping(method: Method) -> (f64, f64) {
     if method == Method::Explicit { (0.05, 0.25) } else { (1.0, 0.6) }
 }
@@ -265,7 +266,8 @@ pub(super) fn tip_force(method: Method, links: usize, dt_ms: f64) -> Measured {
     Ok((all.us_per_ms(), worst, more))
 }
 
-/// EI q' = T d and the capstan's T' = -mu q' T: T(s) = T0 / (1 + mu k0 s), end angle ln(1 + mu k0 L) / mu with k0 = T0 d / EI.
+/// EI q' = T d and the capstan's T' = -mu q' T: T(s) = T0 / (1 + mu k0 s), end angle ln(1 + mu k0 L) / mu
+/// with k0 = T0 d / EI.
 pub(super) fn capstan(method: Method, links: usize, dt_ms: f64) -> Measured {
     let (mu, k0_length): (f64, f64) = (0.3, 2.0);
     let exact = (1.0 + mu * k0_length).ln() / mu;
@@ -275,14 +277,14 @@ pub(super) fn capstan(method: Method, links: usize, dt_ms: f64) -> Measured {
     let tension = k0_length / LENGTH_M * RIGIDITY_NM2 / p.tendon.offset_m;
     let (ramp, seconds) = if method == Method::Explicit { (0.15, 0.3) } else { (0.6, 1.0) };
     let mut run = Run::new(method, &p, &[], dt_ms * 1e-3)?;
-    // A slow ramp, so that the tendon only ever slides one way.
+    // A slow ramp, so that the tendon slides in one direction only.
     run.go(seconds, |t| Drive { tension_n: tension * (t / ramp).min(1.0), ..still() });
     let error = lost(&run.tool, (run.tool.bend_rad() - exact).abs() * 1e3);
     let tip = lost(&run.tool, (run.tool.tip_m() - capstan_tip_m(mu, k0_length)).norm() * 1e6);
     Ok((run.us_per_ms(), error, vec![("tip_um", tip)]))
 }
 
-/// Tip of the arc whose angle is theta(s) = ln(1 + mu k0 s) / mu, by Simpson's rule.
+/// Returns the tip of the arc whose angle is theta(s) = ln(1 + mu k0 s) / mu, by Simpson's rule.
 fn capstan_tip_m(mu: f64, k0_length: f64) -> Vector3<f64> {
     const PAIRS: usize = 1000;
     let h = 0.5 / PAIRS as f64;
@@ -297,8 +299,8 @@ fn capstan_tip_m(mu: f64, k0_length: f64) -> Vector3<f64> {
     sum * (LENGTH_M * h / 3.0)
 }
 
-/// Finds the modes from the response to a force burst at and around the beam's frequencies; the first mode's decay
-/// from its envelope over ten periods.
+/// Finds the modes from the response to a force burst at and around the beam's frequencies; the first mode's
+/// decay from its envelope over ten periods.
 fn vibration(method: Method, links: usize, dt_ms: f64) -> Measured {
     let (dt_s, density) = (dt_ms * 1e-3, DENSITY_KG_PER_M);
     let beam_hz = ROOTS.map(|root| {
@@ -331,7 +333,7 @@ fn vibration(method: Method, links: usize, dt_ms: f64) -> Measured {
     Ok((clock.us_per_ms(), errors[0], more))
 }
 
-/// Error of the decay rate of the first mode at a damping ratio of 0.02, %.
+/// Returns the error of the decay rate of the first mode at a damping ratio of 0.02, %.
 fn decay(method: Method, links: usize, dt_s: f64, hz: f64) -> Result<f64, ManipulatorError> {
     let ratio = 0.02;
     let mut run = Run::new(method, &beam(method, links, ratio), &[], dt_s)?;
@@ -363,7 +365,7 @@ fn decay(method: Method, links: usize, dt_s: f64, hz: f64) -> Result<f64, Manipu
 
 type Path = Vec<Vector3<f64>>;
 
-/// The tip at every millisecond during 0.2 s of a sudden pull against walls.
+/// Returns the tip at every millisecond during 0.2 s of a sudden pull against walls.
 fn pull(method: Method, links: usize, dt_ms: f64, walls: &[Wall]) -> Result<(Run, Path), ManipulatorError> {
     let mut p = beam(method, links, 0.1);
     p.contact.friction_coefficient = 0.0;

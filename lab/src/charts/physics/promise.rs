@@ -1,7 +1,9 @@
-//! `trabecula-lab chart promise`: random scenes with a `tolerance.path_mm`, planned and run; how many exceed what they allow.
+//! `trabecula-lab chart promise`: random scenes with a `tolerance.path_mm`, planned and run; counts those
+//! that exceed their tolerance.
 //!
-//! Every scene is run with the settings that `plan` chooses, beside the reference of `plan --check`, on the same voxels. A scene with bone
-//! is run again on voxels at another place: the bound states both errors, so the distance to that path must keep it, too.
+//! Every scene is run with the settings chosen by `plan`, and with the reference of `plan --check`, on the
+//! same voxels. A scene with bone is run again on shifted voxels: the bound covers both errors, so the
+//! distance from that path must also be within it.
 
 use ipc_types::messages;
 use ipc_types::scene::{Scene, Tolerance, ToolOuterTube};
@@ -14,26 +16,26 @@ use trabecula::plan::measure::against::{References, Run, against_reference, dist
 use trabecula::plan::measure::trials::{HOLE_MM, Trial, block};
 use trabecula::plan::{GENTLE_N, Load, OwnTool, RAMPED_N, Table, resolve_by};
 
-/// How many scenes, and which.
+/// Number and selection of scenes.
 #[derive(Debug, Clone)]
 pub struct Plan {
-    /// Another tool than the standard one.
+    /// A tool other than the standard one.
     pub tool: Option<OwnTool>,
     /// Scenes in free space.
     pub free: u64,
     /// Scenes in bone.
     pub bone: u64,
-    /// Seed of the first; each has its own.
+    /// Seed of the first scene; each has its own.
     pub seed: u64,
 }
 
-/// What a scene was off, over what it allows.
+/// A scene's error relative to its tolerance.
 struct Kept {
     share: f64,
     line: String,
 }
 
-/// Plans and runs the scenes; prints each and the sums. Returns how many exceeded their tolerance.
+/// Plans and runs the scenes; prints each, and the totals. Returns the number that exceeded their tolerance.
 ///
 /// # Errors
 /// A scene that should be accepted is refused.
@@ -56,9 +58,7 @@ pub fn run(plan: &Plan, sheet: &mut Sheet) -> Result<usize, Failure> {
         }
         if count > 0 {
             let percent = 100.0 * worst;
-            sheet.line(&format!(
-                "{what}: {count} scenes, the worst at {percent:.0} % of what its tolerance allows"
-            ));
+            sheet.line(&format!("{what}: {count} scenes, the worst at {percent:.0} % of its tolerance"));
         }
     }
     sheet.line(&format!("{exceeded} of {} exceeded their tolerance", plan.free + plan.bone));
@@ -70,15 +70,15 @@ fn between(low: f64, high: f64, random: &mut u64) -> f64 {
     low + (high - low) * uniform(random)
 }
 
-/// What the tool moves in.
+/// Environment of the tool.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Ground {
     Air,
     Bone,
 }
 
-/// A pull, a sweep or a feed, with random tension, friction and duration. A tool of its own has its friction, and its other tendons may be
-/// pulled, too; one without tendons is fed.
+/// Draws a pull, a sweep or a feed, with random tension, friction and duration. A custom tool keeps its
+/// friction, and its other tendons may also be pulled; a tool without tendons is fed.
 fn trial(ground: Ground, tool: Option<&OwnTool>, random: &mut u64) -> Trial {
     let (bone, tendons) = (ground == Ground::Bone, tool.map_or(1, OwnTool::tendons));
     if let Some(outer) = tool.and_then(OwnTool::outer_tube) {
@@ -109,7 +109,8 @@ fn trial(ground: Ground, tool: Option<&OwnTool>, random: &mut u64) -> Trial {
     trial
 }
 
-/// Out of an outer tube by any length, as it is or turned by half a turn: then it stays in the plane of its weight.
+/// Draws a deployment from an outer tube by any length, unchanged or rotated by half a turn, which keeps it
+/// in the plane of its weight.
 fn deployment(outer: &ToolOuterTube, random: &mut u64) -> Trial {
     let length_mm = between(0.1, 1.0, random) * outer.travel_mm.min(25.0);
     let feed_mm_per_s = between(2.0, 8.0, random);
@@ -119,14 +120,14 @@ fn deployment(outer: &ToolOuterTube, random: &mut u64) -> Trial {
     Trial::deploy(length_mm, feed_mm_per_s, roll_deg, seconds)
 }
 
-/// The trial's scene, and its text.
+/// Returns the trial's scene, and its text.
 fn scene_of(trial: &Trial, ground: Ground, tool: Option<&OwnTool>) -> Result<(Scene, String), Failure> {
     let (scene, text) = trial.scene("", ground == Ground::Bone)?;
     let own = tool.map(|tool| tool.scene(trial, ground == Ground::Bone)).transpose()?;
     Ok((own.unwrap_or(scene), text))
 }
 
-/// The tables of the tool, for each load that a scene may put on it: without a cache each would be measured for every scene.
+/// Cache of the tool's tables, for each load of a scene; otherwise each would be measured for every scene.
 #[derive(Default)]
 struct Tables(Vec<(Load, Table)>);
 
@@ -144,7 +145,7 @@ impl Tables {
     }
 }
 
-/// Plans for a tolerance between the tightest that `plan` accepts and three times that; returns it.
+/// Plans for a tolerance between the tightest one that `plan` accepts and three times that; returns it.
 fn plan_within(scene: &mut Scene, text: &str, tables: &mut Tables, random: &mut u64) -> Result<f64, Failure> {
     let factor = 3.0_f64.powf(uniform(random));
     let table = tables.of(scene)?;
@@ -165,7 +166,7 @@ fn in_free_space(seed: u64, tool: Option<&OwnTool>, tables: &mut Tables) -> Resu
     let (mut scene, text) = scene_of(&trial, Ground::Air, tool)?;
     let path_mm = plan_within(&mut scene, &text, tables, &mut random)?;
     if tool.is_some() {
-        // Its own weight, any way in the plane in which it bends.
+        // Its own weight, in any direction in the plane in which it bends.
         let angle = between(0.0, std::f64::consts::TAU, &mut random);
         scene.gravity_m_per_s2 = [9.81 * angle.cos(), 0.0, 9.81 * angle.sin()];
     }
@@ -208,15 +209,16 @@ mod tests {
     #![allow(clippy::unwrap_used, reason = "tests")]
     use super::*;
 
-    /// Regression: the table measured planar against planar, the check against a softer tool: 7 of 8 free scenes exceeded their tolerance,
-    /// up to 62 times.
+    /// Regression: the table measured planar against planar, the check against a softer tool: 7 of 8 free
+    /// scenes exceeded their tolerance, up to 62 times.
     #[test]
     fn a_planned_path_error_is_kept_in_free_space_and_in_bone() {
         assert_eq!(run(&Plan { tool: None, free: 12, bone: 2, seed: 1 }, &mut Sheet::default()).unwrap(), 0);
     }
 
-    /// Scenes on which a tool of their own was not measured: other tensions, other tendons together, other directions of its weight. Tunnels
-    /// of such tools take a minute to measure: `trabecula-lab chart promise --tool FILE`.
+    /// Scenes on which a custom tool was not measured: other tensions, other tendons together, other
+    /// directions of its weight. Tunnels of such tools take a minute to measure: `trabecula-lab chart promise
+    /// --tool FILE`.
     #[test]
     fn a_planned_path_error_is_kept_by_other_tools() {
         let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../configs");
@@ -224,9 +226,9 @@ mod tests {
             ("tools/two_segments.toml", 12),
             ("tools/rigid_drill.toml", 4),
             ("tools/steerable_drill.toml", 4),
-            // The same tool, let go from a straight guide.
+            // The same tool, released from a straight guide.
             ("examples/tool_pre_curved.toml", 8),
-            // And pushed out of a tube.
+            // And deployed from a tube.
             ("tools/tube_in_tube.toml", 4),
         ] {
             let source = trabecula::tool::source::ToolSource::load(Some(&folder.join(file))).unwrap();

@@ -1,4 +1,4 @@
-//! The errors of the standard tool on the trials of a plan.
+//! Errors of the standard tool on the trials of a plan.
 
 use ipc_types::scene::Scene;
 
@@ -7,13 +7,14 @@ use trabecula::plan::measure::against::{References, Run, against_reference, dist
 use trabecula::plan::measure::trials::{HOLE_MM, PLACES, Trial, block, larger, pulls, tunnels};
 use trabecula::plan::{Pull, Settings};
 
-/// What pulls in free space were off, and what they cost.
+/// Errors and cost of pulls in free space.
 pub struct Free {
-    /// Path error, r.m.s., of the worst pull and the worst end of it.
+    /// R.m.s. path error of the worst pull, at its worst end.
     pub worst_path_mm: f64,
     /// Distance at the end of the worst pull.
     pub end_mm: f64,
-    /// Least median time of a step over its length, µs per simulated millisecond.
+    /// Minimum over the trials of the median step time divided by the step length, µs per simulated
+    /// millisecond.
     pub us_per_ms: f64,
 }
 
@@ -23,7 +24,7 @@ fn with(settings: &Settings, trial: &Trial, is_in_bone: bool) -> Result<Scene, F
     Ok(scene)
 }
 
-/// The worst path error and the worst error at the end of the pulls, and the median cost.
+/// Returns the worst path error and the worst final error of the pulls, and the median cost.
 ///
 /// # Errors
 /// The physics refuses the settings.
@@ -38,12 +39,12 @@ pub fn free(settings: &Settings, pull: Pull, references: &mut References) -> Res
     Ok(worst)
 }
 
-/// The references of the tunnels, for each place of the voxels.
+/// The references of the tunnels, for each position of the voxels.
 #[derive(Default)]
 pub struct TunnelReferences([References; PLACES.len()]);
 
-/// The path error of the worst tunnel, r.m.s. over the places of the voxels, mm. One place alone says little: by chance it may hide the
-/// error of one setting and add to that of another.
+/// Returns the path error of the worst tunnel, r.m.s. over the positions of the voxels, mm. A single position
+/// is not conclusive: by chance it can hide the error of one setting and add to that of another.
 ///
 /// # Errors
 /// The physics refuses the settings.
@@ -60,7 +61,8 @@ pub fn drilled_mm(settings: &Settings, references: &mut TunnelReferences) -> Res
     Ok(squares.into_iter().fold(0.0, |worst, squares| larger(worst, (squares / PLACES.len() as f64).sqrt())))
 }
 
-/// How far the path of a tunnel moves with the place of the voxels: the worst pair of places, r.m.s., mm.
+/// Returns the change of a tunnel's path with the position of the voxels: the worst pair of positions,
+/// r.m.s., mm.
 ///
 /// # Errors
 /// The physics refuses the settings.

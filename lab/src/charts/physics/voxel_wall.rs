@@ -13,7 +13,8 @@ const ACROSS: usize = 40;
 /// Positions over one voxel, in each direction.
 const PLACES: usize = 8;
 
-/// Largest error of the height at which a sphere rests on the wall, over positions within a voxel, mm.
+/// Returns the largest error of the height at which a sphere rests on the wall, over positions within a
+/// voxel, mm.
 ///
 /// # Errors
 /// The grid is refused.
@@ -25,7 +26,7 @@ pub fn voxel_wall_mm(contact: ContactVoxels, spacing_mm: f64) -> Result<f64, Bon
         .collect();
     let parameters = BoneParameters { contact: contact_kind(Some(contact)), ..BoneParameters::default() };
     let field = BoneField::new(geometry, &hu, parameters)?;
-    // Voxel centres lie at integer multiples of the spacing.
+    // Voxel centres are at integer multiples of the spacing.
     let wall_m = (LAYERS as f64 - 0.5) * h;
     let mut worst_m: f64 = 0.0;
     for place in 0..PLACES * PLACES {
@@ -36,7 +37,7 @@ pub fn voxel_wall_mm(contact: ContactVoxels, spacing_mm: f64) -> Result<f64, Bon
     Ok(worst_m * 1e3)
 }
 
-/// Height of the centre at which the smallest gap is zero, by bisection: the gap increases with height.
+/// Returns the centre height at which the smallest gap is zero, by bisection: the gap increases with height.
 fn resting_height_m(field: &BoneField, x: f64, y: f64, wall_m: f64) -> f64 {
     let radius_m = RADIUS_MM * 1e-3;
     let mut buffer = ContactBuffer::with_capacity(8);
@@ -55,7 +56,8 @@ fn resting_height_m(field: &BoneField, x: f64, y: f64, wall_m: f64) -> f64 {
 mod tests {
     use super::*;
 
-    /// Between four balls of diameter h a sphere of radius r sinks by (r + h/2) (1 - sqrt(1 - (h / sqrt 2)^2 / (r + h/2)^2)).
+    /// Between four balls of diameter h a sphere of radius r sinks by (r + h/2) (1 - sqrt(1 - (h / sqrt 2)^2
+    /// / (r + h/2)^2)).
     #[test]
     fn planes_hold_a_sphere_where_the_wall_is_and_balls_let_it_sink() -> Result<(), BoneError> {
         let (h, reach) = (0.5, RADIUS_MM + 0.25);

@@ -1,4 +1,5 @@
-//! `trabecula-lab chart stability --bone`: hard cases in bone, the whole simulation, every rung at every step.
+//! `trabecula-lab chart stability --bone`: hard cases in bone with the complete simulation, every rung at
+//! every step size.
 
 use hub::in_process::{Answer, InProcess};
 use ipc_types::messages::{ArmMode, BurrMode, Command, State, TendonMode};
@@ -15,27 +16,28 @@ use trabecula::failure::Failure;
 const MODELS: [&str; 3] = ["planar", "spatial", "full"];
 /// Steps, ms.
 const DT_MS: [f64; 5] = [0.2, 1.0, 2.0, 5.0, 10.0];
-/// Step of the runs that they are compared with, ms; it divides all of them.
+/// Step of the reference runs, ms; divides all other steps.
 const REFERENCE_MS: f64 = 0.1;
-/// How long a case rests under its last command, s; its second half is judged.
+/// Time for which a case rests under its last command, s; its second half is evaluated.
 const REST_S: f64 = 0.3;
-/// How far the burr may end from where it ends at the reference's step, m.
+/// Maximum distance of the burr's final position from that at the reference's step, m.
 const MOVED_M: f64 = 0.2e-3;
-/// Most share of a contact's strength, and the farthest that a flexure may be past its stop, rad.
+/// Maximum ratio of a contact's force to its strength, and maximum excess of a flexure beyond its stop, rad.
 const MOST_SHARE: f64 = 1.05;
 const MOST_PAST_STOP_RAD: f64 = 0.1 * core::f64::consts::PI / 180.0;
-/// A tick converged if its residual is at most this, m/s; and the least share of the ticks that must.
+/// A tick has converged if its residual is at most this, m/s; and the minimum fraction of converged ticks.
 const RESIDUAL_M_PER_S: f64 = 1e-6;
 const LEAST_CONVERGED: f64 = 0.999;
-/// A jump of the flange's force by more than this share of itself, above this force, N; and the most share of the ticks in contact with one,
-/// beyond the share in the reference between the same instants: where the command itself jumps, a right solution does so too.
+/// A jump is a change of the flange's force by more than this fraction of itself, above this force, N; and
+/// the maximum fraction of ticks in contact with a jump, beyond the reference's fraction between the same
+/// instants: if the command itself jumps, a correct solution does too.
 const JUMP: f64 = 0.5;
 const JUMP_FROM_N: f64 = 0.5;
 const MOST_JUMPS: f64 = 0.01;
-/// Greatest speed of the burr that needs no explanation, m/s.
+/// Maximum speed of the burr without an explanation, m/s.
 const FAST_M_PER_S: f64 = 1.0;
 
-/// What was seen of a run.
+/// Observations of a run.
 #[derive(Default)]
 struct Seen {
     watch: Watch,
@@ -62,7 +64,8 @@ impl Seen {
         self.flange.push((flange_n, state.contact_count > 0));
     }
 
-    /// Share of the ticks in contact in which the flange's force jumps, seen every so many ticks.
+    /// Returns the fraction of ticks in contact in which the flange's force jumps, sampled every `every`
+    /// ticks.
     fn jump_share(&self, every: usize) -> f64 {
         let (mut last_n, mut jumps, mut in_contact) = (0.0, 0u32, 0u32);
         for (flange_n, touches) in self.flange.iter().skip(every - 1).step_by(every) {
@@ -75,7 +78,7 @@ impl Seen {
         f64::from(jumps) / f64::from(in_contact.max(1))
     }
 
-    /// What is not as it should be, compared with a reference that takes so many ticks for each of these.
+    /// Returns the faults, compared with a reference that takes several ticks for each of these.
     fn faults(&self, reference: Option<(&Seen, usize)>) -> Vec<String> {
         if let Some(cause) = &self.ended {
             return vec![cause.clone()];
@@ -114,7 +117,7 @@ impl Seen {
     }
 }
 
-/// Runs every case, prints what is not as it should be, and the counts. Returns how many runs have a fault.
+/// Runs every case, prints faults and counts. Returns the number of runs with a fault.
 ///
 /// # Errors
 /// A case is refused.
@@ -146,9 +149,11 @@ pub fn run(sheet: &mut Sheet) -> Result<usize, Failure> {
             cells.push(format!("{dt_ms} ms {said}"));
             sheet.push(
                 "runs",
-                json!({"case": case.name, "model": model, "dt_ms": dt_ms, "faults": faults, "burr_mm": (seen.burr_m * 1e3).as_slice(),
+                json!({"case": case.name, "model": model, "dt_ms": dt_ms, "faults": faults,
+                       "burr_mm": (seen.burr_m * 1e3).as_slice(),
                        "share_of_strength": seen.most_share, "stop_excess_rad": seen.past_stop_rad,
-                       "jump_share": seen.jump_share(1), "jump_share_of_reference": reference.jump_share(every),
+                       "jump_share": seen.jump_share(1),
+                       "jump_share_of_reference": reference.jump_share(every),
                        "off_mm": (seen.burr_m - reference.burr_m).norm() * 1e3,
                        "converged": seen.converged as f64 / seen.ticks.max(1) as f64}),
             );
@@ -216,7 +221,8 @@ mod tests {
         assert_eq!(seen.faults(None), said);
     }
 
-    /// A force that alternates between 1 and 4 N jumps in every tick, and is a fault unless the reference, seen every second tick, does so too.
+    /// A force that alternates between 1 and 4 N jumps in every tick. This is a fault unless the reference,
+    /// sampled every second tick, jumps as well.
     #[test]
     fn a_jump_is_a_fault_unless_the_reference_jumps_as_well() {
         let of = |forces_n: &[f64]| Seen {

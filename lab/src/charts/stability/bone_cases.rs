@@ -16,7 +16,7 @@ const FOAM: f64 = 160.0;
 const CANCELLOUS: f64 = 800.0;
 const CORTEX: f64 = 1900.0;
 
-/// What the controller asks for at a time.
+/// The controller's commands at a time.
 #[derive(Debug, Clone, Copy)]
 pub struct Drive {
     /// Tension of two antagonists, N.
@@ -28,29 +28,29 @@ pub struct Drive {
     pub feed_m_per_s: f64,
 }
 
-/// A case: bone, tool, and how it is driven.
+/// A case: bone, tool, and commands.
 pub struct BoneCase {
-    /// Its name.
+    /// Name.
     pub name: &'static str,
-    /// What happens in it.
+    /// Description.
     pub what: &'static str,
-    /// Tables of the scene beside the volume's: pilot holes, contact, arm.
+    /// Tables of the scene in addition to the volume's: pilot holes, contact, arm.
     keys: &'static [&'static str],
     voxel_mm: f64,
     density_kg_per_m3: fn(&Vector3<f64>) -> f64,
-    /// What is asked for at a time, s.
+    /// Command at a time, s.
     pub drive: fn(f64) -> Drive,
-    /// How long it is driven, s.
+    /// Time for which it is driven, s.
     pub driven_s: f64,
 }
 
 impl BoneCase {
-    /// The block of bone.
+    /// Returns the block of bone.
     pub fn block(&self) -> Block {
         Block::new([-12.0, -10.0, -40.0], [32.0, 10.0, 30.0], self.voxel_mm, self.density_kg_per_m3)
     }
 
-    /// The scene; the arm has no holder, and nothing that the case does not name.
+    /// Returns the scene; the arm has no holder, and only what the case specifies.
     ///
     /// # Errors
     /// The scene is refused.
@@ -59,7 +59,8 @@ impl BoneCase {
             "name = \"bone\"\n[run]\nmode = \"lockstep\"\ndt_ms = {dt_ms:?}\nduration_s = {seconds:?}\n\
              [volume]\nphantom = \"block\"\nbone_threshold_hu = -100\n\
              [manipulator]\nmodel = \"{model}\"\ntendon_friction = 0.1\n{}\
-             [tool]\nburr_start_mm = [0.0, 0.0, 0.0]\ndirection = [0.0, 0.0, 1.0]\nbend_toward = [1.0, 0.0, 0.0]\n\
+             [tool]\nburr_start_mm = [0.0, 0.0, 0.0]\ndirection = [0.0, 0.0, 1.0]\nbend_toward = [1.0, 0.0, \
+             0.0]\n\
              [[controller]]\nname = \"driver\"\ndrives = [\"tendon\", \"arm\", \"burr\"]\nexternal = true\n",
             self.keys.concat()
         );
@@ -84,7 +85,7 @@ fn feed(seconds: f64, most_n: f64, feed_m_per_s: f64, depth_m: f64) -> Drive {
     Drive { tension_n: [most_n * ramp, 0.0], burr_rad_per_s: SPINNING, depth_m, feed_m_per_s }
 }
 
-/// Noise of a millisecond, -1 to 1; the same at every step.
+/// Noise with a period of 1 ms, -1 to 1; the same at every step size.
 fn noise(seconds: f64) -> f64 {
     let mut state = (seconds * 1e3 + 1e-6).floor() as u64;
     2.0 * uniform(&mut state) - 1.0
@@ -130,7 +131,7 @@ pub const CASES: [BoneCase; 15] = [
     },
     BoneCase {
         name: "shell of one voxel",
-        what: "6 N bend the tool onto a wall of one voxel; the burr stands",
+        what: "6 N bend the tool onto a wall of one voxel; the burr does not spin",
         keys: &[],
         voxel_mm: 0.5,
         density_kg_per_m3: |p| if (6e-3..6.5e-3).contains(&p.x) { CANCELLOUS } else { 0.0 },
@@ -157,7 +158,7 @@ pub const CASES: [BoneCase; 15] = [
     },
     BoneCase {
         name: "pinched burr",
-        what: "a burr that stands is pushed from a wide bore into one of 6 mm, narrower than itself",
+        what: "a stationary burr is pushed from a wide bore into one of 6 mm, narrower than itself",
         keys: &["[[predrill]]\nfrom_mm = [0.0, 0.0, -60.0]\nto_mm = [0.0, 0.0, 2.0]\ndiameter_mm = 9.0\n\
                [[predrill]]\nfrom_mm = [0.0, 0.0, 0.0]\nto_mm = [0.0, 0.0, 40.0]\ndiameter_mm = 6.0\n"],
         voxel_mm: 0.5,
@@ -167,7 +168,7 @@ pub const CASES: [BoneCase; 15] = [
     },
     BoneCase {
         name: "stick and slip",
-        what: "friction 1.5: 10 N hold a standing burr against a bore while the arm goes to and fro at 8 mm/s",
+        what: "friction 1.5: 10 N hold a stationary burr against a bore while the arm oscillates at 8 mm/s",
         keys: &[BORE, "[contact]\nfriction = 1.5\n"],
         voxel_mm: 0.5,
         density_kg_per_m3: |_| CORTEX,
@@ -215,7 +216,7 @@ pub const CASES: [BoneCase; 15] = [
     },
     BoneCase {
         name: "burr stops in bone",
-        what: "a tunnel at 10 N whose burr stops after a second while the feed goes on for 1 mm",
+        what: "a tunnel at 10 N whose burr stops after a second while the feed continues for 1 mm",
         keys: &[PILOT],
         voxel_mm: 0.5,
         density_kg_per_m3: foam,
@@ -227,7 +228,7 @@ pub const CASES: [BoneCase; 15] = [
     },
     BoneCase {
         name: "fast arm",
-        what: "comes at 50 mm/s, its limit, with 1 N on a tendon, and stops 2 mm deep in foam",
+        what: "approaches at 50 mm/s, its limit, with 1 N on a tendon, and stops 2 mm deep in foam",
         keys: &[],
         voxel_mm: 0.5,
         density_kg_per_m3: |p| if p.z > 12e-3 { FOAM } else { 0.0 },

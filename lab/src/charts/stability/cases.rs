@@ -12,39 +12,41 @@ use crate::charts::method::{Drive, Method, Tool};
 const TUNNEL_M: f64 = 3.3e-3;
 /// Play of the burr to each side in another tool's tunnel, m.
 const PLAY_M: f64 = 50e-6;
-/// How another tool comes to rest under its pull, for the place of its wall.
+/// Steps in which another tool comes to rest under its pull, to place its wall.
 const SETTLING_STEPS: usize = 4000;
 const SETTLING_STEP_S: f64 = 0.25e-3;
 /// Distance of the straight tool's burr centre from the flange, m.
 const REACH_M: f64 = 0.071_470_28;
-/// Euler's buckling load of the tool clamped at its base, N: the smallest axial load at the burr that the flexures
-/// cannot resist.
+/// Euler's buckling load of the tool clamped at its base, N: the smallest axial load at the burr that the
+/// flexures cannot resist.
 const EULER_N: f64 = 1.306;
-/// Axial loads as multiples of Euler's load: one that buckles the tool to 100 degrees, and one that folds it back on
-/// itself.
+/// Axial loads as multiples of Euler's load: one that buckles the tool to 100 degrees, and one that folds it
+/// back on itself.
 const BUCKLING: [f64; 2] = [1.5, 2.3];
-/// Transverse fraction of these loads: 0.4 degrees. No real push is better aligned, and without it the straight shape
-/// would be a solution too.
+/// Transverse fraction of these loads: 0.4 degrees. No real push is better aligned, and without it the
+/// straight shape would also be a solution.
 const ACROSS: f64 = 1.0 / 150.0;
 
-/// A pull on tendon 0, N, or of a tool without tendons a force across its burr, N.
+/// A pull on tendon 0, N, or for a tool without tendons a force across its burr, N.
 #[derive(Debug, Clone, Copy)]
 pub struct Pull {
     tension_n: f64,
     across_n: f64,
 }
 
-/// What of the cases depends on the tool.
+/// Tool-dependent parameters of the cases.
 #[derive(Debug, Clone, Copy)]
 pub struct Setup {
     /// Euler's buckling load of the tool clamped at its base, N.
     pub euler_n: f64,
-    /// Pull of the tension step, of the cases with walls, and while the base moves (there for the tool's own stiffness).
+    /// Pull of the tension step, of the cases with walls, and while the base moves (the last one for the
+    /// tool's own stiffness).
     step: Pull,
     press: Pull,
     moved: Pull,
-    /// Surfaces of the walls, initial base frame, m: beside the axis in the bending plane, those of the tunnel, in front of the burr
-    /// (corner), beside it across the plane (corner), and in front of it (moved base).
+    /// Positions of the walls in the initial base frame, m: to the side of the axis in the bending plane,
+    /// those of the tunnel, in front of the burr (corner), to its side across the plane (corner), and in
+    /// front of it (moved base).
     side_m: f64,
     tunnel_m: [f64; 2],
     corner_front_m: f64,
@@ -53,7 +55,7 @@ pub struct Setup {
 }
 
 impl Setup {
-    /// Of the scenes' tool.
+    /// Setup of the scenes' tool.
     pub const STANDARD: Setup = Setup {
         euler_n: EULER_N,
         step: Pull { tension_n: 30.0, across_n: 0.0 },
@@ -66,8 +68,9 @@ impl Setup {
         front_m: REACH_M + 5e-3,
     };
 
-    /// The same about another tool: a wall stands half way of what the pull does in free space, a tunnel is 50 µm wider on each side than
-    /// the burr at rest. A tool without tendons is pressed by a tenth of Euler's load across its burr.
+    /// Returns the setup for another tool: a wall is at half the distance that the pull achieves in free
+    /// space; a tunnel is 50 µm wider on each side than the burr at rest. A tool without tendons is pressed
+    /// by a tenth of Euler's load across its burr.
     ///
     /// # Errors
     /// Invalid parameters.
@@ -102,7 +105,7 @@ impl Setup {
     }
 }
 
-/// What happens to the tool.
+/// A hard case.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Case {
     /// Tension from 0 to 30 N at once.
@@ -125,19 +128,19 @@ pub enum Case {
     FarBuckling,
 }
 
-/// How a run ended.
+/// Final state of a run.
 #[derive(Debug, Clone, Copy)]
 pub struct Ending {
     /// Burr centre in the initial base frame, m.
     pub tip_m: Vector3<f64>,
     /// Whether the tool was lost.
     pub lost: bool,
-    /// Whether energy grew over the last fifth, when nothing changes any more.
+    /// Whether energy grew over the last fifth, in which nothing changes any more.
     pub energy_grew: bool,
 }
 
 impl Case {
-    /// All cases; the last one is beyond what a large step is claimed to handle ([`Case::is_claimed`]).
+    /// All cases; the last one is beyond what is claimed for a large step ([`Case::is_claimed`]).
     pub const ALL: [Case; 9] = [
         Case::TensionStep,
         Case::StiffWall,
@@ -150,9 +153,10 @@ impl Case {
         Case::FarBuckling,
     ];
 
-    /// Whether our methods are claimed to be right at every step size. A dead load on the burr enters a step with the
-    /// shape at the step's start, so the operator lacks the load's contribution to the stiffness. Above twice Euler's
-    /// load, a step too long for inertia to limit it oscillates between two shapes.
+    /// Whether our methods are claimed to be correct at every step size. A dead load on the burr enters a
+    /// step with the shape at the step's start, so the operator lacks the load's contribution to the
+    /// stiffness. Above twice Euler's load, a step too long for inertia to limit it oscillates between two
+    /// shapes.
     pub fn is_claimed(self) -> bool {
         self != Case::FarBuckling
     }
@@ -172,7 +176,8 @@ impl Case {
         }
     }
 
-    /// Whether the case is defined for a tool: in a straight tunnel a pre-curved one would stand in the wall.
+    /// Whether the case is defined for a tool: in a straight tunnel a pre-curved one would penetrate the
+    /// wall.
     pub fn fits(self, p: &ManipulatorParameters) -> bool {
         self != Case::Tunnel || p.joint_rest_rad.iter().all(|rest| *rest == 0.0)
     }
@@ -195,7 +200,7 @@ impl Case {
         }
     }
 
-    /// Initial base frame in the world.
+    /// Returns the initial base frame in the world.
     fn place(self) -> Isometry3<f64> {
         match self {
             Case::FarAnatomy => Isometry3::from_parts(
@@ -208,7 +213,7 @@ impl Case {
 
     fn seconds(self) -> f64 {
         match self {
-            // Near Euler's load the tool is soft and oscillates for longer.
+            // Near Euler's load the tool is soft and oscillates longer.
             Case::Buckling | Case::FarBuckling => 2.0,
             Case::MovedBase => 0.8,
             _ => 0.5,
@@ -291,7 +296,7 @@ mod tests {
         assert!((load_n - EULER_N).abs() < 1e-3, "{load_n} N");
     }
 
-    /// Of a continuous beam, pi² E I / (4 L²).
+    /// Compared with a continuous beam, pi² E I / (4 L²).
     #[test]
     fn eulers_load_of_a_fine_chain_is_that_of_the_beam() {
         let mut p = ManipulatorParameters::jhu_27();
@@ -303,7 +308,7 @@ mod tests {
         assert!((p.euler_load_n() / law - 1.0).abs() < 1e-4, "{} {law}", p.euler_load_n());
     }
 
-    /// The rules for any tool put the standard tool's walls near where its map has them.
+    /// The rules for any tool put the standard tool's walls close to those of its map.
     #[test]
     fn the_setup_of_the_standard_tool_resembles_that_of_its_map() {
         let (own, map) = (Setup::of(&ManipulatorParameters::jhu_27()).unwrap(), Setup::STANDARD);

@@ -1,4 +1,5 @@
-//! The stability map: one column per case, one row per method; in each block, stiffness across, mass and step down.
+//! The stability map: one column per case, one row per method; in each block, stiffness across, mass and step
+//! size down.
 
 use super::cases::Case;
 use super::{Cell, DT_MS, MASS, STIFFNESS, Verdict};
@@ -20,9 +21,10 @@ const COLOURS: [(Verdict, RGBColor, &str); 3] = [
     (Verdict::Blown, RGBColor(160, 30, 40), "blown up"),
 ];
 const NONE: RGBColor = RGBColor(235, 235, 235);
-/// What the places in a block mean.
+/// Explanation of the positions in a block.
 const INSIDE: [&str; 2] = [
-    "In each block stiffness grows to the right: 1, 10, 100, 1000 times. Downwards three parts: mass 1, 1/10, 1/100;",
+    "In each block stiffness grows to the right: 1, 10, 100, 1000 times. Downwards three parts: mass 1, \
+     1/10, 1/100;",
     "in each part the time step grows downwards: 0.5, 1, 2, 5, 10 ms.",
 ];
 
@@ -73,7 +75,7 @@ fn legend(figure: &mut Figure) {
     }
 }
 
-/// A text in lines of at most this width, where its words allow it.
+/// Splits a text into lines of at most this width, if its words allow it.
 fn wrapped(text: &str, width: f64) -> Vec<String> {
     let mut lines: Vec<String> = Vec::new();
     for word in text.split(' ') {

@@ -46,7 +46,7 @@ const PROGRESS_PERIOD: Duration = Duration::from_secs(5);
 /// Result of a run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Verdict {
-    /// At rest where the converged solution rests.
+    /// At rest at the position of the converged solution.
     Converged,
     /// At rest elsewhere, or not at rest.
     Wrong,
@@ -84,7 +84,7 @@ pub fn run(folder: &Path, effort: Effort) -> Result<(), Failure> {
     refuse_existing(&files)?;
     output_file::create_folder(folder).map_err(Failure::folder(folder))?;
     let end = EndRequest::install()
-        .map_err(|cause| Failure::failed(format!("signals cannot be handled: {cause}")))?;
+        .map_err(|cause| Failure::failed(format!("cannot install signal handlers: {cause}")))?;
     let cells = measure(effort, &end).map_err(|cause| Failure::failed(cause.to_string()))?;
     print_counts(&cells);
     let [png, svg] = figure::draw(&cells)
@@ -119,7 +119,7 @@ fn reference_of(method: Method) -> Method {
     }
 }
 
-/// Within a radian of the first mode, whose frequency scales with the square root of stiffness over mass.
+/// Within one radian of the first mode, whose frequency scales with the square root of stiffness over mass.
 fn reference_dt_ms(stiffness: f64, mass: f64) -> f64 {
     REFERENCE_DT_MS.min(FIRST_MODE_MS / (stiffness / mass).sqrt())
 }
@@ -198,7 +198,8 @@ fn measure(effort: Effort, end: &EndRequest) -> Result<Vec<Cell>, ManipulatorErr
 }
 
 fn verdict(ending: &Ending, off_m: f64) -> Verdict {
-    // The tool is 71 mm long: a tip farther than this from the converged one means that the tool has come apart.
+    // The tool is 71 mm long: a tip farther than this from the converged one means that the tool has come
+    // apart.
     if ending.lost || !off_m.is_finite() || off_m > 0.15 {
         Verdict::Blown
     } else if off_m <= TOLERANCE_M {
@@ -208,7 +209,7 @@ fn verdict(ending: &Ending, off_m: f64) -> Verdict {
     }
 }
 
-/// Prints the claimed cases, and where the unclaimed one is right.
+/// Prints the claimed cases, and where the unclaimed one is correct.
 fn print_counts(cells: &[Cell]) {
     let head = ["method", "converged", "wrong", "blown", "energy grew", "2.3 x Euler's load"];
     say!("{:<20} {:>9} {:>6} {:>6} {:>12}  {}", head[0], head[1], head[2], head[3], head[4], head[5]);
@@ -229,7 +230,7 @@ fn print_counts(cells: &[Cell]) {
     }
 }
 
-/// How many are right, and the step, in radians of the first mode, up to which all are.
+/// Returns how many are correct, and the step, in radians of the first mode, up to which all are.
 fn right_steps(cells: &[&Cell]) -> String {
     let angle = |cell: &Cell| cell.dt_ms / FIRST_MODE_MS * (cell.stiffness / cell.mass).sqrt();
     let right = cells.iter().filter(|cell| cell.verdict == Verdict::Converged).count();

@@ -11,36 +11,36 @@ use crate::random::uniform;
 use crate::reproduce::rig::Block;
 use trabecula::failure::Failure;
 
-/// Keys of the tables of parameters that are drawn, and how probable each is.
+/// Drawn tables of parameters: keys and probability.
 const TABLES: [(&str, &str, f64); 3] =
     [("Manipulator", "manipulator", 0.5), ("Contact", "contact", 0.4), ("Drilling", "drilling", 0.3)];
-/// A range with this quotient of its ends is drawn evenly in its logarithm.
+/// Ranges with at least this ratio of their ends are drawn uniformly in their logarithm.
 const WIDE: f64 = 50.0;
-/// How long the commands last that a scene begins with, s, and how long each holds.
+/// Duration of the commands at the start of a scene, s, and of each command.
 pub const DRIVEN_S: f64 = 0.3;
 const COMMAND_S: f64 = 0.05;
-/// How long the scene then rests under the last command, s.
+/// Time for which the scene then rests under the last command, s.
 pub const REST_S: f64 = 0.2;
 const BONE: f64 = 0.5;
 
-/// A scene, and how it is driven.
+/// A scene, and its commands.
 pub struct Drawn {
     /// The scene.
     pub scene: Scene,
-    /// What it sets.
+    /// Keys set by the scene.
     pub keys: String,
-    /// Tension of each tendon in each interval of [`COMMAND_S`], N; the last holds at rest.
+    /// Tension of each tendon in each interval of [`COMMAND_S`], N; the last one holds at rest.
     tensions_n: Vec<[f64; MAX_TENDONS]>,
     /// Feed of the arm while it is driven, m/s.
     pub feed_m_per_s: f64,
     /// Speed of the burr, rad/s.
     pub burr_speed_rad_per_s: f64,
-    /// The bone, if there is any.
+    /// The bone, if any.
     pub bone: Option<Block>,
 }
 
 impl Drawn {
-    /// The scene of a seed.
+    /// Returns the scene of a seed.
     ///
     /// # Errors
     /// The schema lacks a table that is drawn, or the scene is refused.
@@ -69,7 +69,8 @@ impl Drawn {
         let bone = (uniform(random) < BONE).then(|| block(random));
         let volume = if bone.is_some() { VOLUME } else { "" };
         let text = format!(
-            "name = \"random\"\n[run]\nmode = \"lockstep\"\nduration_s = {:?}\ndt_ms = {dt_ms}\n{volume}{keys}{REST}",
+            "name = \"random\"\n[run]\nmode = \"lockstep\"\nduration_s = {:?}\ndt_ms = \
+             {dt_ms}\n{volume}{keys}{REST}",
             DRIVEN_S + REST_S
         );
         let scene = Scene::parse(&text, Path::new("random.toml"))
@@ -80,33 +81,36 @@ impl Drawn {
         Ok(Drawn { scene, keys, tensions_n, feed_m_per_s, burr_speed_rad_per_s, bone })
     }
 
-    /// Tensions at a time, N.
+    /// Returns the tensions at a time, N.
     pub fn tensions_n(&self, seconds: f64) -> [f64; MAX_TENDONS] {
         let last = self.tensions_n.len() - 1;
         self.tensions_n[((seconds / COMMAND_S) as usize).min(last)]
     }
 
-    /// The greatest of all tensions, N.
+    /// Returns the maximum of all tensions, N.
     pub fn greatest_tension_n(&self) -> f64 {
         self.tensions_n.iter().flatten().copied().fold(0.0, f64::max)
     }
 
-    /// The keys that a scene sets, on one line.
+    /// Returns the keys set by the scene, on one line.
     pub fn line(&self) -> String {
         let keys = self.keys.lines().filter(|line| !line.starts_with('[') && line.contains('='));
         keys.collect::<Vec<_>>().join(", ")
     }
 }
 
-const VOLUME: &str = "[volume]\nphantom = \"block\"\nbone_threshold_hu = -100\n[[predrill]]\nfrom_mm = [0.0, 0.0, -60.0]\n\
+const VOLUME: &str = "[volume]\nphantom = \"block\"\nbone_threshold_hu = -100\n[[predrill]]\nfrom_mm = \
+[0.0, 0.0, -60.0]\n\
                       to_mm = [0.0, 0.0, 0.0]\ndiameter_mm = 8.0\n";
-const REST: &str = "[tool]\nburr_start_mm = [0.0, 0.0, 0.0]\ndirection = [0.0, 0.0, 1.0]\nbend_toward = [1.0, 0.0, 0.0]\n\
-                    [[controller]]\nname = \"driver\"\ndrives = [\"tendon\", \"arm\", \"burr\"]\nexternal = true\n";
+const REST: &str = "[tool]\nburr_start_mm = [0.0, 0.0, 0.0]\ndirection = [0.0, 0.0, 1.0]\nbend_toward = \
+[1.0, 0.0, 0.0]\n\
+                    [[controller]]\nname = \"driver\"\ndrives = [\"tendon\", \"arm\", \"burr\"]\nexternal = \
+                    true\n";
 
-/// Whether a scene may set a key beside those that it already sets.
+/// Whether a scene can set a key in addition to those already set.
 fn may_follow(key: &str, keys: &str) -> bool {
     match key {
-        // Two ways to say the same, of which a scene may use one.
+        // Two alternatives, of which a scene can use only one.
         "edge_pressure_mpa" => !keys.contains("edge_force_n_per_mm"),
         "modes" => keys.contains("model = \"modal\""),
         _ => true,
@@ -117,7 +121,7 @@ fn missing(what: &str) -> Failure {
     Failure::failed(format!("the scene's schema has no `{what}`"))
 }
 
-/// Two antagonists; half of the commands leave the second slack.
+/// Draws tensions of two antagonists; half of the commands leave the second one slack.
 fn draw_tensions(range: &Value, random: &mut u64) -> [f64; MAX_TENDONS] {
     let mut tensions_n = [0.0; MAX_TENDONS];
     for tension in tensions_n.iter_mut().take(2) {
@@ -132,7 +136,7 @@ fn ends(property: &Value) -> Option<[f64; 2]> {
     Some([property["minimum"].as_f64()?, property["maximum"].as_f64()?])
 }
 
-/// Each end of the range in a quarter of the cases.
+/// Draws each end of the range in a quarter of the cases.
 fn draw(low: f64, high: f64, random: &mut u64) -> f64 {
     match uniform(random) {
         u if u < 0.25 => low,
@@ -142,7 +146,8 @@ fn draw(low: f64, high: f64, random: &mut u64) -> f64 {
     }
 }
 
-/// A value of a key as TOML: a number within its range, or one of its words. `None`: a path, a text, a table.
+/// Returns a key's value as TOML: a number within its range, or one of its words. `None` for a path, a text
+/// or a table.
 fn value_of(schema: &Value, property: &Value, random: &mut u64) -> Option<String> {
     if let Some([low, high]) = ends(property) {
         let value = draw(low, high, random);
@@ -164,7 +169,7 @@ fn value_of(schema: &Value, property: &Value, random: &mut u64) -> Option<String
     Some(format!("{word:?}"))
 }
 
-/// A small block round the tool's pilot hole, of one density, with voxels of 0.3 to 2 mm.
+/// Returns a small block around the tool's pilot hole, of one density, with voxels of 0.3 to 2 mm.
 fn block(random: &mut u64) -> Block {
     let voxel_mm = draw(0.3, 2.0, random);
     let density = draw(100.0, 1900.0, random);
@@ -176,7 +181,7 @@ mod tests {
     #![allow(clippy::unwrap_used, reason = "tests")]
     use super::*;
 
-    /// Another tool, by a file or a table: what is drawn are changes of the standard one.
+    /// Another tool, by a file or a table; only changes of the standard tool are drawn.
     const DESCRIBED: [&str; 2] = ["file", "tool"];
 
     #[test]
@@ -185,7 +190,7 @@ mod tests {
         assert!(with_modes > 10, "{with_modes}");
     }
 
-    /// A key of another kind than the generator knows would be left out without a word.
+    /// A key of a kind unknown to the generator would be left out silently.
     #[test]
     fn every_key_of_the_drawn_tables_is_drawn_and_reaches_both_ends() {
         let schema = scene::json_schema();

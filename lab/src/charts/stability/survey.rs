@@ -1,4 +1,5 @@
-//! `trabecula-lab chart stability --random N`: random scenes at the ends of the documented ranges, run in this process and judged.
+//! `trabecula-lab chart stability --random N`: random scenes at the ends of the documented ranges, run in
+//! this process and evaluated.
 
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -14,12 +15,12 @@ use super::watch::{Watch, explained_m_per_s};
 use crate::sheet::Sheet;
 use trabecula::failure::Failure;
 
-/// Greatest speed of the burr that needs no explanation, m/s.
+/// Maximum speed of the burr without an explanation, m/s.
 const FAST_M_PER_S: f64 = 50.0;
-/// Part of the rest that is judged.
+/// Evaluated part of the rest.
 const JUDGED_S: f64 = 0.5 * REST_S;
 
-/// What came of a scene.
+/// Outcome of a scene.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 enum Class {
     /// Ran to its end, at rest or moving smoothly.
@@ -32,9 +33,9 @@ enum Class {
     Failed,
     /// A published number is not finite.
     NotFinite,
-    /// The burr was faster than the tendons' work explains.
+    /// The burr was faster than the tendons' work can explain.
     Fast,
-    /// It moves to and fro at rest.
+    /// It oscillates at rest.
     Chatter,
 }
 
@@ -52,13 +53,13 @@ impl Class {
     }
 }
 
-/// What was seen of a scene.
+/// Observations of a scene.
 struct Seen {
     class: Class,
     what: String,
 }
 
-/// A scene, what was seen of it, and whether `scene check` says beforehand that nothing is claimed for it.
+/// A scene, its observations, and whether `scene check` warns that nothing is claimed for it.
 struct Judged {
     seed: u64,
     drawn: Drawn,
@@ -66,15 +67,16 @@ struct Judged {
     warned: bool,
 }
 
-/// How many scenes of a class there are, and how many of them `scene check` warns of.
+/// Number of scenes of a class, and how many of them `scene check` warns about.
 #[derive(Default)]
 struct Count {
     all: usize,
     warned: usize,
 }
 
-/// Runs `count` scenes from `seed` on; prints each that is not sound, and the counts. Returns how many are not finite, fail with another error
-/// than a lost tool, or are lost, chatter or are fast without a cause and without a warning.
+/// Runs `count` scenes from `seed` on; prints each unsound one, and the counts. Returns the number that are
+/// not finite, fail with an error other than a lost tool, or are lost, chatter or are fast without a cause
+/// and without a warning.
 ///
 /// # Errors
 /// A scene cannot be drawn.
@@ -105,7 +107,7 @@ pub fn run(count: u64, seed: u64, sheet: &mut Sheet) -> Result<usize, Failure> {
     }
     let counted: Vec<String> = counts
         .iter()
-        .map(|(class, Count { all, warned })| format!("{all} {} ({warned} warned of)", class.name()))
+        .map(|(class, Count { all, warned })| format!("{all} {} ({warned} with a warning)", class.name()))
         .collect();
     sheet.line(&format!("{count} scenes: {}", counted.join(", ")));
     for (class, Count { all, warned }) in &counts {
@@ -114,7 +116,7 @@ pub fn run(count: u64, seed: u64, sheet: &mut Sheet) -> Result<usize, Failure> {
     Ok(counts.iter().map(|(class, count)| wrong(*class, count)).sum())
 }
 
-/// What is not claimed may be lost or shake, as long as somebody says so beforehand.
+/// Returns the number of unacceptable scenes: a warning excuses a lost solution, chatter or too fast a burr.
 fn wrong(class: Class, count: &Count) -> usize {
     match class {
         Class::Sound | Class::Refused => 0,
@@ -123,7 +125,7 @@ fn wrong(class: Class, count: &Count) -> usize {
     }
 }
 
-/// Warnings about where the tool starts say nothing about what becomes of it, but for a hole that is too thin for it.
+/// Warnings about the tool's start do not predict its motion, except for a hole that is too thin for it.
 fn is_warned_of(drawn: &Drawn) -> bool {
     let ct = drawn.bone.as_ref().map(|block| CtView { geometry: block.geometry, hu: &block.hu });
     let found = findings(&drawn.scene, ct, &|_| true).unwrap_or_default();
@@ -185,6 +187,6 @@ fn verdict(watch: &Watch, drawn: &Drawn) -> Seen {
     }
     watch.chatter().map_or(Seen { class: Class::Sound, what: String::new() }, |chatter| {
         let (um, percent) = (chatter.to_and_fro_m * 1e6, chatter.turned_back * 100.0);
-        Seen { class: Class::Chatter, what: format!("{um:.0} um a tick, {percent:.0} % turn back") }
+        Seen { class: Class::Chatter, what: format!("{um:.0} um per tick, {percent:.0} % turn back") }
     })
 }

@@ -1,4 +1,4 @@
-//! `trabecula-lab chart stability --tools`: the map's cases with other tools, as their files describe them.
+//! `trabecula-lab chart stability --tools`: the map's cases with other tools, as described by their files.
 
 use std::path::PathBuf;
 
@@ -18,7 +18,7 @@ use crate::effort::Effort;
 use crate::sheet::Sheet;
 use crate::tools::{NamedTool, tools};
 
-/// What became of a tool at a step size.
+/// Result of a tool at a step size.
 #[derive(Debug, Clone, Copy)]
 struct Run {
     case: Case,
@@ -28,7 +28,7 @@ struct Run {
     energy_grew: bool,
 }
 
-/// A tool by one of our methods.
+/// A tool with one of our methods.
 struct Row {
     tool: String,
     method: Method,
@@ -67,7 +67,8 @@ impl Row {
             .iter()
             .map(|run| {
                 json!({
-                    "case": run.case.key(), "dt_ms": run.dt_ms, "verdict": format!("{:?}", run.verdict).to_lowercase(),
+                    "case": run.case.key(), "dt_ms": run.dt_ms,
+                    "verdict": format!("{:?}", run.verdict).to_lowercase(),
                     "off_mm": run.off_m * 1e3, "energy_grew": run.energy_grew,
                 })
             })
@@ -79,10 +80,11 @@ impl Row {
     }
 }
 
-/// Runs the cases with the tools of the files, or the shipped ones, and prints how many end right, and which do not.
+/// Runs the cases with the tools of the files, or the shipped ones; prints how many end correctly, and which
+/// do not.
 ///
 /// # Errors
-/// A file that is no tool (2).
+/// A file that is not a tool (2).
 pub fn run(files: &[PathBuf], effort: Effort, sheet: &mut Sheet) -> Result<(), Failure> {
     let steps = if effort == Effort::Quick { vec![DT_MS[0], DT_MS[4]] } else { DT_MS.to_vec() };
     let tools = tools(files)?;
@@ -142,7 +144,8 @@ fn row(
     Ok(row)
 }
 
-/// The tool as it is, but frictionless on its walls and damped as in the map, so that it comes to rest in one place within a run.
+/// Returns the tool unchanged, but frictionless on its walls and damped as in the map, so that it comes to
+/// rest in one position within a run.
 fn quiet(parameters: &ManipulatorParameters) -> ManipulatorParameters {
     let mut p = parameters.clone();
     p.damping_ratio = p.damping_ratio.max(0.1);
@@ -150,7 +153,7 @@ fn quiet(parameters: &ManipulatorParameters) -> ManipulatorParameters {
     p
 }
 
-/// Within a radian of the tool's first mode.
+/// Within one radian of the tool's first mode.
 fn reference_dt_ms(p: &ManipulatorParameters) -> Result<f64, ManipulatorError> {
     let base = BaseMotion::at_rest(Isometry3::identity());
     let mut p = p.clone();

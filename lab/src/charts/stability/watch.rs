@@ -1,25 +1,26 @@
-//! What is watched of a run in this process: speeds, numbers that are not finite, chatter at rest.
+//! Observations of a run in this process: speeds, non-finite numbers, chatter at rest.
 
 use ipc_types::messages::State;
 use nalgebra::Vector3;
 
-/// Greatest motion to and fro at rest, m a tick.
+/// Maximum oscillation at rest, m per tick.
 const CHATTER_M: f64 = 10e-6;
-/// Share of the ticks at rest that turn back, from which on a motion is chatter and no swing.
+/// Fraction of the ticks at rest with a reversal above which a motion is chatter rather than a swing.
 const TURNS_BACK: f64 = 0.25;
-/// Displacement that bounds the work of a tendon: a channel 2.5 mm off the axis and 27 flexures at 5 degrees, with a margin of two, m.
+/// Displacement that bounds the work of a tendon: a channel 2.5 mm off the axis and 27 flexures at 5 degrees,
+/// with a safety factor of two, m.
 const TAKE_UP_M: f64 = 12e-3;
 
-/// Motion to and fro at rest.
+/// Oscillation at rest.
 #[derive(Debug, Clone, Copy)]
 pub struct Chatter {
-    /// Way beyond the net way, m a tick.
+    /// Path length beyond the net displacement, m per tick.
     pub to_and_fro_m: f64,
-    /// Share of the ticks that turn back.
+    /// Fraction of the ticks with a reversal.
     pub turned_back: f64,
 }
 
-/// What is watched of a run.
+/// Observations of a run.
 #[derive(Debug, Default)]
 pub struct Watch {
     last: Option<Vector3<f64>>,
@@ -28,14 +29,14 @@ pub struct Watch {
     walked_m: f64,
     turned_back: u64,
     ticks: u64,
-    /// Greatest speed of the burr from tick to tick.
+    /// Maximum speed of the burr from tick to tick.
     pub fastest_m_per_s: f64,
-    /// The first tick with a published number that is not finite.
+    /// The first tick with a non-finite published number.
     pub not_finite: Option<u64>,
 }
 
 impl Watch {
-    /// Looks at the state after a tick; chatter is judged by those at rest.
+    /// Observes the state after a tick; chatter is evaluated on those at rest.
     pub fn look(&mut self, state: &State, is_at_rest: bool) {
         if !is_finite(state) {
             self.not_finite.get_or_insert(state.tick);
@@ -53,7 +54,7 @@ impl Watch {
         (self.last, self.moved) = (Some(burr), moved);
     }
 
-    /// Chatter at rest, if there was any.
+    /// Returns the chatter at rest, if any.
     pub fn chatter(&self) -> Option<Chatter> {
         let net_m = self.start.zip(self.last).map_or(0.0, |(start, last)| (last - start).norm());
         let to_and_fro_m = (self.walked_m - net_m) / self.ticks.max(1) as f64;
@@ -63,7 +64,7 @@ impl Watch {
     }
 }
 
-/// The speed at which the burr alone would carry all the work that a tendon's greatest tension can do.
+/// Returns the speed at which the burr alone would carry all the work of a tendon's maximum tension.
 pub fn explained_m_per_s(greatest_tension_n: f64, mass_scale: f64) -> f64 {
     let burr_kg = simulation::manipulator::ManipulatorParameters::jhu_27().burr_mass_kg * mass_scale;
     (2.0 * greatest_tension_n * TAKE_UP_M / burr_kg).sqrt()

@@ -1,4 +1,4 @@
-//! What of u_k is a controller's: a latch kept beside the hub's.
+//! A controller's part of u_k: a latch kept in parallel to the hub's.
 
 use hub::Incoming;
 use hub::rate_limit::Connection;
@@ -9,7 +9,7 @@ use super::Oracle;
 use crate::actors::Form;
 use crate::plan::MS;
 
-/// What is known of a controller.
+/// State of one controller.
 #[derive(Debug, Default)]
 pub(super) struct Slot {
     connection: Option<Connection>,
@@ -21,7 +21,7 @@ pub(super) struct Slot {
 }
 
 impl Oracle {
-    /// The hub takes a command.
+    /// Records that the hub takes a command.
     pub fn command(&mut self, index: ControllerIndex, incoming: &Incoming<Command>, form: Form) {
         let Incoming::Message(command, connection) = incoming else {
             self.refused += 1;
@@ -43,7 +43,7 @@ impl Oracle {
         (slot.newest, slot.fresh, slot.released) = (Some(*command), true, false);
     }
 
-    /// What of u_k is a controller's.
+    /// Checks a controller's part of u_k.
     pub(super) fn check_latched(&mut self, index: ControllerIndex, latched: &Latched, now_ns: u64) {
         let (tick, entry) = (latched.tick, latched.commands[index.slot()]);
         let said = entry.source();
@@ -58,7 +58,7 @@ impl Oracle {
         let (fresh, released) = (std::mem::take(&mut slot.fresh), slot.released);
         let Some(command) = slot.newest else {
             expect!(self, said == Ok(CommandSource::None) && (optional || !lockstep), {
-                format!("tick {tick}, controller {index}: {entry:?} though it never commanded")
+                format!("tick {tick}, controller {index}: {entry:?} though it has sent no command")
             });
             return;
         };
@@ -71,14 +71,15 @@ impl Oracle {
         };
         if lockstep && !released {
             expect!(self, fresh && age == 0, {
-                format!("tick {tick}, controller {index}: lockstep made it without an answer to x_{tick}")
+                format!("tick {tick}, controller {index}: lockstep ran it without an answer to x_{tick}")
             });
         }
         let expected = if late { safe(&command, &self.drives[index.slot()]) } else { command };
         let right = said == Ok(source) && entry.age_ticks == age && entry.command == expected;
         expect!(self, right, {
             format!(
-                "tick {tick}, controller {index}: source {}, age {}, sequence {}; expected {source:?}, {age}, {}",
+                "tick {tick}, controller {index}: source {}, age {}, sequence {}; expected {source:?}, \
+                 {age}, {}",
                 entry.source, entry.age_ticks, entry.command.sequence, expected.sequence
             )
         });
@@ -90,7 +91,8 @@ impl Oracle {
     }
 }
 
-/// Burr off, arm and tube stopped, tension as it is; of these, what the controller drives.
+/// Returns the safe command: burr off, arm and tube stopped, tension as it is; only for the parts that the
+/// controller drives.
 fn safe(last: &Command, drives: &[Drives]) -> Command {
     let mut safe = Command { sequence: last.sequence, state_tick: last.state_tick, ..Command::zeroed() };
     if drives.contains(&Drives::Burr) {

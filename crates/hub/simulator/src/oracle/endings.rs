@@ -1,4 +1,4 @@
-//! Every ending has a reason.
+//! Rules for the end of a run: every ending has a reason.
 
 use hub::{ControllerFault, HubError};
 use messages::{Blame, EventCode, Part};
@@ -7,18 +7,19 @@ use scene::Mode;
 use super::Oracle;
 use crate::plan::MS;
 
-/// From the request to end to the end, in time that the hub was not stopped: consumers may take half a second.
+/// Longest time from the request to end to the end, without the time that the hub was stopped: consumers may
+/// take half a second.
 const END_LIMIT_NS: u64 = 700 * MS;
 
 impl Oracle {
-    /// The hub says that the run is over.
+    /// Checks that the end reported by the hub is justified.
     pub fn ended(&mut self, now_ns: u64) {
         expect!(self, self.ended, "over without the phase `ended`".to_owned());
         let reason = self.tick == self.plan.tick_count || self.stopped || self.end_ns.is_some();
         expect!(self, reason, format!("over at tick {} without a reason", self.tick));
         if let Some(end_ns) = self.end_ns {
             let after_ns = now_ns.saturating_sub(end_ns + self.stopped_ns);
-            expect!(self, after_ns < END_LIMIT_NS, format!("over {after_ns} ns after it was to end"));
+            expect!(self, after_ns < END_LIMIT_NS, format!("over {after_ns} ns after the request to end"));
             return;
         }
         for (part, here) in
@@ -26,12 +27,12 @@ impl Oracle {
         {
             let taken = self.taken(part);
             expect!(self, !here || taken == Some(self.tick), {
-                format!("over at tick {}, of which {part} has taken {taken:?}", self.tick)
+                format!("over at tick {}, but {part} has taken {taken:?}", self.tick)
             });
         }
     }
 
-    /// The run ends early.
+    /// Checks that an early end has a reason.
     pub fn failed(&mut self, cause: &HubError<String, String>, now_ns: u64) {
         let lockstep = self.plan.mode == Mode::Lockstep;
         let justified = match cause {
@@ -65,10 +66,7 @@ impl Oracle {
             let taken = self.taken(Part::Recorder);
             let is_whole = self.plan.recorder_ns.is_none() || taken == Some(self.tick);
             expect!(self, is_whole || self.has_waited(2_000 * MS, now_ns), {
-                format!(
-                    "failed at tick {}, of which the recorder has taken {taken:?}, at: {cause}",
-                    self.tick
-                )
+                format!("failed at tick {}, but the recorder has taken {taken:?}; cause: {cause}", self.tick)
             });
         }
         let reason = match cause {
@@ -79,14 +77,14 @@ impl Oracle {
         let told = (self.ended, self.blamed, self.told);
         expect!(self, told == (reason.is_some(), reason, reason), {
             format!(
-                "the phase `ended`, the reason left and the event that tells it are {told:?}, at: {cause}"
+                "the phase `ended`, the stored reason and the code of the event are {told:?}; cause: {cause}"
             )
         });
     }
 
-    /// The hub leaves a reason, which must be there before the end is told.
+    /// Records that the hub stores a reason, which must happen before the end is announced.
     pub fn blame(&mut self, blame: &Blame) {
-        expect!(self, !self.ended, "a reason behind the end".to_owned());
+        expect!(self, !self.ended, "a reason after the end".to_owned());
         self.blamed = Some(blame.code);
     }
 }

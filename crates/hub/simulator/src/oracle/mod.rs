@@ -1,5 +1,5 @@
-//! What must hold whatever happens: an account of the run that is kept beside the hub, from what passes between it and its
-//! surroundings alone.
+//! Invariants of every schedule: a model of the run kept in parallel to the hub, using only what passes
+//! between the hub and its surroundings.
 
 use hub::rate_limit::Connection;
 use hub::{Incoming, Note, Report, Start};
@@ -13,14 +13,14 @@ use crate::plan::{MS, Plan};
 use crate::plant::{ChainPlant, INVALID_FROM, UNCUT, UNCUT_TICKS};
 use controllers::Slot;
 
-/// Requests of one connection that are answered within [`RATION_NS`]; more may be passed over.
+/// Requests of one connection that are answered within [`RATION_NS`]; further ones may be ignored.
 const RATION: usize = 64;
 const RATION_NS: u64 = 11 * MS;
-/// Warnings of one kind in any tenth of a second: twice the limit, since two of its periods may touch.
+/// Warnings of one kind in any tenth of a second: twice the limit, because two of its periods may adjoin.
 const WARNINGS: usize = 34;
 const PERIOD_NS: u64 = MS;
 
-/// Notes what does not hold; the text is made only then.
+/// Records a violated rule; the text is created only then.
 macro_rules! expect {
     ($oracle:ident, $holds:expr, $what:expr) => {
         if !$holds {
@@ -30,33 +30,34 @@ macro_rules! expect {
     };
 }
 
-// Behind the macro, which they use.
+// After the macro, which they use.
 mod controllers;
 mod endings;
 pub mod seen_frames;
 pub mod viewer;
 pub mod x_ray;
 
-/// The account.
+/// Model of the run.
 #[derive(Debug, Default)]
 pub struct Oracle {
     plan: Plan,
     drives: Vec<Vec<Drives>>,
-    /// The first thing that did not hold.
+    /// The first violated rule.
     pub failure: Option<String>,
-    /// Steps with what is published: what a replay of the log would do.
+    /// Steps with what is published, as a replay of the log would.
     shadow: ChainPlant,
-    /// Of the newest state.
+    /// Tick of the newest state.
     pub tick: u64,
     shown: bool,
-    /// u_k is out and x_{k+1} is not.
+    /// u_k has been published, but x_{k+1} has not.
     latched: Option<bool>,
     removed_messages: u64,
     removed_in_tick: Option<usize>,
     readings_in_tick: usize,
-    /// Events that say a capacity was reached.
+    /// Events that report a reached capacity.
     capacity_notes: u32,
-    /// Events that say the model is not valid, those that were due, and whether none was since the start or a reset.
+    /// Events that report an invalid model, those that were due, and whether none was sent since the start or
+    /// a reset.
     invalid_notes: u64,
     invalid_due: u64,
     invalid_untold: bool,
@@ -64,21 +65,21 @@ pub struct Oracle {
     keyframe_of_tick: bool,
     controllers: Vec<Slot>,
     taken: Vec<(Part, u64)>,
-    /// Paused, with the steps that are left.
+    /// Paused, with the remaining steps.
     pub paused: bool,
     steps_left: u64,
     reset_asked: bool,
     stopped: bool,
-    /// Taken and not answered yet, with the time when it was taken.
+    /// Taken but not answered yet, with the time when it was taken.
     request: Option<(RunControl, Connection, u64)>,
     answered: Vec<(Connection, u64)>,
     refused: u64,
     plant_refused: bool,
     /// The plant cannot compute the tick whose commands were published last.
     plant_fails: bool,
-    /// The reason that the hub left for whoever hears of the end.
+    /// The reason that the hub stored for clients that see the end.
     blamed: Option<EventCode>,
-    /// The last event that says that the run ends.
+    /// The last event that reports that the run ends.
     told: Option<EventCode>,
     missed: u64,
     deadline_ns: Option<u64>,
@@ -88,13 +89,13 @@ pub struct Oracle {
     ticks_after_end: u64,
     /// How long the hub was stopped since the request to end.
     stopped_ns: u64,
-    /// Stops since the newest state, and how long they were together.
+    /// Number of stops since the newest state, and their total length.
     stops: (u64, u64),
     ended: bool,
     warnings_ns: Vec<u64>,
 }
 
-/// What the next tick does to the plant.
+/// The effect of the next tick on the plant.
 #[derive(Debug, Clone, Copy)]
 pub struct PlantPlan {
     /// It refuses part of the commands.
@@ -104,7 +105,7 @@ pub struct PlantPlan {
 }
 
 impl Oracle {
-    /// Of a plan whose controllers drive these parts.
+    /// Creates the model of a plan whose controllers drive these parts.
     pub fn new(plan: &Plan, drives: &[Vec<Drives>], now_ns: u64) -> Oracle {
         Oracle {
             plan: plan.clone(),
@@ -117,12 +118,12 @@ impl Oracle {
         }
     }
 
-    /// Notes that something does not hold; the first one counts.
+    /// Records a violated rule; the first one counts.
     pub fn fail(&mut self, what: String) {
         self.failure.get_or_insert(what);
     }
 
-    /// The hub takes a request to run control.
+    /// Records that the hub takes a request to run control.
     pub fn request(&mut self, incoming: &Incoming<RunControl>, now_ns: u64) {
         self.passed_over();
         if let Incoming::Message(request, connection) = incoming {
@@ -130,7 +131,8 @@ impl Oracle {
         }
     }
 
-    /// A request that was not answered before anything else happened was beyond the share of its sender.
+    /// Handles a request that was not answered before anything else happened: it was beyond its sender's rate
+    /// limit.
     pub fn passed_over(&mut self) {
         let Some((request, connection, asked_ns)) = self.request.take() else { return };
         let recent =
@@ -144,10 +146,10 @@ impl Oracle {
         });
     }
 
-    /// The hub answers a request.
+    /// Records that the hub answers a request.
     pub fn reply(&mut self, reply: &RunControlReply, now_ns: u64) {
         let Some((request, connection, _)) = self.request.take() else {
-            return self.fail(format!("reply to {}, which nobody asked", reply.request_id));
+            return self.fail(format!("reply to {}, which was not requested", reply.request_id));
         };
         self.answered.push((connection, now_ns));
         let mut status = ControlStatus::Done;
@@ -168,7 +170,7 @@ impl Oracle {
         expect!(self, *reply == expected, format!("{reply:?}, expected {expected:?}"));
     }
 
-    /// The hub takes a report.
+    /// Records that the hub takes a report.
     pub fn report(&mut self, report: Report) {
         match self.taken.iter_mut().find(|(part, _)| *part == report.part) {
             Some((_, tick)) => *tick = report.tick.0,
@@ -180,12 +182,12 @@ impl Oracle {
         self.taken.iter().find(|(other, _)| *other == part).map(|(_, tick)| *tick)
     }
 
-    /// The process is asked to end.
+    /// Records that the process is asked to end.
     pub fn end_requested(&mut self, now_ns: u64) {
         self.end_ns.get_or_insert(now_ns);
     }
 
-    /// The hub's process is stopped for a while.
+    /// Records that the hub's process is stopped for a while.
     pub fn stopped(&mut self, for_ns: u64) {
         if for_ns == 0 {
             return;
@@ -197,25 +199,30 @@ impl Oracle {
         self.stops.1 += for_ns;
     }
 
-    /// Whether the hub has waited for this long since the newest state. Of each stop it may count half of the limit, and no more.
+    /// Returns whether the hub has waited for this long since the newest state. It may count up to half of
+    /// the limit for each stop.
     fn has_waited(&self, limit_ns: u64, now_ns: u64) -> bool {
         let (count, stopped_ns) = self.stops;
         (now_ns - self.state_ns).saturating_sub(stopped_ns) + count * limit_ns / 2 >= limit_ns
     }
 
-    /// The hub publishes u_k.
+    /// Records that the hub publishes u_k.
     pub fn latch(&mut self, latched: &Latched, plant: PlantPlan, now_ns: u64) {
         self.passed_over();
-        expect!(self, self.shown && self.latched.is_none() && !self.ended, "u_k out of its place".to_owned());
+        expect!(
+            self,
+            self.shown && self.latched.is_none() && !self.ended,
+            "u_k published out of order".to_owned()
+        );
         let tick = latched.tick;
-        expect!(self, tick == self.tick, format!("u_{tick} behind x_{}", self.tick));
+        expect!(self, tick == self.tick, format!("u_{tick} after x_{}", self.tick));
         expect!(self, tick < self.plan.tick_count, format!("tick {tick} beyond the run's end"));
         expect!(self, !self.stopped, format!("tick {tick} of a run that was stopped"));
         let rests = self.paused && self.steps_left == 0;
-        expect!(self, !rests, format!("tick {tick} of a run that rests"));
+        expect!(self, !rests, format!("tick {tick} of a paused run"));
         self.steps_left = self.steps_left.saturating_sub(1);
         if self.paused {
-            // It may rest behind this tick, and rest ends with a new schedule.
+            // The run may pause after this tick, and a pause ends with a new schedule.
             self.deadline_ns = None;
         }
         if self.end_ns.is_some() {
@@ -235,7 +242,7 @@ impl Oracle {
         }
     }
 
-    /// No consumer is left further behind than its queue holds.
+    /// Checks that no consumer is left further behind than its queue holds.
     fn check_lead(&mut self, tick: u64) {
         let (lead, parts): (u64, &[Part]) = match self.plan.mode {
             Mode::Lockstep => (self.plan.lead_ticks, &[Part::Drr, Part::Recorder]),
@@ -249,22 +256,22 @@ impl Oracle {
             };
             let taken = self.taken(*part);
             expect!(self, !here || taken.is_some_and(|taken| taken + lead >= tick), {
-                format!("tick {tick}: {part} has taken {taken:?}, and the hub may lead by {lead}")
+                format!("tick {tick}: {part} has taken {taken:?}, with a permitted lead of {lead}")
             });
         }
     }
 
-    /// The hub publishes removed voxels.
+    /// Records that the hub publishes removed voxels.
     pub fn removed(&mut self, removed: &Removed, voxels: &[u32]) {
         self.removed_messages += 1;
         let (sequence, expected) = (removed.sequence, self.removed_messages);
         expect!(self, sequence == expected, format!("removed message {sequence}, expected {expected}"));
         if !self.shown {
-            expect!(self, removed.tick == 0, "holes of the start after it".to_owned());
+            expect!(self, removed.tick == 0, "predrilled voxels after the start".to_owned());
             return;
         }
         let Some(reset) = self.latched else {
-            return self.fail(format!("voxels of tick {} behind its state", removed.tick));
+            return self.fail(format!("voxels of tick {} after its state", removed.tick));
         };
         let all = self.shadow.removed();
         let before = self.removed_in_tick.unwrap_or(0);
@@ -279,23 +286,27 @@ impl Oracle {
         expect!(self, right, format!("{removed:?} is not what the tick removed"));
     }
 
-    /// The hub publishes a reading.
+    /// Records that the hub publishes a reading.
     pub fn reading(&mut self, reading: &SensorReading) {
         let right =
             self.latched.is_some() && self.shadow.readings().get(self.readings_in_tick) == Some(reading);
-        expect!(self, right, format!("reading {} out of its place", reading.sequence));
+        expect!(self, right, format!("reading {} published out of order", reading.sequence));
         self.readings_in_tick += 1;
     }
 
-    /// The hub publishes x_k.
+    /// Records that the hub publishes x_k.
     pub fn state(&mut self, state: &State, now_ns: u64) {
         if !self.shown {
             let predrilled = self.shadow.predrilled().len();
             let messages = predrilled.div_ceil(messages::services::MAX_REMOVED_PER_MESSAGE) as u64;
             let consumers = self.plan.drr_ns.iter().chain(&self.plan.recorder_ns).count();
             let (holes, here) = (self.removed_messages, self.taken.len());
-            expect!(self, holes == messages, format!("{holes} messages of holes, expected {messages}"));
-            expect!(self, here == consumers, "x_0 before every consumer was there".to_owned());
+            expect!(
+                self,
+                holes == messages,
+                format!("{holes} messages of predrilled voxels, expected {messages}")
+            );
+            expect!(self, here == consumers, "x_0 before every consumer had connected".to_owned());
             self.shown = true;
         } else {
             let Some(reset) = self.latched.take() else {
@@ -307,19 +318,19 @@ impl Oracle {
             expect!(self, sent == due, format!("tick {tick}: voxels published: {sent:?}, expected {due:?}"));
             self.tick += 1;
             let (notes, notes_due) = (self.invalid_notes, self.invalid_due);
-            expect!(self, notes == notes_due, format!("{notes} notes of the model, expected {notes_due}"));
+            expect!(self, notes == notes_due, format!("{notes} model warnings, expected {notes_due}"));
             let untold = self.invalid_untold || reset;
             self.invalid_untold = untold && self.tick < INVALID_FROM;
             self.invalid_due += u64::from(untold && self.tick >= INVALID_FROM);
         }
-        // The plant lacks memory in two ticks of one second: the first is told.
+        // The plant runs out of memory in two ticks of one second: only the first is reported.
         let told = u32::from(self.tick > UNCUT_TICKS[0] && self.shown);
-        expect!(self, self.capacity_notes == told, format!("{} notes of a capacity", self.capacity_notes));
+        expect!(self, self.capacity_notes == told, format!("{} capacity warnings", self.capacity_notes));
         let (sent, due) = (std::mem::take(&mut self.readings_in_tick), self.shadow.readings().len());
         expect!(self, sent == due, format!("tick {}: {sent} readings published, expected {due}", self.tick));
         let expected = self.shadow.state();
         let right = state.tick == self.tick && state.hash == expected.hash && state.tick == expected.tick;
-        expect!(self, right, format!("x_{} is not what a replay of the log comes to", state.tick));
+        expect!(self, right, format!("x_{} differs from a replay of the log", state.tick));
         (self.state_ns, self.stops) = (now_ns, (0, 0));
     }
 
@@ -328,20 +339,20 @@ impl Oracle {
             && self.plan.keyframe_period_ticks.is_some_and(|period| self.tick.is_multiple_of(period))
     }
 
-    /// The hub publishes a part of a keyframe.
+    /// Records that the hub publishes a part of a keyframe.
     pub fn keyframe(&mut self, keyframe: &Keyframe, part: &[u8]) {
         self.keyframe_parts += 1;
         let due = self.keyframe_is_due();
         let (sequence, expected) = (keyframe.sequence, self.keyframe_parts);
         let placed = self.latched.is_none() && keyframe.tick == self.tick && due && !self.keyframe_of_tick;
-        expect!(self, placed && sequence == expected, format!("{keyframe:?} out of its place"));
+        expect!(self, placed && sequence == expected, format!("{keyframe:?} published out of order"));
         self.keyframe_of_tick = true;
         let mut copy = ChainPlant::default();
         let restored = copy.restore_keyframe(part).is_ok() && copy.state().hash == self.shadow.state().hash;
         expect!(self, restored, format!("the keyframe of tick {} does not restore it", keyframe.tick));
     }
 
-    /// A tick begins in real time.
+    /// Records that a tick begins in real time.
     pub fn tick_begins(&mut self, start_ns: u64, start: Start) {
         let lateness_ns = start.lateness_ns;
         expect!(self, lateness_ns >= 0, format!("tick {} begins {} ns early", self.tick, -lateness_ns));
@@ -358,7 +369,7 @@ impl Oracle {
         self.deadline_ns = Some(if missed { start_ns } else { deadline_ns } + PERIOD_NS);
     }
 
-    /// The hub publishes a tick's timing.
+    /// Records that the hub publishes a tick's timing.
     pub fn timing(&mut self, timing: &TickTiming) {
         let due = self.keyframe_is_due();
         let sent = self.keyframe_of_tick;
@@ -372,30 +383,30 @@ impl Oracle {
         self.refused += u64::from(std::mem::take(&mut self.plant_refused));
     }
 
-    /// The hub says where the run stands.
+    /// Records that the hub publishes the run's status.
     pub fn status(&mut self, status: &RunStatus) {
         let counts = [status.tick, status.missed_ticks, status.refused_commands, status.removed_messages];
         let expected = [self.tick, self.missed, self.refused, self.removed_messages];
         expect!(self, counts == expected, {
             format!("status: ticks, missed, refused, removed messages {counts:?}, expected {expected:?}")
         });
-        expect!(self, !self.ended, "a status behind the last one".to_owned());
+        expect!(self, !self.ended, "a status after the last one".to_owned());
         self.ended = status.phase() == Ok(Phase::Ended);
         if status.phase() == Ok(Phase::Paused) {
-            // Rest ends with a new schedule.
+            // A pause ends with a new schedule.
             self.deadline_ns = None;
         }
     }
 
-    /// The hub sends an event.
+    /// Records that the hub sends an event.
     pub fn event(&mut self, note: &Note<'_>, now_ns: u64) {
         if note.severity == Severity::Error {
             self.told = Some(note.code);
         }
         if note.code == EventCode::CapacityReached {
             self.capacity_notes += 1;
-            let text = format!("no memory for {UNCUT} voxels");
-            expect!(self, note.text.starts_with(&text), format!("an event says `{}`", note.text));
+            let text = format!("out of memory: {UNCUT} voxels");
+            expect!(self, note.text.starts_with(&text), format!("an event reads `{}`", note.text));
         }
         self.invalid_notes += u64::from(note.code == EventCode::ModelNotValid);
         let limited = [EventCode::CommandRefused, EventCode::MessagesLost, EventCode::RequestRefused];

@@ -1,4 +1,4 @@
-//! What must hold of the X-ray frames that controllers see.
+//! Rules for the X-ray frames that controllers see.
 
 use delivery::x_ray::FrameMark;
 use messages::{ControllerIndex, Tick};
@@ -9,21 +9,21 @@ use crate::plan::Plan;
 /// The frames of one connection of a controller.
 #[derive(Debug, Default)]
 struct Seen {
-    /// Those that came into its queue, oldest first.
+    /// Frames that entered its queue, oldest first.
     delivered: Vec<FrameMark>,
-    /// Those of them that the queue has dropped, oldest first.
+    /// Those that the queue has dropped, oldest first.
     dropped: Vec<u64>,
     shown: Vec<FrameMark>,
-    /// Dropped frames that the controller was told of.
+    /// Number of dropped frames reported to the controller.
     told: u64,
 }
 
-/// An account of what controllers see, kept beside [`delivery::x_ray::ControllerFrames`].
+/// A model of what controllers see, kept in parallel to [`delivery::x_ray::ControllerFrames`].
 #[derive(Debug)]
 pub struct SeenFrames {
     mode: Mode,
     period_ticks: Option<u64>,
-    /// The first thing that did not hold.
+    /// The first violated rule.
     pub failure: Option<String>,
     published: Vec<FrameMark>,
     controllers: Vec<Seen>,
@@ -32,7 +32,7 @@ pub struct SeenFrames {
 }
 
 impl SeenFrames {
-    /// Of a plan.
+    /// Creates the model of a plan.
     pub fn new(plan: &Plan) -> SeenFrames {
         SeenFrames {
             mode: plan.mode,
@@ -48,7 +48,7 @@ impl SeenFrames {
         self.failure.get_or_insert(what);
     }
 
-    /// In lockstep the tick of the frame that controllers see at a tick: half a period after its own.
+    /// Returns, in lockstep, the tick of the frame that controllers see at `tick`: half a period earlier.
     pub fn due_at(&self, tick: u64) -> Option<u64> {
         let period = self.period_ticks.filter(|_| self.mode == Mode::Lockstep)?;
         let frame = tick.checked_sub(self.delay_ticks())?;
@@ -59,33 +59,33 @@ impl SeenFrames {
         self.period_ticks.map_or(0, |period| (period / 2).max(1))
     }
 
-    /// The DRR process publishes a frame.
+    /// Records that the DRR process publishes a frame.
     pub fn published(&mut self, frame: FrameMark) {
         let (sequence, expected) = (frame.sequence, self.published.len() as u64 + 1);
         expect!(self, sequence == expected, format!("frame {sequence}, expected {expected}"));
         let last = self.published.last().copied();
         let in_order = last
             .is_none_or(|last| last.tick < frame.tick || (last.tick == frame.tick && frame.request_id != 0));
-        expect!(self, in_order, format!("{frame:?} behind {last:?}"));
+        expect!(self, in_order, format!("{frame:?} after {last:?}"));
         self.published.push(frame);
     }
 
-    /// A controller connects, or connects anew.
+    /// Records that a controller connects or reconnects.
     pub fn joined(&mut self, index: ControllerIndex) {
         self.controllers[index.slot()] = Seen::default();
     }
 
-    /// A frame comes into a controller's queue.
+    /// Records that a frame enters a controller's queue.
     pub fn delivered(&mut self, index: ControllerIndex, frame: FrameMark) {
         self.controllers[index.slot()].delivered.push(frame);
     }
 
-    /// A controller's queue is full, and drops a frame.
+    /// Records that a controller's queue is full and drops a frame.
     pub fn dropped(&mut self, index: ControllerIndex, frame: FrameMark) {
         self.controllers[index.slot()].dropped.push(frame.sequence);
     }
 
-    /// A controller sees a frame before it answers the state of this tick.
+    /// Records that a controller sees a frame before it answers the state of this tick.
     pub fn showed(&mut self, index: ControllerIndex, tick: u64, frame: FrameMark) {
         self.shown += 1;
         let delay_ticks = self.delay_ticks();
@@ -96,7 +96,7 @@ impl SeenFrames {
         expect!(
             self,
             is_there && is_new,
-            format!("tick {tick}, controller {index}: {frame:?} a second time")
+            format!("tick {tick}, controller {index}: {frame:?} shown twice or not delivered")
         );
         let is_due = frame.request_id == 0 && frame.tick.0 + delay_ticks == tick;
         expect!(self, is_due || self.mode == Mode::Realtime, {
@@ -104,7 +104,8 @@ impl SeenFrames {
         });
     }
 
-    /// A controller has seen what it sees before it answers the state of this tick, and is told of `lost` frames.
+    /// Records that a controller has seen its frames before it answers the state of this tick, and that
+    /// `lost` frames were reported to it as lost.
     pub fn answers(&mut self, index: ControllerIndex, tick: u64, lost: u64) {
         let due = self.due_at(tick);
         let published = due.and_then(|due| self.scheduled(due));
@@ -117,7 +118,7 @@ impl SeenFrames {
             return;
         };
         let is_shown = seen.shown.last().is_some_and(|last| last.tick == Tick(due) && last.request_id == 0);
-        // It was there before the controller, or lost.
+        // It was published before the controller connected, or lost.
         let cannot_be = published
             .is_some_and(|frame| !seen.delivered.contains(&frame) || seen.dropped.contains(&frame.sequence));
         expect!(self, is_shown || cannot_be, {
@@ -135,7 +136,7 @@ impl SeenFrames {
         let last = seen.shown.last().map_or(0, |frame| frame.sequence);
         let between = seen.dropped.iter().filter(|sequence| (first..last).contains(*sequence)).count() as u64;
         let (left, told) = (left.copied(), seen.told);
-        expect!(self, left.is_none(), format!("tick {tick}, controller {index}: {left:?} waits unseen"));
+        expect!(self, left.is_none(), format!("tick {tick}, controller {index}: {left:?} left unseen"));
         expect!(self, told == between, format!("controller {index}: {told} frames lost, expected {between}"));
     }
 
@@ -143,12 +144,13 @@ impl SeenFrames {
         self.published.iter().copied().find(|frame| frame.tick == Tick(tick) && frame.request_id == 0)
     }
 
-    /// A controller waits, with nothing in its queue, for the frame that it is to see before it answers the state of this tick.
+    /// Records that a controller waits, with an empty queue, for the frame that it must see before it answers
+    /// the state of this tick.
     pub fn waits(&mut self, index: ControllerIndex, tick: u64) {
         let due = self.due_at(tick);
         let is_out = due.is_some_and(|due| self.scheduled(due).is_some());
         expect!(self, due.is_some() && !is_out, {
-            format!("tick {tick}, controller {index}: waits for the frame of tick {due:?}, which is out")
+            format!("tick {tick}, controller {index}: waits for the frame of tick {due:?}, already published")
         });
     }
 }

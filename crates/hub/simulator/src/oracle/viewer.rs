@@ -1,4 +1,5 @@
-//! What must hold of a viewer's client: what reaches it, in which order, what it is told it missed, and how much waits for it.
+//! Rules for a viewer's client: which messages reach it and in which order, how many missed messages are
+//! reported to it, and how much waits for it.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
@@ -10,7 +11,7 @@ use crate::viewer::{NOTICES, NOTICES_KEPT, STREAMS};
 /// Least time between two reports of dropped messages.
 const TELL_NS: u64 = 500 * MS;
 
-/// A message that is to be delivered: the subscription, its number and its length.
+/// A message due for delivery: its subscription, number and length.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Due {
     subscription: u32,
@@ -18,20 +19,21 @@ struct Due {
     bytes: usize,
 }
 
-/// An account of one client, kept beside [`delivery::viewer::Client`].
+/// A model of one client, kept in parallel to [`delivery::viewer::Client`].
 #[derive(Debug, Default)]
 pub struct WatcherAccount {
-    /// The first thing that did not hold.
+    /// The first violated rule.
     pub failure: Option<String>,
     stream_bytes: usize,
-    /// What is kept for those that subscribe later: number and length by channel and slot.
+    /// Messages kept for late subscribers: number and length by channel and slot.
     kept: BTreeMap<(u32, u32), (u64, usize)>,
     /// Channel by subscription.
     subscriptions: BTreeMap<u32, u32>,
-    /// Messages of streams that wait, and their bytes.
+    /// Waiting messages of streams, and their bytes.
     stream: VecDeque<Due>,
     waiting_bytes: usize,
-    /// The message that is due by subscription and slot, and how many of other slots have been sent while it waits.
+    /// The message that is due by subscription and slot, with the number of messages of other slots sent
+    /// while it waits.
     newest: BTreeMap<(u32, u32), (u64, usize)>,
     slots: BTreeSet<(u32, u32)>,
     /// Number of the last message delivered, by subscription and, where only the newest counts, slot.
@@ -41,7 +43,7 @@ pub struct WatcherAccount {
 }
 
 impl WatcherAccount {
-    /// Of a client whose streams may wait with so many bytes.
+    /// Creates the model of a client whose streams may queue this many bytes.
     pub fn new(stream_bytes: usize) -> WatcherAccount {
         WatcherAccount { stream_bytes, ..WatcherAccount::default() }
     }
@@ -50,17 +52,18 @@ impl WatcherAccount {
         self.failure.get_or_insert(what);
     }
 
-    /// Whether it has a subscription of this number.
+    /// Returns whether it has a subscription of this number.
     pub fn has(&self, subscription: u32) -> bool {
         self.subscriptions.contains_key(&subscription)
     }
 
-    /// Whether a message waits for it.
+    /// Returns whether a message waits for it.
     pub fn has_waiting(&self) -> bool {
         !self.stream.is_empty() || !self.newest.is_empty()
     }
 
-    /// A message is published, and offered to the client if it is connected; `count` says for how many subscriptions.
+    /// Records that a message is published, and offered to the client if it is connected; `count` is the
+    /// number of subscriptions that it was offered to.
     pub fn published(&mut self, message: &Published, count: Option<usize>) {
         let (number, bytes) = (number_of(&message.payload), message.payload.len());
         self.kept.insert((message.channel, message.slot), (number, bytes));
@@ -85,7 +88,7 @@ impl WatcherAccount {
         }
         self.stream.push_back(due);
         self.waiting_bytes += due.bytes;
-        // The oldest go first; the newest of each subscription stays.
+        // The oldest are dropped first; the newest of each subscription stays.
         while self.waiting_bytes > self.stream_bytes
             && let Some(index) = self.oldest_replaced()
         {
@@ -104,7 +107,7 @@ impl WatcherAccount {
         self.stream.iter().enumerate().find(is_replaced).map(|(index, _)| index)
     }
 
-    /// The client has asked for a subscription, which was accepted or not.
+    /// Records that the client has requested a subscription, which was accepted or not.
     pub fn subscribed(&mut self, subscription: u32, channel: u32, accepted: bool) {
         let free = !self.has(subscription);
         expect!(self, accepted == free, format!("subscription {subscription}: accepted is {accepted}"));
@@ -120,7 +123,7 @@ impl WatcherAccount {
         }
     }
 
-    /// The client has ended a subscription.
+    /// Records that the client has ended a subscription.
     pub fn unsubscribed(&mut self, subscription: u32, accepted: bool) {
         let known = self.subscriptions.remove(&subscription).is_some();
         expect!(self, accepted == known, format!("subscription {subscription}: ended is {accepted}"));
@@ -130,7 +133,7 @@ impl WatcherAccount {
         self.delivered.retain(|(of, _), _| *of != subscription);
     }
 
-    /// The client is sent some messages, at most `batch_bytes` of streams and one of the others.
+    /// Records that the client is sent some messages: at most `batch_bytes` of streams and one of the others.
     pub fn delivered(&mut self, messages: &[Outgoing], batch_bytes: usize) {
         let had_newest = !self.newest.is_empty();
         let (mut bytes, mut others) = (0, 0);
@@ -147,7 +150,7 @@ impl WatcherAccount {
         }
         let (left, sent) = (self.stream.len(), usize::from(had_newest));
         expect!(self, left == 0 || bytes >= batch_bytes, format!("{left} messages are held back"));
-        expect!(self, others == sent, format!("{others} messages of the others, expected {sent}"));
+        expect!(self, others == sent, format!("{others} messages of other channels, expected {sent}"));
     }
 
     fn delivered_of_stream(&mut self, message: &Outgoing) {
@@ -174,43 +177,44 @@ impl WatcherAccount {
         self.newest.values_mut().for_each(|(_, waited)| *waited += 1);
         let most = self.slots.len();
         let starved = self.newest.iter().find(|(_, (_, waited))| *waited > most).map(|(key, _)| *key);
-        expect!(self, starved.is_none(), format!("{starved:?} waits behind others for ever"));
+        expect!(self, starved.is_none(), format!("{starved:?} is starved by others"));
     }
 
     fn in_order(&mut self, key: (u32, u32), number: u64) {
         let before = self.delivered.insert(key, number);
         expect!(self, before.is_none_or(|before| before < number), {
-            format!("message {number} of {key:?} behind {before:?}")
+            format!("message {number} of {key:?} after {before:?}")
         });
     }
 
-    /// The client is told how many messages it missed; no time is given at the end.
+    /// Records that the client is sent the number of messages it missed; `now_ns` is `None` at the end.
     pub fn told(&mut self, dropped: u64, now_ns: Option<u64>) {
         let missed = std::mem::take(&mut self.dropped);
-        expect!(self, dropped == missed, format!("told of {dropped} dropped messages, not of {missed}"));
+        expect!(self, dropped == missed, format!("reported {dropped} dropped messages, not {missed}"));
         if let Some(now_ns) = now_ns {
             let before_ns = self.told_ns.replace(now_ns);
             let is_early = before_ns.is_some_and(|before_ns| now_ns < before_ns + TELL_NS);
-            expect!(self, !is_early, format!("told at {now_ns} ns, and at {before_ns:?}"));
+            expect!(self, !is_early, format!("drops reported at {now_ns} ns, and at {before_ns:?}"));
         }
     }
 
-    /// The client has read to the end of the run, at which these are the newest messages of channels: channel and number.
+    /// Records that the client has read to the end of the run; `newest` holds each channel and the number of
+    /// its newest message.
     pub fn ended(&mut self, newest: &[(u32, u64)]) {
         let (waits, untold) = (self.has_waiting(), self.dropped);
-        expect!(self, !waits, "something waits for a client that has read everything".to_owned());
-        expect!(self, untold == 0, format!("it is never told of {untold} dropped messages"));
+        expect!(self, !waits, "a message waits for a client that has read everything".to_owned());
+        expect!(self, untold == 0, format!("{untold} dropped messages are never reported"));
         for (subscription, channel) in self.subscriptions.clone() {
             let expected = newest.iter().find(|(of, number)| *of == channel && *number > 0);
             let given = self.delivered.get(&(subscription, 0)).copied();
             expect!(self, expected.is_none_or(|(_, number)| given == Some(*number)), {
-                format!("the last message of channel {channel} that it got is {given:?} of {expected:?}")
+                format!("the last message of channel {channel} received is {given:?}, expected {expected:?}")
             });
         }
     }
 }
 
-/// The number in a payload.
+/// Returns the number in a payload.
 fn number_of(payload: &[u8]) -> u64 {
     payload.iter().take(8).rev().fold(0, |number, byte| number << 8 | u64::from(*byte))
 }

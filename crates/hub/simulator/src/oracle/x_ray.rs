@@ -1,4 +1,5 @@
-//! What must hold of X-ray frames: which are rendered at which state, which requests are refused, and which voxels a frame shows.
+//! Rules for X-ray frames: which are rendered at which state, which requests are refused, and which voxels a
+//! frame shows.
 
 use std::collections::VecDeque;
 
@@ -11,9 +12,10 @@ use super::{RATION, RATION_NS};
 use crate::plan::Plan;
 use crate::x_ray_plan::Asked;
 
-/// Jobs that wait for the renderer; one more is rendered, and in lockstep one more is in the hand of a process that stands still.
+/// Jobs that wait for the renderer. One more is being rendered, and in lockstep a blocked process holds one
+/// more.
 pub const JOBS_WAITING: usize = 2;
-/// Requests of one connection that may wait, and of all.
+/// Requests of one connection that may wait, and of all connections.
 const WAITING_EACH: usize = 8;
 const WAITING: usize = 64;
 
@@ -26,16 +28,16 @@ pub enum FrameCause {
     Last(Due),
 }
 
-/// What became of a request.
+/// Outcome of a request.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Answer {
-    /// It was beyond its sender's share and is not answered.
+    /// It exceeded its sender's rate limit and is not answered.
     PassedOver,
-    /// It waits for its frame, or is refused.
+    /// It waits for its frame or is refused.
     Given(Result<(), Refusal>),
 }
 
-/// A set of voxels, told from others by a sum over its members.
+/// A set of voxels, identified by a sum over its members.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 struct Gone {
     count: u64,
@@ -53,21 +55,21 @@ impl Gone {
     }
 }
 
-/// An account of the frames, kept beside [`delivery::x_ray`].
+/// A model of the frames, kept in parallel to [`delivery::x_ray`].
 #[derive(Debug, Default)]
 pub struct FrameAccount {
     plan: Plan,
-    /// The first thing that did not hold.
+    /// The first violated rule.
     pub failure: Option<String>,
-    /// Whether the DRR process's queue of removed voxels ran over.
+    /// Whether the DRR process's queue of removed voxels overflowed.
     pub removed_dropped: bool,
     predrilled: Gone,
     gone: Gone,
-    /// What is gone at each tick.
+    /// Voxels removed at each tick.
     gone_at: Vec<Gone>,
-    /// What is gone in the frames.
+    /// Voxels removed in the frames.
     rendered: Gone,
-    /// The next frame of the scene's rate is due in this period or a later one.
+    /// The next frame at the scene's rate is due in this period or later.
     next_period: u64,
     shown_tick: Option<u64>,
     waiting: VecDeque<Asked>,
@@ -77,14 +79,14 @@ pub struct FrameAccount {
     /// Requests that were refused.
     pub refused: u64,
     taken: Vec<(Connection, u64)>,
-    /// The last state's tick, once the process has refused what waits.
+    /// The last state's tick, once the process has refused the waiting requests.
     over_at: Option<Tick>,
     /// A request that was refused at the end though the last state could have answered it.
     refused_though_due: Option<Asked>,
 }
 
 impl FrameAccount {
-    /// Of a plan.
+    /// Creates the model of a plan.
     pub fn new(plan: &Plan) -> FrameAccount {
         FrameAccount { plan: plan.clone(), ..FrameAccount::default() }
     }
@@ -97,7 +99,7 @@ impl FrameAccount {
         self.plan.mode == Mode::Lockstep
     }
 
-    /// Voxels are removed in the tick that the next state ends.
+    /// Records that voxels are removed in the tick that the next state ends.
     pub fn removed(&mut self, restores: Restores, voxels: &[u32]) {
         if restores == Restores::Drilled {
             self.gone = self.predrilled;
@@ -105,7 +107,7 @@ impl FrameAccount {
         self.gone.add(voxels);
     }
 
-    /// The hub has published x_k.
+    /// Records that the hub has published x_k.
     pub fn state(&mut self) {
         if self.gone_at.is_empty() {
             self.predrilled = self.gone;
@@ -113,18 +115,18 @@ impl FrameAccount {
         self.gone_at.push(self.gone);
     }
 
-    /// The DRR process has taken a request.
+    /// Records that the DRR process has taken a request.
     pub fn request(&mut self, asked: &Asked, answer: &Answer, now_ns: u64) {
         let Asked { from, request, .. } = asked;
         self.taken.retain(|(_, at_ns)| at_ns + RATION_NS > now_ns);
         let taken = self.taken.iter().filter(|(other, _)| other == from).count();
         let Answer::Given(given) = answer else {
             expect!(self, taken >= RATION, {
-                format!("{request:?} is passed over, though its sender had only {taken} answers")
+                format!("{request:?} is ignored, though its sender had only {taken} answers")
             });
             return;
         };
-        // Two periods of the limit may touch.
+        // Two periods of the limit may adjoin.
         expect!(self, taken < 2 * RATION, format!("{taken} requests of a sender within {RATION_NS} ns"));
         self.taken.push((*from, now_ns));
         let expected = self.expected(asked);
@@ -165,18 +167,18 @@ impl FrameAccount {
         if own >= WAITING_EACH || self.waiting.len() >= WAITING { Err(Refusal::Busy) } else { Ok(()) }
     }
 
-    /// The period in which the scene's rate wants a frame at this tick, if none has shown it.
+    /// Returns the period whose scheduled frame is due at this tick, if it has not been shown.
     fn period_due(&self, tick: u64) -> Option<u64> {
         let period = tick / self.plan.x_ray.period_ticks?;
         (period >= self.next_period).then_some(period)
     }
 
-    /// The DRR process hands a frame of this tick to the renderer.
+    /// Records that the DRR process hands a frame of this tick to the renderer.
     pub fn frame(&mut self, tick: u64, cause: FrameCause, since: &RemovedSince) {
         let most = if self.is_lockstep() { JOBS_WAITING + 1 } else { 0 };
         let (in_flight, is_last) = (self.in_flight, matches!(cause, FrameCause::Last(_)));
         expect!(self, is_last || in_flight <= most, {
-            format!("tick {tick}: a frame behind {in_flight} others, at most {most}")
+            format!("tick {tick}: a frame queued after {in_flight} others, at most {most}")
         });
         let is_unshown = is_last && self.shown_tick != Some(tick) && !self.waits_for(tick);
         match cause {
@@ -197,11 +199,11 @@ impl FrameAccount {
         self.rendered.add(&since.voxels);
         let (shown, gone) = (self.rendered, self.gone_at.get(tick as usize).copied());
         expect!(self, Some(shown) == gone, {
-            format!("the frame of tick {tick} shows other voxels than are left: {shown:?}, not {gone:?}")
+            format!("the frame of tick {tick} shows the wrong voxels: {shown:?}, not {gone:?}")
         });
     }
 
-    /// Whether a request waits for a frame of this tick.
+    /// Returns whether a request waits for a frame of this tick.
     fn waits_for(&self, tick: u64) -> bool {
         self.waiting.iter().any(|asked| asked.request.tick <= tick)
     }
@@ -218,7 +220,7 @@ impl FrameAccount {
 
     fn scheduled(&mut self, tick: u64) {
         let Some(period) = self.period_due(tick) else {
-            return self.fail(format!("tick {tick}: a scheduled frame that is not due"));
+            return self.fail(format!("tick {tick}: a scheduled frame is not due"));
         };
         let ticks = self.plan.x_ray.period_ticks.unwrap_or(1);
         let on_time = tick.is_multiple_of(ticks) && period == self.next_period;
@@ -228,31 +230,32 @@ impl FrameAccount {
         self.next_period = period + 1;
     }
 
-    /// The DRR process turns away from the state of this tick.
+    /// Records that the DRR process has finished with the state of this tick.
     pub fn served(&mut self, tick: u64) {
         if !self.is_lockstep() && self.in_flight > 0 {
             return;
         }
         let unshown = self.period_due(tick);
-        expect!(self, unshown.is_none(), format!("tick {tick} is due and not shown"));
+        expect!(self, unshown.is_none(), format!("tick {tick} is due but not shown"));
         let unserved = self.waiting.iter().find(|asked| asked.request.tick <= tick).copied();
-        expect!(self, unserved.is_none(), format!("tick {tick}: {unserved:?} waits beside its state"));
+        expect!(self, unserved.is_none(), format!("tick {tick}: {unserved:?} is due but waits"));
     }
 
-    /// A frame is finished.
+    /// Records that a frame is finished.
     pub fn finished(&mut self) {
         let in_flight = self.in_flight.checked_sub(1);
-        expect!(self, in_flight.is_some(), "a frame is finished that was not begun".to_owned());
+        expect!(self, in_flight.is_some(), "a frame is finished that was not started".to_owned());
         self.in_flight = in_flight.unwrap_or(0);
     }
 
-    /// The DRR process ends because removed voxels are missing.
+    /// Records that the DRR process ends because removed voxels are missing.
     pub fn failed(&mut self, lost: &RemovedLost) {
         let dropped = self.removed_dropped;
         expect!(self, dropped, format!("ended though nothing was lost: {lost}"));
     }
 
-    /// The DRR process refuses the requests that wait, because the run is over with the state of this tick.
+    /// Records that the DRR process refuses the waiting requests, because the run is over with the state of
+    /// this tick.
     pub fn refused_at_end(&mut self, refused: &[(DrrRequest, Refusal)], last_tick: Tick) {
         self.refused_though_due =
             self.waiting.iter().copied().find(|asked| asked.request.tick <= last_tick.0);
@@ -263,12 +266,12 @@ impl FrameAccount {
         self.over_at = Some(last_tick);
     }
 
-    /// The DRR process has come to the end of the run, whose last state is that of this tick.
+    /// Records that the DRR process has reached the end of the run, whose last state is that of this tick.
     pub fn ended(&mut self, tick: u64) {
         let (shown, in_flight) = (self.shown_tick, self.in_flight);
-        expect!(self, shown == Some(tick), format!("the last frame shows tick {shown:?} of {tick}"));
+        expect!(self, shown == Some(tick), format!("the last frame shows tick {shown:?}, expected {tick}"));
         expect!(self, in_flight == 0, format!("{in_flight} frames are never finished"));
         let refused = self.refused_though_due;
-        expect!(self, refused.is_none(), format!("{refused:?} is due at the last state and has no frame"));
+        expect!(self, refused.is_none(), format!("{refused:?} is due at the last state but has no frame"));
     }
 }

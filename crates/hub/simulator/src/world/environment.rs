@@ -1,4 +1,4 @@
-//! What the hub sees of its surroundings: its ports, and what it publishes.
+//! The hub's view of its surroundings: its ports, and what it publishes.
 
 use hub::{Environment, Incoming, Note, Outputs, Report, Start};
 use messages::{
@@ -69,7 +69,7 @@ impl Outputs for World {
 
 impl Environment for World {
     fn now_ns(&self) -> u64 {
-        // Each look takes a moment.
+        // Reading the clock takes a moment.
         self.now_ns.set(self.now_ns.get() + 50);
         self.now_ns.get()
     }
@@ -160,7 +160,7 @@ impl Environment for World {
         for index in ControllerIndex::first(self.controllers.len()) {
             if self.controllers[index.slot()].alive && self.controllers[index.slot()].wants_history {
                 self.controllers[index.slot()].see(tick);
-                // Its first look at its queue comes when it is there.
+                // Its first poll of the queue happens once the state is there.
                 self.controllers[index.slot()].asleep = false;
                 self.look_soon(index, 0);
             }

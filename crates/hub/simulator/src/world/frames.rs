@@ -8,7 +8,8 @@ use crate::actors::Consumer;
 use crate::drr::Looked;
 
 impl World {
-    /// A consumer looks at its queues; returns until when it then stands still, as the DRR process does before its renderer.
+    /// Processes a consumer's queues; returns the time until which it is then blocked, as the DRR process is
+    /// by its renderer.
     pub(super) fn stands_still_until(&mut self, part: Part) -> Option<u64> {
         if part != Part::Drr {
             return None;
@@ -27,7 +28,7 @@ impl World {
         }
     }
 
-    /// Programs ask for frames, which wakes the DRR process if it sleeps.
+    /// Programs request frames, which wakes the DRR process if it sleeps.
     pub(super) fn frames_asked(&mut self, index: usize) {
         let now_ns = self.now_ns.get();
         self.asked += 1;
@@ -36,7 +37,7 @@ impl World {
         let asked = self.plan.x_ray.asks[index].requests(controllers, tick, &mut self.frame_requests);
         asked.into_iter().for_each(|asked| drr.receive_request(asked));
         let is_drr = |consumer: &&Consumer| consumer.part == Part::Drr;
-        // It would find a state there, too, if there were one.
+        // It would also find a waiting state there.
         if self.consumers.iter().find(is_drr).is_some_and(|consumer| consumer.asleep && consumer.waiting == 0)
         {
             drr.take_requests(now_ns, &mut self.frames);
@@ -44,8 +45,8 @@ impl World {
         self.hand_out_frames();
     }
 
-    /// The run is over: the DRR process shows the last state and answers every request, unless it is dead. If it was told to end, it
-    /// refuses what waits.
+    /// Ends the run: the DRR process shows the last state and answers every request, unless it is dead. If
+    /// it was asked to end, it refuses the waiting requests.
     pub fn finish_frames(&mut self) {
         let Some(mut drr) = self.drr.take() else { return };
         if self.end_requested {
@@ -63,7 +64,7 @@ impl World {
         let late = self.plan.x_ray.asks.get(self.asked);
         let late = late.map(|ask| ask.requests(controllers, tick, &mut self.frame_requests));
         drr.finish(now_ns, late.unwrap_or_default(), &mut self.frames);
-        // A run may be stopped before its first state.
+        // A run can be stopped before its first state.
         if let Some(tick) = self.newest_tick {
             self.frames.ended(tick);
         }
@@ -71,7 +72,7 @@ impl World {
         self.hand_out_frames();
     }
 
-    /// Frames that are out come into the queues of those who see them.
+    /// Puts published frames into the queues of the controllers that see them.
     fn hand_out_frames(&mut self) {
         let published = self.drr.as_mut().map(|drr| drr.take_published());
         for frame in published.into_iter().flatten() {
@@ -83,7 +84,7 @@ impl World {
         }
     }
 
-    /// Who has connected since gets the newest frame.
+    /// Controllers that have connected since then get the newest frame.
     fn deliver_frame_history(&mut self) {
         for index in ControllerIndex::first(self.controllers.len()) {
             let controller = &mut self.controllers[index.slot()];
@@ -105,7 +106,7 @@ impl World {
         }
     }
 
-    /// A controller that waits for a frame waits for one that comes.
+    /// Checks that a controller that waits for a frame waits for one that will arrive.
     pub(super) fn check_frame_waits(&mut self) {
         let controllers = ControllerIndex::first(self.controllers.len()).zip(&self.controllers);
         for (index, controller) in controllers.filter(|(_, c)| c.alive) {

@@ -4,7 +4,7 @@ use super::{Event, World};
 use crate::actors::Alarm;
 
 impl World {
-    /// When the viewer looks for the first time, and its clients come, go and change what they watch.
+    /// Schedules the viewer's first pass, and when its clients connect, leave and change their subscriptions.
     pub(super) fn plan_watching(&mut self) {
         let Some(plan) = self.plan.viewer.clone() else { return };
         self.watcher_alarms = vec![Alarm::default(); plan.clients.len()];
@@ -30,7 +30,7 @@ impl World {
         }
     }
 
-    /// Something happens to a client of the viewer.
+    /// Handles an event of a client of the viewer.
     pub(super) fn watching_happens(&mut self, event: Event) {
         let now_ns = self.now_ns.get();
         let Some(viewer) = &mut self.viewer else { return };
@@ -69,19 +69,19 @@ impl World {
         self.after(delay_ns, Event::WatcherServes(index, self.watcher_alarms[index].0));
     }
 
-    /// The run is over: the clients that stay read to the end.
+    /// Ends the run: the remaining clients read to the end.
     pub fn finish_watching(&mut self) {
         if let Some(viewer) = &mut self.viewer {
             viewer.finish(self.now_ns.get());
         }
     }
 
-    /// Messages that the viewer's clients were sent, and those that they were told they missed.
+    /// Returns the number of messages sent to the viewer's clients, and of missed ones reported to them.
     pub fn watched(&self) -> (u64, u64) {
         self.viewer.as_ref().map_or((0, 0), |viewer| (viewer.sent, viewer.missed))
     }
 
-    /// The first thing that did not hold, of all that is watched.
+    /// Returns the first violated rule of all models.
     pub fn take_failure(&mut self) -> Option<String> {
         let viewer = self.viewer.as_mut().and_then(|viewer| {
             viewer.note_failures();

@@ -1,4 +1,4 @@
-//! A scene run in this process, beside the reference that gets the same commands.
+//! Runs a scene in this process next to the reference, with the same commands.
 
 use std::time::Instant;
 
@@ -15,7 +15,7 @@ use crate::plan::reference::{Reference, settings_of};
 
 /// Samples of the burr per simulated second.
 const SAMPLES_PER_S: f64 = 100.0;
-/// From here on the path error of a run that ends then is asked for, s.
+/// Shortest run whose path error counts, s.
 const SHORTEST_S: f64 = 0.1;
 
 /// A run to compare.
@@ -25,7 +25,7 @@ pub struct Run<'a> {
     pub scene: &'a Scene,
     /// The scene's volume.
     pub ct: Option<CtView<'a>>,
-    /// What a controller that is not built in asks for from the first tick on, N.
+    /// Tensions commanded from the first tick by a controller that is not built in, N.
     pub tensions_n: [f64; MAX_TENDONS],
 }
 
@@ -36,13 +36,13 @@ impl<'a> Run<'a> {
     }
 }
 
-/// Why a comparison came to no figure.
+/// Why a comparison gave no result.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum NotCompared {
     /// The physics refuses the scene or a step.
     #[error("{0}")]
     Run(String),
-    /// The reference does.
+    /// The reference refuses the scene or a step.
     #[error("the reference (`full`, own flexures): {0}")]
     Reference(String),
 }
@@ -53,16 +53,16 @@ impl From<NotCompared> for Failure {
     }
 }
 
-/// What a run was off, and what it cost.
+/// Error of a run, and its cost.
 #[derive(Debug, Clone)]
 pub struct Compared {
     /// Path error, r.m.s. over the run.
     pub path_mm: f64,
-    /// The largest path error, r.m.s., of the runs that end earlier, but not within the first 0.1 s.
+    /// Largest path error, r.m.s., over all shorter runs, excluding the first 0.1 s.
     pub worst_path_mm: f64,
     /// Distance at the end.
     pub end_mm: f64,
-    /// Median time of a step over its length, µs per simulated millisecond.
+    /// Median time of a step, µs per simulated millisecond.
     pub us_per_ms: f64,
     /// The burr at every sample, m.
     pub burr_m: Vec<Vector3<f64>>,
@@ -70,7 +70,7 @@ pub struct Compared {
     pub reference_m: Vec<Vector3<f64>>,
 }
 
-/// Root mean square of distances that come one by one.
+/// Running root mean square of distances.
 #[derive(Default)]
 struct Mean {
     squares: f64,
@@ -89,7 +89,7 @@ fn said(scene: &Scene, cause: &dyn core::fmt::Display) -> String {
     format!("scene `{}`: {cause}", scene.name)
 }
 
-/// Runs a scene's controllers and calls `see` after every tick with the run, u_k and the time of the step, ns.
+/// Runs a scene's controllers and calls `see` after every tick with the run, u_k and the step time, ns.
 fn play(run: &Run, mut see: impl FnMut(&Simulation, &Latched, u64)) -> Result<(), NotCompared> {
     let Run { scene, ct, tensions_n } = *run;
     let failed = |cause: &dyn core::fmt::Display| NotCompared::Run(said(scene, cause));
@@ -119,7 +119,7 @@ fn play(run: &Run, mut see: impl FnMut(&Simulation, &Latched, u64)) -> Result<()
     Ok(())
 }
 
-/// Every how many ticks the burr is looked at.
+/// Ticks between samples of the burr.
 fn every(scene: &Scene) -> u64 {
     ((1.0 / (SAMPLES_PER_S * scene.dt_s()) + 0.5) as u64).max(1)
 }
@@ -130,7 +130,8 @@ fn median(mut nanoseconds: Vec<u64>, dt_ms: f64) -> f64 {
     median as f64 * 1e-3 / dt_ms
 }
 
-/// Paths of the reference, so that settings of one step share them: without feedback they all latch the same u_k.
+/// Paths of the reference, shared by settings with the same time step: without feedback they all latch the
+/// same u_k.
 #[derive(Default)]
 pub struct References {
     known: Vec<Known>,
@@ -143,8 +144,8 @@ struct Known {
 }
 
 impl References {
-    /// The reference's burr after each tick. Runs it unless it is known for the same settings and the same u_k; what is asked of one
-    /// value always has the same voxels.
+    /// The reference's burr after each tick. Reuses a known path for the same settings and the same u_k; all
+    /// requests to one value use the same voxels.
     fn burr_m(
         &mut self,
         scene: &Scene,
@@ -211,7 +212,7 @@ pub fn against_reference(run: &Run, references: &mut References) -> Result<Compa
     Ok(compared)
 }
 
-/// The burr at every sample of a run, m, and what a simulated millisecond costs, µs.
+/// The burr at every sample of a run, m, and the cost of a simulated millisecond, µs.
 ///
 /// # Errors
 /// The physics refuses the scene or a step.

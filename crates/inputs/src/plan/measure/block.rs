@@ -1,4 +1,4 @@
-//! Bone for measurements: a block whose density is a function of place.
+//! Bone for measurements: a block with a position-dependent density.
 
 use nalgebra::Vector3;
 use simulation::CtView;
@@ -12,20 +12,20 @@ pub struct Block {
     pub hu: Vec<i16>,
 }
 
-/// The Hounsfield units to which the standard material law assigns this density, kg/m³.
+/// Hounsfield units for a density, kg/m³, by the standard material law.
 pub fn hu_of_density(density_kg_per_m3: f64) -> i16 {
     let law = MaterialLaw::default();
     ((density_kg_per_m3 - law.density_offset_kg_m3) / law.density_slope_kg_m3_hu).round() as i16
 }
 
 impl Block {
-    /// As the physics takes it.
+    /// The block in the form used by the physics.
     pub fn ct(&self) -> CtView<'_> {
         CtView { geometry: self.geometry, hu: &self.hu }
     }
 
-    /// A block with its corners at `low_mm` and `high_mm`; `density_kg_per_m3` maps a point in metres to a density, 0
-    /// for air.
+    /// A block with its corners at `low_mm` and `high_mm`; `density_kg_per_m3` maps a point in metres to a
+    /// density, 0 for air.
     pub fn new(
         low_mm: [f64; 3],
         high_mm: [f64; 3],

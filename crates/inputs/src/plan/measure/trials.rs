@@ -1,4 +1,4 @@
-//! The scenes on which a plan's path errors are measured: pulls in free space, tunnels in bone.
+//! Trial scenes for measuring path errors: pulls in free space, tunnels in bone.
 
 use std::path::Path;
 
@@ -9,17 +9,17 @@ use super::block::Block;
 use crate::failure::Failure;
 use crate::plan::{GENTLE_N, Pull, RAMPED_N};
 
-/// Voxel of the tunnels, mm.
+/// Voxel size of the tunnels, mm.
 const VOXEL_MM: f64 = 0.5;
 /// Speed of the burr.
 const BURR_RPM: f64 = 2250.0;
 /// Duration of a pull of the standard tool, s.
 pub const PULL_S: f64 = 0.8;
-/// Where the voxels of a tunnel lie, in voxels from the first place.
+/// Offsets of a tunnel's voxel grid, in voxels.
 pub const PLACES: [[f64; 3]; 6] =
     [[0.0; 3], [0.5, 0.0, 0.0], [0.0, 0.0, 0.5], [0.25, 0.25, 0.25], [0.5, 0.5, 0.5], [0.25, 0.0, 0.75]];
 
-/// A controller, and what the scene changes of the tool.
+/// A controller, and changes to the tool.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Trial {
     /// The table of the controller, with its parameters.
@@ -28,14 +28,14 @@ pub struct Trial {
     pub tool: String,
     /// Duration, s.
     pub seconds: f64,
-    /// What a controller that is not built in asks for from the first tick on, N.
+    /// Tensions commanded from the first tick by a controller that is not built in, N.
     pub tensions_n: [f64; MAX_TENDONS],
-    /// How a tool slides out of its outer tube, in place of the controller.
+    /// How a tool slides out of its outer tube, instead of a controller.
     pub deployment: Option<TubeDeployment>,
 }
 
 impl Trial {
-    /// Holds a tension from the first tick on.
+    /// Holds a tension from the first tick.
     pub fn hold(tension_n: f64, tendon_friction: f64) -> Trial {
         Trial {
             controller: format!("[controller.hold]\ntension_n = {tension_n:?}\n"),
@@ -46,12 +46,12 @@ impl Trial {
         }
     }
 
-    /// Holds these tensions from the first tick on, as a client may.
+    /// Holds these tensions from the first tick, as a client can.
     pub fn pull(tensions_n: [f64; MAX_TENDONS]) -> Trial {
         Trial { controller: "external = true\n".to_owned(), tensions_n, ..Trial::hold(0.0, 0.0) }
     }
 
-    /// Turns a tool in its outer tube and slides it out, in this time.
+    /// Rolls a tool in its outer tube and slides it out within a given time.
     pub fn deploy(deployed_mm: f64, feed_mm_per_s: f64, roll_deg: f64, seconds: f64) -> Trial {
         let deployment = TubeDeployment {
             deployed_mm,
@@ -68,19 +68,21 @@ impl Trial {
         }
     }
 
-    /// Pulls in steps up and down again.
+    /// Pulls up and down in steps.
     pub fn sweep(most_n: f64, step_n: f64, tendon_friction: f64) -> Trial {
         let controller =
             format!("[controller.tension_sweep]\nmost_n = {most_n:?}\nstep_n = {step_n:?}\nsettle_s = 0.1\n");
         Trial { controller, ..Trial::hold(0.0, tendon_friction) }
     }
 
-    /// Feeds and pulls on a ramp over the first half of the way.
+    /// Feeds, and pulls along a ramp over the first half of the feed.
     pub fn feed(tension_n: f64, feed_mm_per_s: f64, insertion_mm: f64) -> Trial {
         let ramp_mm = 0.5 * insertion_mm;
         let controller = format!(
-            "[controller.curved_drilling]\nfeed_mm_per_s = {feed_mm_per_s:?}\ninsertion_mm = {insertion_mm:?}\n\
-             tension_n = {tension_n:?}\nramp_end_mm = {ramp_mm:?}\nburr_speed_rpm = {BURR_RPM:?}\nfeedback = \"none\"\n"
+            "[controller.curved_drilling]\nfeed_mm_per_s = {feed_mm_per_s:?}\ninsertion_mm = \
+             {insertion_mm:?}\n\
+             tension_n = {tension_n:?}\nramp_end_mm = {ramp_mm:?}\nburr_speed_rpm = {BURR_RPM:?}\nfeedback \
+             = \"none\"\n"
         );
         let seconds = insertion_mm / feed_mm_per_s + 0.5;
         Trial { controller, tool: String::new(), seconds, ..Trial::hold(0.0, 0.0) }
@@ -92,14 +94,17 @@ impl Trial {
     /// A parameter is out of range.
     pub fn scene(&self, tolerance: &str, is_in_bone: bool) -> Result<(Scene, String), Failure> {
         let volume = if is_in_bone {
-            "[volume]\nphantom = \"block\"\nbone_threshold_hu = -100\n[[predrill]]\nfrom_mm = [0.0, 0.0, -60.0]\n\
+            "[volume]\nphantom = \"block\"\nbone_threshold_hu = -100\n[[predrill]]\nfrom_mm = [0.0, 0.0, \
+             -60.0]\n\
              to_mm = [0.0, 0.0, 0.0]\ndiameter_mm = 7.0\n"
         } else {
             ""
         };
         let text = format!(
-            "name = \"trial\"\n{tolerance}[run]\nmode = \"lockstep\"\nduration_s = {:?}\n{volume}[manipulator]\n{}\
-             [tool]\nburr_start_mm = [0.0, 0.0, 0.0]\ndirection = [0.0, 0.0, 1.0]\nbend_toward = [1.0, 0.0, 0.0]\n\
+            "name = \"trial\"\n{tolerance}[run]\nmode = \"lockstep\"\nduration_s = \
+             {:?}\n{volume}[manipulator]\n{}\
+             [tool]\nburr_start_mm = [0.0, 0.0, 0.0]\ndirection = [0.0, 0.0, 1.0]\nbend_toward = [1.0, 0.0, \
+             0.0]\n\
              [[controller]]\nname = \"driver\"\ndrives = [\"tendon\", \"arm\", \"burr\"]\n{}",
             self.seconds, self.tool, self.controller
         );
@@ -110,11 +115,11 @@ impl Trial {
 
 /// Diameter of the standard tool's pilot hole, mm.
 pub const HOLE_MM: f64 = 7.0;
-/// Bone beside a pilot hole that is wider, mm.
+/// Bone beside a wider pilot hole, mm.
 const BESIDE_MM: f64 = 4.5;
 
-/// A block whose density rises along and across the tunnel, 200 to 440 kg/m³; its voxels are shifted by `place`, in voxels. It is as wide
-/// as a pilot hole of `hole_mm` needs.
+/// A block whose density increases along and across the tunnel, 200 to 440 kg/m³; its voxel grid is shifted
+/// by `place`, in voxels. It is wide enough for a pilot hole of `hole_mm`.
 pub fn block(place: [f64; 3], hole_mm: f64) -> Block {
     let shifted = |corner: [f64; 3]| [0, 1, 2].map(|a| corner[a] + place[a] * VOXEL_MM);
     let half_mm = (0.5 * hole_mm + BESIDE_MM).round().max(8.0);
@@ -159,7 +164,7 @@ mod tests {
     use super::super::against::{Run, path};
     use super::*;
 
-    /// Regression: the feeds waited for X-ray frames that never came, and the tunnels stood still.
+    /// Regression: the feeds waited for X-ray frames that were never sent, so the tunnels did not advance.
     #[test]
     fn a_feed_moves_the_burr() {
         let (scene, _) = Trial::feed(2.0, 20.0, 10.0).scene("", false).unwrap();

@@ -1,4 +1,4 @@
-//! The settings that are measured for a scene's own tool, and what they cost.
+//! Candidate settings measured for a scene's own tool, and their costs.
 
 use ipc_types::scene::{ContactVoxels, Integrator};
 use simulation::Simulation;
@@ -9,22 +9,23 @@ use crate::failure::Failure;
 use crate::plan::measure::trials::Trial;
 use crate::plan::table::{OWN_LINKS, Row, Settings};
 
-/// Measured models: all but `modal`, which is not valid where single flexures stand on their stops, and no scene says beforehand whether
-/// they will. Equal links in place of the tool's flexures, for each rung. Where each flexure lies decides more than how the rest is computed, so the
-/// richer rungs have few of them.
+/// Measured models: all except `modal`, which is invalid while single flexures are at their stops, and a
+/// scene does not reveal that beforehand. Numbers of equal links, for each model, besides the tool's own
+/// flexures. The positions of the flexures matter more than the model, so the detailed models have few of
+/// them.
 const LINKS: [(Rung, &[usize]); 4] =
     [(Rung::ConstantCurvature, &[]), (Rung::Planar, &[4, 8, 16]), (Rung::Spatial, &[8]), (Rung::Full, &[])];
-/// Steps in free space, ms.
+/// Time steps in free space, ms.
 const DT_MS: [f64; 4] = [0.5, 1.0, 2.0, 5.0];
-/// Up to here steps are sound in bone, and of a pre-curved tool with `hybrid`, ms.
+/// Largest sound time step in bone, and for a pre-curved tool with `hybrid`, ms.
 const LARGEST_SOUND_STEP_MS: f64 = 2.0;
-/// The step of the built-in table that the costs of other steps follow from, ms.
+/// Time step of the built-in table from which the costs of other steps follow, ms.
 const COSTED_DT_MS: f64 = 1.0;
 
-/// The settings to measure in free space: all that the physics takes with this tool.
+/// Candidate settings in free space: all that the physics accepts with this tool.
 ///
 /// # Errors
-/// A trial cannot be made.
+/// A trial cannot be built.
 pub fn settings(tool: &OwnTool) -> Result<Vec<Settings>, Failure> {
     let mut all = Vec::new();
     let flexures = tool.flexures()?;
@@ -41,7 +42,7 @@ pub fn settings(tool: &OwnTool) -> Result<Vec<Settings>, Failure> {
     Ok(all)
 }
 
-/// The arc has only one integrator, and the richer rungs are there for their accuracy.
+/// The arc has only one integrator, and the detailed models are used for their accuracy.
 fn integrators(rung: Rung) -> &'static [Integrator] {
     match rung {
         Rung::ConstantCurvature => &[Integrator::LinearlyImplicitEuler],
@@ -50,7 +51,7 @@ fn integrators(rung: Rung) -> &'static [Integrator] {
     }
 }
 
-/// Not a step of which `scene check` warns.
+/// Whether `scene check` gives no warning for the time step.
 fn is_sound(tool: &OwnTool, settings: &Settings) -> bool {
     let is_hybrid = settings.integrator == Integrator::Hybrid;
     !(is_hybrid && tool.is_pre_curved()) || settings.dt_ms <= LARGEST_SOUND_STEP_MS
@@ -65,8 +66,9 @@ fn is_taken(tool: &OwnTool, settings: &Settings) -> Result<bool, Failure> {
     Ok(Simulation::new(&scene, None).is_ok())
 }
 
-/// Whether the drilled path is measured with these settings. It is best with the tool's own flexures, in contact both integrators are
-/// linearly implicit Euler, smaller steps make it no better than the bone's voxels allow, and `scene check` warns of larger ones.
+/// Whether the drilled path is measured with these settings. It is most accurate with the tool's own
+/// flexures; in contact both integrators are linearly implicit Euler; smaller steps improve it no further
+/// than the voxels allow; and `scene check` warns about larger ones.
 pub fn is_drilled(settings: &Settings, flexures: usize) -> bool {
     settings.links == flexures
         && match settings.rung {
@@ -78,8 +80,9 @@ pub fn is_drilled(settings: &Settings, flexures: usize) -> bool {
         }
 }
 
-/// What settings cost in free space and while drilling, µs per simulated millisecond: what the built-in table's row of the same rung and
-/// integrator does, on a line through its numbers of links. No clock, so that every machine chooses alike.
+/// Cost of settings in free space and while drilling, µs per simulated millisecond: interpolated between the
+/// built-in table's rows of the same model and integrator, by number of links. Uses no clock, so that every
+/// machine chooses the same.
 pub fn cost(settings: &Settings, standard: &[Row]) -> [f64; 2] {
     let at_links =
         |row: &Row, links: usize| row.settings == Settings { links, dt_ms: COSTED_DT_MS, ..*settings };
@@ -93,7 +96,8 @@ pub fn cost(settings: &Settings, standard: &[Row]) -> [f64; 2] {
     });
     let links = settings.links as f64 - own.settings.links as f64;
     let step_us = (own.free_us_per_ms + links * a_link).max(0.1 * own.free_us_per_ms);
-    // What contact and drilling add does not depend on the integrator: its own row, if it was drilled, or any of the rung.
+    // The cost of contact and drilling does not depend on the integrator: uses the own row if it was drilled,
+    // or any of the same model.
     let of_rung =
         || standard.iter().filter(|row| row.settings.rung == settings.rung && at_contact(row, settings));
     let bone_us = of_rung()

@@ -1,4 +1,4 @@
-//! What a scene's own tool is put to.
+//! Load cases on which a scene's own tool is measured.
 
 use ipc_types::messages::MAX_TENDONS;
 use ipc_types::scene::{Body, BodyMotion, Cuboid, ToolOuterTube};
@@ -10,14 +10,14 @@ use crate::plan::measure::against::{Run, path};
 use crate::plan::measure::trials::{PLACES, Trial, pulls, tunnels};
 use crate::plan::reference::settings_of;
 
-/// The parts of a table: what a scene does not do to its tool is not measured.
+/// Parts of a table: only loads that occur in the scene are measured.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Part {
-    /// Weight, loads across the burr, feeds and gentle pulls in free space.
+    /// Weight, loads on the burr, feeds and gentle pulls in free space.
     Gentle,
-    /// A wall that it meets.
+    /// A wall in the tool's path.
     Bodies,
-    /// Hard pulls, and those of the tendons that no built-in controller pulls alone.
+    /// Hard pulls, and pulls of tendons that no built-in controller pulls alone.
     Hard,
     /// Tunnels in bone.
     Bone,
@@ -35,55 +35,55 @@ impl Part {
     }
 }
 
-/// The most weight that a scene may state, m/s²: as a load across the burr.
+/// Largest gravity that a scene can set, m/s²: a load across the burr.
 const ACROSS_M_PER_S2: f64 = 100.0;
 /// Tensions of the tendons that only clients pull alone, N.
 const OTHERS_N: [f64; 2] = [10.0, 60.0];
-/// Places of the voxels in which tunnels are drilled: the worst of them counts, so fewer do than where their mean counts.
+/// Number of voxel grid offsets for tunnels: fewer suffice for the worst of them than for their mean.
 const OWN_PLACES: usize = 3;
 
-/// Longest time in which a tool slides out of its outer tube, s.
+/// Longest time for a tool to slide out of its outer tube, s.
 const LONGEST_SLIDE_S: f64 = 4.0;
-/// What the drive of a tube takes longer than its way at full speed, s, and half of a roll's.
+/// Time of a tube's drive beyond its travel at full speed, s, and half of that of a roll.
 const DRIVE_S: f64 = 0.15;
-/// Speed of a tool without tendons in bone, mm/s.
+/// Feeds of a tool without tendons in bone, mm/s.
 const FEEDS_MM_PER_S: [f64; 2] = [4.0, 8.0];
 /// Length of its tunnel, mm.
 const TUNNEL_MM: f64 = 20.0;
 
 /// Half the wall's thickness, and half its width, mm.
 const WALL_MM: [f64; 2] = [5.0, 200.0];
-/// A tool that moves less by itself meets no wall, mm.
+/// A tool that moves less than this on its own does not reach the wall, mm.
 const LEAST_WAY_MM: f64 = 1.0;
 
-/// A trial, and under what.
+/// A trial, and its loads.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Case {
     /// The trial.
     pub trial: Trial,
     /// Gravity, m/s²; the tool bends toward x and points along z.
     pub gravity_m_per_s2: [f64; 3],
-    /// Where the voxels lie, in bone.
+    /// Offset of the voxel grid, in bone.
     pub place: Option<[f64; 3]>,
-    /// A fixed body that the tool meets on its way, in free space.
+    /// A fixed body in the tool's path, in free space.
     pub wall: Option<Wall>,
-    /// Whether only settings that bend out of the plane are chosen for a scene of the kind.
+    /// Whether scenes of this kind can only use models that bend out of the plane.
     pub is_across: bool,
-    /// Whether the load stays the same to the end, so that the tool has to come to rest.
+    /// Whether the load is constant to the end, so that the tool must come to rest.
     pub is_held: bool,
 }
 
-/// A wall across the way of the burr.
+/// A wall across the burr's path.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Wall {
-    /// Where the burr's centre is when it touches the wall, along the side to which the tool bends, mm.
+    /// Position of the burr's centre when it touches the wall, along the side to which the tool bends, mm.
     pub at_mm: f64,
-    /// Which way it goes there: 1 or -1.
+    /// Direction of motion there: 1 or -1.
     pub way: f64,
 }
 
 impl Wall {
-    /// It, in front of a burr of this radius.
+    /// The wall as a body in front of a burr of a given radius.
     pub fn body(self, radius_mm: f64) -> Body {
         let [thick_mm, wide_mm] = WALL_MM;
         let centre_mm = self.at_mm + self.way * (radius_mm + thick_mm);
@@ -110,7 +110,7 @@ impl Case {
         Case { is_held: true, ..Case::free(trial) }
     }
 
-    /// The tool alone, from its start shape on, under this weight.
+    /// The tool alone, from its start shape, under a given gravity.
     fn weighed(seconds: f64, gravity_m_per_s2: [f64; 3]) -> Case {
         let is_across = gravity_m_per_s2[1] != 0.0;
         let trial = Trial { seconds, ..Trial::hold(0.0, 0.0) };
@@ -136,7 +136,7 @@ fn gentle(tool: &OwnTool, pull_s: f64) -> Vec<Case> {
     let g = tool.weight_m_per_s2();
     let weights = [[g, 0.0, 0.0], [-g, 0.0, 0.0], [0.0, g, 0.0], [ACROSS_M_PER_S2, 0.0, 0.0]];
     if let Some(outer) = tool.outer_tube() {
-        // All of it out, where it yields most; half a turn keeps its plane, a quarter does not.
+        // Fully deployed, where it is most compliant; half a turn keeps its plane, a quarter turn does not.
         let out = |roll_deg: f64, weight: [f64; 3]| {
             let is_across = weight[1] != 0.0 || roll_deg == 90.0;
             let trial = slid(outer, roll_deg, pull_s);
@@ -152,13 +152,13 @@ fn gentle(tool: &OwnTool, pull_s: f64) -> Vec<Case> {
     }
     cases.extend(built_in(Pull::Gentle, pull_s));
     if tool.tendons() > 1 {
-        // Skiving pulls the first two alike.
+        // Skiving pulls the first two equally.
         cases.push(pulled(&[0, 1], GENTLE_N, pull_s));
     }
     cases
 }
 
-/// Out of the outer tube by its whole travel, and at rest there.
+/// Deploys the whole travel out of the outer tube, then rests.
 fn slid(outer: &ToolOuterTube, roll_deg: f64, pull_s: f64) -> Trial {
     let feed_mm_per_s = outer.speed_mm_per_s.max(outer.travel_mm / LONGEST_SLIDE_S);
     let roll_s = roll_deg / outer.roll_speed_deg_per_s.max(LEAST_ROLL_DEG_PER_S);
@@ -166,8 +166,8 @@ fn slid(outer: &ToolOuterTube, roll_deg: f64, pull_s: f64) -> Trial {
     Trial::deploy(outer.travel_mm, feed_mm_per_s, roll_deg, seconds)
 }
 
-/// The first tendon's gentle pull, or the swing of a tool that starts straight, against a wall half way; a tool that does not move by itself
-/// is pressed on it.
+/// Pushes the tool against a wall half way: by the first tendon's gentle pull, or by the swing of a tool that
+/// starts straight; a tool that does not move on its own is pressed onto it.
 fn against_a_wall(tool: &OwnTool, pull_s: f64) -> Result<Case, Failure> {
     let tension_n = if tool.tendons() == 0 { 0.0 } else { GENTLE_N };
     let trial = match tool.outer_tube() {
@@ -176,7 +176,7 @@ fn against_a_wall(tool: &OwnTool, pull_s: f64) -> Result<Case, Failure> {
     };
     let case = Case { is_across: true, ..Case::free(trial) };
     let scene = settings_of(&tool.scene(&case.trial, false)?);
-    // A tool that the reference loses is refused where it is measured.
+    // A tool that the reference loses is refused during measuring.
     let (burr_m, _) = path(&Run::new(&scene, None)).unwrap_or_default();
     let [starts_mm, ends_mm] =
         [burr_m.first(), burr_m.last()].map(|place| place.map_or(0.0, |place| 1e3 * place.x));
@@ -199,7 +199,7 @@ fn hard(tool: &OwnTool, pull_s: f64) -> Vec<Case> {
     cases
 }
 
-/// The standard tool's pulls, with this tool's friction: those that differ in friction alone are one.
+/// The standard tool's pulls, with this tool's friction: those that differ only in friction are merged.
 fn built_in(pull: Pull, pull_s: f64) -> Vec<Case> {
     let mut cases: Vec<Case> = Vec::new();
     for mut trial in pulls(pull) {
@@ -237,7 +237,7 @@ fn bone(tool: &OwnTool) -> Vec<Case> {
     } else if tool.tendons() == 0 {
         FEEDS_MM_PER_S.map(|feed_mm_per_s| Trial::feed(0.0, feed_mm_per_s, TUNNEL_MM)).into()
     } else {
-        // The least and the most of their tensions.
+        // The smallest and largest of their tensions.
         let [gentlest, _, hardest] = tunnels();
         vec![gentlest, hardest]
     };

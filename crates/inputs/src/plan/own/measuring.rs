@@ -1,7 +1,7 @@
 //! Measures a part of the table of a scene's own tool.
 //!
-//! One piece of work is a case at one step: the reference is run once for it, and every setting beside it. Pieces are independent of each
-//! other, so threads change no figure.
+//! A unit of work is a case at one time step: the reference is run once for it, and every setting next to it.
+//! Units are independent, so the number of threads does not affect any result.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc::channel;
@@ -19,27 +19,27 @@ use crate::plan::measure::block::Block;
 use crate::plan::measure::trials::{block, larger};
 use crate::plan::table::{Row, Settings};
 
-/// Most threads: each holds a block of bone.
+/// Largest number of threads: each holds a block of bone.
 const MOST_THREADS: usize = 16;
-/// Samples of the burr in the last tenth of a second, in which a tool that comes to rest moves no more.
+/// Samples of the burr in the last tenth of a second, in which a tool at rest no longer moves.
 const LAST_SAMPLES: usize = 10;
-/// Most of its way that a tool still moves then.
+/// Largest fraction of its travel that a tool at rest still moves then.
 const SWINGING_SHARE: f64 = 0.1;
-/// What is no motion, mm.
+/// Motion below this counts as rest, mm.
 const STILL_MM: f64 = 0.05;
 
-/// A piece of work.
+/// A unit of work.
 struct Piece<'a> {
     case: &'a Case,
     number: usize,
     settings: Vec<Settings>,
 }
 
-/// What the settings of a piece were off; NaN where the tool was lost.
+/// Errors of the settings of a unit; NaN where the tool was lost.
 struct Found {
     number: usize,
     off: Vec<(Settings, Off)>,
-    /// Why the reference gave no figure.
+    /// Why the reference gave no result.
     lost: Option<String>,
 }
 
@@ -49,7 +49,7 @@ struct Off {
     burr_m: Vec<Vector3<f64>>,
 }
 
-/// Measures a part for these settings, and calls `tell` with how many pieces of how many are done.
+/// Measures a part for these settings, and calls `tell` with the numbers of finished and of all units.
 ///
 /// # Errors
 /// Bad input: the reference refuses or loses the tool, or the tool does not come to rest.
@@ -73,25 +73,26 @@ pub fn measure(
     if let Some(cause) = failed {
         return Err(cause);
     }
-    // The order in which threads end must not show.
+    // The result must not depend on the order in which threads end.
     all.sort_by_key(|found| found.number);
     let rows: Vec<Row> = settings.iter().map(|settings| row(settings, part, &cases, &all)).collect();
     let path_mm = |row: &Row| if part == Part::Bone { row.drilled_path_mm } else { row.free_path_mm };
     if part != Part::Hard && rows.iter().all(|row| !path_mm(row).is_finite()) {
         let lost = all.iter().find_map(|found| found.lost.clone());
-        return Err(refusal(tool, &lost.unwrap_or_else(|| "every setting loses it".to_owned())));
+        return Err(refusal(tool, &lost.unwrap_or_else(|| "all settings lose it".to_owned())));
     }
     Ok(rows)
 }
 
 fn refusal(tool: &OwnTool, cause: &str) -> Failure {
     Failure::bad_input(format!(
-        "tool `{}`: its errors cannot be measured: {cause} (leave `tolerance.tip_mm` and `tolerance.path_mm` out and name `model`, `links`, `integrator` and `dt_ms` instead)",
+        "tool `{}`: its errors cannot be measured: {cause} (remove `tolerance.tip_mm` and \
+         `tolerance.path_mm`, and set `model`, `links`, `integrator` and `dt_ms` instead)",
         tool.name
     ))
 }
 
-/// Every case at every step, the smallest steps first: they take longest.
+/// Every case at every time step, the smallest steps first: they take longest.
 fn pieces<'a>(cases: &'a [Case], settings: &[Settings], flexures: usize) -> Vec<Piece<'a>> {
     let mut steps: Vec<f64> = settings.iter().map(|settings| settings.dt_ms).collect();
     steps.sort_by(f64::total_cmp);
@@ -180,7 +181,8 @@ fn scene(tool: &OwnTool, case: &Case, settings: &Settings) -> Result<Scene, Fail
     Ok(scene)
 }
 
-/// Whether the reference's burr has stopped. Errors of a run that is longer than the trials are as large as measured only then.
+/// Whether the reference's burr has come to rest. Only then do the measured errors hold for runs longer than
+/// the trials.
 fn comes_to_rest(burr_m: &[Vector3<f64>]) -> bool {
     let [first, .., last] = burr_m else { return false };
     let farthest_mm = |from: &Vector3<f64>, places: &[Vector3<f64>]| {
@@ -210,7 +212,7 @@ fn row(settings: &Settings, part: Part, cases: &[Case], all: &[Found]) -> Row {
     }
 }
 
-/// How far the path of a tunnel moves with the place of the voxels: the worst pair of places, r.m.s., mm.
+/// Path difference of a tunnel between voxel grid offsets: the worst pair, r.m.s., mm.
 fn grid_mm(of: &[(&Case, &Off)]) -> f64 {
     let mut worst = if of.is_empty() { f64::NAN } else { 0.0 };
     for (number, (case, one)) in of.iter().enumerate() {

@@ -1,8 +1,8 @@
-//! The table of a scene's own tool, measured on first use and kept in the user's cache.
+//! The table of a scene's own tool, measured on first use and cached.
 //!
-//! Only what the scene does to its tool is measured ([`cases::Part`]), each part kept by itself: its name in the cache is the hash of all
-//! that the tool is made of, of the part and of this build. Costs are estimated ([`candidates::cost`]), so the rows do not depend on the
-//! machine.
+//! Only loads that occur in the scene are measured ([`cases::Part`]), each part cached separately under the
+//! hash of the whole tool description, of the part and of this build. Costs are estimated
+//! ([`candidates::cost`]), so the rows do not depend on the machine.
 
 mod candidates;
 mod cases;
@@ -23,17 +23,17 @@ use crate::failure::Failure;
 use cases::Part;
 pub use tool::OwnTool;
 
-/// How measuring is done: part of the hash of a table, beside the build.
+/// Version of the measuring method: part of a table's hash, besides the build.
 const MEASURING: &str = "trabecula plan 1";
-/// How often progress is said.
+/// Interval of progress reports.
 const SAID_EVERY: Duration = Duration::from_secs(2);
 
 /// Measured errors of a tool.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Table {
-    /// One for each of the settings.
+    /// One row per settings.
     pub rows: Vec<Row>,
-    /// The tool that they were measured for; none for the standard one.
+    /// The tool they were measured for; `None` for the standard one.
     pub tool: Option<String>,
 }
 
@@ -48,10 +48,11 @@ impl Table {
         Ok(Table { rows, tool: None })
     }
 
-    /// The table for a scene's tool, as far as the scene's loads need it: built in, kept, or measured now.
+    /// Returns the table for a scene's tool, as far as the scene's loads require it: built in, cached, or
+    /// measured now.
     ///
     /// # Errors
-    /// Bad input: nothing can be measured for this tool.
+    /// Bad input: the tool cannot be measured.
     pub fn of(scene: &Scene) -> Result<Table, Failure> {
         if is_standard_tool(scene) {
             return Table::standard();
@@ -63,12 +64,12 @@ impl Table {
             None => (None, Some("neither XDG_CACHE_HOME nor HOME is an absolute path".to_owned())),
         };
         if let Some(why) = why {
-            remark(&format!("the errors of tool `{}` are not kept: {why}", OwnTool::of(scene).name));
+            remark(&format!("the errors of tool `{}` cannot be cached: {why}", OwnTool::of(scene).name));
         }
         Table::own(scene, cache.as_ref())
     }
 
-    /// The table of an own tool.
+    /// The table of a non-standard tool.
     pub(super) fn own(scene: &Scene, cache: Option<&Cache>) -> Result<Table, Failure> {
         let tool = OwnTool::of(scene);
         let settings = settings(scene)?;
@@ -101,7 +102,7 @@ impl Table {
 /// The settings that are measured for a scene's own tool.
 ///
 /// # Errors
-/// Bad input: nothing can be measured for it.
+/// Bad input: the tool cannot be measured.
 pub(super) fn settings(scene: &Scene) -> Result<Vec<Settings>, Failure> {
     let tool = OwnTool::of(scene);
     candidates::settings(&tool)
@@ -115,7 +116,8 @@ fn parts(scene: &Scene) -> impl Iterator<Item = Part> {
     [Some(Part::Gentle), bodies, hard, bone].into_iter().flatten()
 }
 
-/// A row with what does not depend on the tool: its estimated costs, and how a sphere rests on a wall of voxels.
+/// A row with the values that do not depend on the tool: its estimated costs, and how a sphere rests on a
+/// wall of voxels.
 fn unmeasured(settings: &Settings, standard: &[Row]) -> Row {
     let [free_us_per_ms, drilling_us_per_ms] = candidates::cost(settings, standard);
     let is_alike =
@@ -136,22 +138,21 @@ fn kept_or_measured(
         return Ok(rows);
     }
     let text = write(&measuring::measure(tool, part, settings, progress(tool, part))?);
-    // A command that began at the same time may have been faster; its table is the same.
+    // A concurrent command may have been faster; its table is the same.
     let not_kept = |cache: &Cache| {
         let cause = cache.keep_text(key, &text).err()?;
         cache.find_text(key).ok().flatten().is_none().then_some(cause)
     };
     if let Some(cause) = cache.and_then(not_kept) {
-        remark(&format!("the errors of tool `{}` are not kept: {cause}", tool.name));
+        remark(&format!("the errors of tool `{}` cannot be cached: {cause}", tool.name));
     }
-    // What is read again is what the next command reads, to the digit.
-    read(&text)
-        .ok_or_else(|| Failure::failed(format!("tool `{}`: its table cannot be read again", tool.name)))
+    // Parses the written text, so that this command uses the same digits as the next one.
+    read(&text).ok_or_else(|| Failure::failed(format!("tool `{}`: its table cannot be read back", tool.name)))
 }
 
 fn kept(cache: &Cache, key: TextKey, settings: &[Settings]) -> Option<Vec<Row>> {
     let refused = |why: &str| {
-        remark(&format!("{}: {why}; it is measured again", cache.path_of_text(key).display()));
+        remark(&format!("{}: {why}; measuring it again", cache.path_of_text(key).display()));
         cache.remove_text(key);
         None
     };
@@ -159,13 +160,13 @@ fn kept(cache: &Cache, key: TextKey, settings: &[Settings]) -> Option<Vec<Row>> 
         Ok(None) => None,
         Ok(Some(text)) => match read(&text) {
             Some(rows) if rows.iter().map(|row| row.settings).eq(settings.iter().copied()) => Some(rows),
-            _ => refused("holds no table of these settings"),
+            _ => refused("not a table of these settings"),
         },
         Err(damage) => refused(&damage.to_string()),
     }
 }
 
-/// Says from time to time how far measuring has come.
+/// Reports the progress of measuring from time to time.
 fn progress(tool: &OwnTool, part: Part) -> impl FnMut(usize, usize) {
     let what = match part {
         Part::Gentle => "in free space",

@@ -10,8 +10,10 @@ use test_support::scenes::LIMP_TOOL;
 use super::*;
 use crate::plan::resolve_by;
 
-const SCENE: &str = "name = \"own\"\n[run]\nmode = \"lockstep\"\nduration_s = 1.0\n[tool]\nburr_start_mm = [0.0, 0.0, 0.0]\n\
-                     direction = [0.0, 0.0, 1.0]\nbend_toward = [1.0, 0.0, 0.0]\n[[controller]]\nname = \"a\"\n\
+const SCENE: &str = "name = \"own\"\n[run]\nmode = \"lockstep\"\nduration_s = 1.0\n[tool]\nburr_start_mm = \
+                     [0.0, 0.0, 0.0]\n\
+                     direction = [0.0, 0.0, 1.0]\nbend_toward = [1.0, 0.0, 0.0]\n[[controller]]\nname \
+                     = \"a\"\n\
                      drives = [\"tendon\", \"arm\", \"burr\"]\nhold = { tension_n = 5.0 }\n";
 const RIGID: &str = include_str!("../../../../../configs/tools/rigid_drill.toml");
 const TWO: &str = include_str!("../../../../../configs/tools/two_segments.toml");
@@ -39,7 +41,7 @@ impl Place {
         Table::own(scene, Some(&self.cache)).unwrap()
     }
 
-    /// As text: what was not measured is not a number, which equals nothing.
+    /// As text, because unmeasured values are NaN, which equals nothing.
     fn text(&self, scene: &Scene) -> String {
         write(&self.table(scene).rows)
     }
@@ -54,7 +56,7 @@ fn a_table_is_kept_used_and_measured_again_if_it_is_damaged() {
     let key = TextKey::of(&[MEASURING, "gentle", &OwnTool::of(&scene).text().unwrap()]);
     let kept = place.cache.find_text(key).unwrap().unwrap();
     assert_eq!((place.cache.files().len(), place.text(&scene)), (1, first.clone()));
-    // What is kept is what is used.
+    // The cached table is the one used.
     let mut others = read(&kept).unwrap();
     others[0].rest_mm = 7.0;
     place.cache.remove_text(key);
@@ -67,7 +69,7 @@ fn a_table_is_kept_used_and_measured_again_if_it_is_damaged() {
         assert_eq!(place.text(&scene), first);
         assert_eq!(place.cache.find_text(key).unwrap().unwrap(), kept);
     }
-    // Of another version of the candidates.
+    // A table from another version of the candidates.
     place.cache.remove_text(key);
     place.cache.keep_text(key, &write(&others[1..])).unwrap();
     assert_eq!(place.text(&scene), first);
@@ -100,7 +102,8 @@ fn another_tool_has_another_table_and_another_name_or_path_has_not() {
     }
 }
 
-/// No clock: the costs of the standard tool's own settings are those of its table, and fewer links or larger steps cost less.
+/// Costs use no clock: those of the standard tool's own settings equal its table, and fewer links or larger
+/// steps cost less.
 #[test]
 fn costs_follow_from_the_built_in_table() {
     let standard = Table::standard().unwrap().rows;
@@ -130,7 +133,8 @@ fn a_tolerance_of_another_tool_is_planned_by_its_own_table() {
     assert!(choice.row.free_path_mm <= 0.5 && choice.row.rest_mm <= 0.2, "{choice:?}");
     assert!(choice.text().contains("for the scene's own tool, `two_segments`"), "{}", choice.text());
     assert!(!choice.text().contains("end moment"), "{}", choice.text());
-    // A tendon that ends half way is no arc, and its own flexures are better than few links.
+    // With a tendon that ends half way, the shape is not an arc, and the tool's own flexures are more
+    // accurate than few links.
     assert!(table.rows.iter().all(|row| row.settings.rung != Rung::ConstantCurvature));
     let error = |links| {
         let row = table.rows.iter().find(|row| {
@@ -140,9 +144,9 @@ fn a_tolerance_of_another_tool_is_planned_by_its_own_table() {
         row.unwrap().rest_mm
     };
     assert!(error(24) < error(4), "{} {}", error(24), error(4));
-    // Nobody pulled hard, and there was no bone.
+    // No hard pulls, and no bone.
     assert!(table.rows.iter().all(|row| row.hard_path_mm.is_nan() && row.drilled_path_mm.is_nan()));
-    // A client may.
+    // A client can pull hard.
     planned.controller[0].hold = None;
     planned.controller[0].external = true;
     let hard = place.table(&planned);
@@ -150,7 +154,7 @@ fn a_tolerance_of_another_tool_is_planned_by_its_own_table() {
     assert_eq!(place.cache.files().len(), 2, "the gentle part was not measured again");
 }
 
-/// Out of its outer tube it yields more than in it; a roll turns its plane out of that of its weight.
+/// The tool is more compliant outside its outer tube; a roll rotates its plane out of that of gravity.
 #[test]
 fn a_tool_in_an_outer_tube_is_measured_as_it_slides_out() {
     let tubes = include_str!("../../../../../configs/tools/tube_in_tube.toml");
@@ -171,7 +175,7 @@ fn a_tool_in_an_outer_tube_is_measured_as_it_slides_out() {
     assert_eq!(cheapest(&planned), Rung::Planar);
     planned.controller[0].tube_deployment.as_mut().unwrap().roll_deg = 40.0;
     assert_eq!(cheapest(&planned), Rung::Spatial);
-    // Few links lie elsewhere on the arc.
+    // With few links, positions on the arc differ.
     let error = |links| {
         let is_it = |row: &&Row| {
             let Settings { rung, dt_ms, integrator, .. } = row.settings;
@@ -183,10 +187,11 @@ fn a_tool_in_an_outer_tube_is_measured_as_it_slides_out() {
     assert!(error(32) < error(8) && error(8) < error(4));
 }
 
-/// Bodies push from any direction: what bends in one plane is not measured against them.
+/// Bodies push from any direction: planar models are not measured against them.
 #[test]
 fn a_scene_with_bodies_counts_a_wall() {
-    let body = "body = [{ name = \"wall\", cuboid = { half_extents_mm = [5.0, 9.0, 9.0] }, motion = \"fixed\", position_mm = [30.0, 0.0, 0.0] }]";
+    let body = "body = [{ name = \"wall\", cuboid = { half_extents_mm = [5.0, 9.0, 9.0] }, motion \
+                = \"fixed\", position_mm = [30.0, 0.0, 0.0] }]";
     let place = Place::new();
     let [without, with] = ["", body].map(|body| place.table(&scene(body, Some(RIGID))).rows);
     for (without, with) in without.iter().zip(&with) {
@@ -208,7 +213,7 @@ fn what_was_refused_is_measured_with_the_scenes_own_parameters() {
     assert_ne!(softer.rows[0].free_path_mm, rubbing.rows[0].free_path_mm);
 }
 
-/// Pulls of newtons on flexures of a micronewton metre overflow; a pendulum without damping swings on.
+/// Pulls of newtons on flexures of a micronewton metre overflow; an undamped pendulum keeps swinging.
 #[test]
 fn a_tool_that_the_reference_does_not_hold_is_refused_with_its_name() {
     let refused = |scene: &Scene| {

@@ -1,4 +1,4 @@
-//! What of a scene makes its tool.
+//! The parts of a scene that make up its tool.
 
 use ipc_types::scene::{Drives, Manipulator, Scene, StartShape, Tendon, ToolOuterTube};
 use serde::Serialize;
@@ -10,18 +10,19 @@ use crate::plan::load::tendons_leave_the_plane;
 use crate::plan::measure::trials::{PULL_S, Trial};
 use crate::plan::table::own_links;
 
-/// Weight under which every tool is measured, m/s²; more if the scene has more.
+/// Gravity under which every tool is measured, m/s²; more if the scene has more.
 const WEIGHT_M_PER_S2: f64 = 9.81;
 /// Longest duration of a pull, s.
 const LONGEST_PULL_S: f64 = 4.0;
-/// By how much the pilot hole of a tunnel is wider than the burr, mm: as much as that of the standard tool.
+/// Clearance of the pilot hole of a tunnel around the burr, mm in diameter: as for the standard tool.
 const PLAY_MM: f64 = 0.5;
-/// A tool in an outer tube is turned at least so fast.
+/// Smallest roll speed at which a tool in an outer tube is measured.
 pub const LEAST_ROLL_DEG_PER_S: f64 = 90.0;
-/// A swing has decayed after so many of its time constants: to 5 %.
+/// A swing has decayed to 5 % after this many time constants.
 const TIME_CONSTANTS: f64 = 3.0;
 
-/// The tool of a scene, as its errors depend on it: what is simulated, whatever the plan believes (`[truth]`).
+/// The tool of a scene, as far as errors depend on it: the simulated one, whatever the plan assumes
+/// (`[truth]`).
 #[derive(Debug, Clone, PartialEq)]
 pub struct OwnTool {
     /// Its name in messages.
@@ -29,7 +30,7 @@ pub struct OwnTool {
     parts: Parts,
 }
 
-/// What the hash of a tool is made of.
+/// Contents of a tool's hash.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 struct Parts {
     start_shape: StartShape,
@@ -39,7 +40,7 @@ struct Parts {
 }
 
 impl OwnTool {
-    /// The tool of a scene, without the settings that a plan chooses.
+    /// Extracts the tool of a scene, without the settings that a plan chooses.
     pub fn of(scene: &Scene) -> OwnTool {
         let scene = scene.as_it_is();
         let mut manipulator =
@@ -57,15 +58,15 @@ impl OwnTool {
         OwnTool { name, parts: Parts { start_shape, weight_m_per_s2, manipulator, tendon: scene.tendon } }
     }
 
-    /// The tube that it slides out of, if there is one.
+    /// The tube that it slides out of, if any.
     pub fn outer_tube(&self) -> Option<&ToolOuterTube> {
         self.parts.manipulator.outer_tube()
     }
 
-    /// All that its errors depend on, as text: tools of the same text have the same errors.
+    /// Everything its errors depend on, as text: tools with the same text have the same errors.
     ///
     /// # Errors
-    /// It cannot be written as TOML, which no tool that was read from TOML has shown.
+    /// It cannot be written as TOML, which has not happened for any tool read from TOML.
     pub fn text(&self) -> Result<String, Failure> {
         toml::to_string(&self.parts)
             .map_err(|cause| Failure::failed(format!("tool `{}`: {cause}", self.name)))
@@ -91,7 +92,7 @@ impl OwnTool {
         tool.is_some_and(|tool| tool.flexure.iter().any(|flexure| flexure.rest_deg != 0.0))
     }
 
-    /// The weight under which it is measured, m/s².
+    /// Gravity under which it is measured, m/s².
     pub fn weight_m_per_s2(&self) -> f64 {
         self.parts.weight_m_per_s2
     }
@@ -102,7 +103,7 @@ impl OwnTool {
         radii.cutter.balls().first().map_or(0.0, |ball| 1e3 * ball.radius_m)
     }
 
-    /// Diameter of the hole that it fits in, mm.
+    /// Diameter of a hole that it fits in, mm.
     pub fn hole_mm(&self) -> f64 {
         let radii = self.parts.manipulator.radii();
         let widest_m =
@@ -110,7 +111,8 @@ impl OwnTool {
         2e3 * widest_m + PLAY_MM
     }
 
-    /// A trial with this tool: in free space as the scene has it, in bone straight in its pilot hole, as a tunnel begins.
+    /// Builds a trial with this tool: in free space as in the scene, in bone straight in its pilot hole, as
+    /// at the start of a tunnel.
     ///
     /// # Errors
     /// A parameter of the trial is out of range.
@@ -122,7 +124,7 @@ impl OwnTool {
                 (entry.external, entry.tube_deployment) = (false, Some(deployment.clone()));
                 entry.drives.push(Drives::Tube);
             }
-            // A slow drive would take too long to measure; a quicker one is the harder trial.
+            // A slow drive would take too long to measure; a faster one is the harder trial.
             if let Some(outer) = scene.manipulator.tool.as_mut().and_then(|tool| tool.outer_tube.as_mut()) {
                 outer.speed_mm_per_s = outer.speed_mm_per_s.max(deployment.feed_mm_per_s);
                 outer.roll_speed_deg_per_s = outer.roll_speed_deg_per_s.max(LEAST_ROLL_DEG_PER_S);
@@ -135,7 +137,7 @@ impl OwnTool {
         Ok(scene)
     }
 
-    /// Gives a scene this tool.
+    /// Replaces the tool of a scene.
     pub fn put_into(&self, scene: &mut Scene) {
         scene.manipulator = self.parts.manipulator.clone();
         if let Some(tool) = &mut scene.manipulator.tool {
@@ -145,7 +147,7 @@ impl OwnTool {
         scene.tool.start_shape = Some(self.parts.start_shape);
     }
 
-    /// How long a pull lasts: until the slowest swing has decayed, but no shorter than the standard tool's.
+    /// Duration of a pull: until the slowest swing has decayed, but at least as long as the standard tool's.
     ///
     /// # Errors
     /// Bad input: the reference refuses the tool.
@@ -163,7 +165,7 @@ impl OwnTool {
     /// Number of its flexures.
     ///
     /// # Errors
-    /// A trial cannot be made.
+    /// A trial cannot be built.
     pub fn flexures(&self) -> Result<usize, Failure> {
         Ok(own_links(&self.scene(&Trial::hold(0.0, 0.0), false)?))
     }

@@ -1,4 +1,4 @@
-//! Scenes with one sensor, and what it reads of a signal.
+//! Scenes with one sensor, and its readings of a signal.
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests fail the test")]
 
@@ -11,7 +11,8 @@ use sensors::SensorArray;
 /// A scene whose `[[sensor]]` has these keys; a tick is 1 ms.
 pub fn scene(keys: &str) -> Scene {
     let text = format!(
-        "name = \"t\"\n[run]\nmode = \"lockstep\"\nduration_s = 10.0\n[tool]\nburr_start_mm = [0.0, 0.0, 0.0]\ndirection = [0.0, 0.0, 1.0]\n\
+        "name = \"t\"\n[run]\nmode = \"lockstep\"\nduration_s = 10.0\n[tool]\n\
+         burr_start_mm = [0.0, 0.0, 0.0]\ndirection = [0.0, 0.0, 1.0]\n\
          bend_toward = [1.0, 0.0, 0.0]\n[[sensor]]\nname = \"s\"\n{keys}\n"
     );
     Scene::parse(&text, Path::new("t.toml")).unwrap()
@@ -30,7 +31,7 @@ pub fn state(tick: u64, value: f64) -> State {
     state
 }
 
-/// What the scene's sensors read of a signal of this many ticks.
+/// Readings of the scene's sensors for a signal of this many ticks.
 pub fn read(scene: &Scene, ticks: u64, signal: impl Fn(u64) -> f64) -> Vec<SensorReading> {
     let mut sensors = SensorArray::new(scene);
     let mut all = Vec::new();

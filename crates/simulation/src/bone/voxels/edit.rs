@@ -1,4 +1,4 @@
-//! Changes voxels: every function that does so is in this file and records the change in the journal.
+//! Changes voxels. Every function that does so is in this file and records the change in the journal.
 
 use super::journal::Region;
 use super::{BoneSnapshot, Voxels};
@@ -8,7 +8,7 @@ use crate::bone::grid::VoxelIndex;
 use crate::bone::occupancy::VoxelBox;
 use crate::bone::strength::Place;
 
-/// One tick of drilling. On drop it records in the journal what changed.
+/// One tick of drilling. On drop, it records the changes in the journal.
 pub(in crate::bone) struct Drilling<'v> {
     voxels: &'v mut Voxels,
     changed: Region,
@@ -29,29 +29,31 @@ impl Drop for Drilling<'_> {
 }
 
 impl Drilling<'_> {
-    /// Where the voxel's spent fraction is stored, taking a block if needed; `None` if there are no more.
+    /// Returns the place of the voxel's spent fraction, taking a block if needed; `None` if there are no
+    /// more.
     pub fn claim(&mut self, voxel: VoxelIndex) -> Option<Place> {
         self.voxels.pool.claim(self.voxels.geometry.voxel(voxel))
     }
 
-    /// Sets the spent fraction of a voxel, given by number and by its place along each axis; returns what was set.
+    /// Sets the spent fraction of a voxel, given by index and by its position along each axis; returns the
+    /// value set.
     #[inline]
     pub fn cut(&mut self, voxel: VoxelIndex, at: [i64; 3], place: Place, spent: f64) -> f64 {
         self.changed.cut = self.changed.cut.with(at);
         self.set(voxel, place, spent)
     }
 
-    /// Notes that voxels in this box are cut, for [`Self::set`].
+    /// Records that voxels in this box are cut, for [`Self::set`].
     pub fn note_cuts(&mut self, around: &VoxelBox) {
         self.changed.cut = self.changed.cut.hull(around);
     }
 
-    /// True if another voxel may be queued for the list of removed voxels.
+    /// Returns true if another voxel may be queued for the list of removed voxels.
     pub fn has_room(&self) -> bool {
         self.voxels.waiting.len() < self.voxels.waiting_limit
     }
 
-    /// Sets the spent fraction of a voxel anywhere; false if there is no memory for it.
+    /// Sets the spent fraction of any voxel; returns false if memory runs out.
     pub fn crush(&mut self, voxel: VoxelIndex, spent: f64) -> bool {
         let Some(place) = self.claim(voxel) else { return false };
         self.set(voxel, place, spent);
@@ -68,7 +70,7 @@ impl Drilling<'_> {
         *removed_total += count as u64;
     }
 
-    /// Sets the spent fraction of a voxel within what [`Self::note_cuts`] noted; returns what was set.
+    /// Sets the spent fraction of a voxel in a box recorded by [`Self::note_cuts`]; returns the value set.
     #[inline(always)]
     pub fn set(&mut self, voxel: VoxelIndex, place: Place, spent: f64) -> f64 {
         let spent = if spent > GONE { self.pass(voxel, place, spent) } else { spent };
@@ -78,8 +80,8 @@ impl Drilling<'_> {
         spent
     }
 
-    /// Queues a voxel that is gone now, and empties one of which all is spent. Returns the fraction to set: if the queue is full, the voxel
-    /// keeps its half and goes in a later tick.
+    /// Queues a voxel that is now gone, and empties one that is fully spent. Returns the fraction to set: if
+    /// the queue is full, the voxel keeps half and is removed in a later tick.
     fn pass(&mut self, voxel: VoxelIndex, place: Place, spent: f64) -> f64 {
         if self.voxels.pool.spent_at(place) <= GONE {
             if !self.has_room() {
@@ -113,7 +115,8 @@ impl Voxels {
         Drilling { voxels: self, changed: Region::NOTHING }
     }
 
-    /// Removes a fraction of a voxel from the bone permanently, or what is left of that fraction; false if there is no memory for it.
+    /// Removes a fraction of a voxel from the bone permanently, or what is left of that fraction; returns
+    /// false if memory runs out.
     pub(super) fn take_out(&mut self, voxel: [usize; 3], spent: f64) -> bool {
         let [i, j, k] = voxel;
         let before = self.pilot.spent(i, j, k);
@@ -126,7 +129,7 @@ impl Voxels {
             self.pilot_voxels += 1.0 - before;
             return true;
         }
-        // The pool's block first: the pilot's blocks are always among those of the pool.
+        // Claim the pool's block first: the pilot's blocks are always a subset of the pool's.
         let Some(place) = self.pool.claim(voxel) else { return false };
         let Some(pilot) = self.pilot.claim(voxel) else { return false };
         self.pilot.set(pilot, spent.max(self.pilot.spent_at(pilot)));
@@ -137,12 +140,13 @@ impl Voxels {
         true
     }
 
-    /// Call after [`Self::take_out`].
+    /// Finishes a series of [`Self::take_out`] calls.
     pub(super) fn end_taking_out(&mut self) {
         self.journal.note_everything();
     }
 
-    /// Takes memory for the partly cut voxels of a tick, if the last one has left too little; false if the system gives none.
+    /// Reserves memory for the partly cut voxels of a tick, if the last one left too little; returns false if
+    /// memory runs out.
     pub(in crate::bone) fn make_room(&mut self) -> bool {
         self.pool.make_room()
     }
@@ -171,13 +175,14 @@ impl Voxels {
         self.journal.note_everything();
     }
 
-    /// Restores a snapshot, earlier or later, of a field with the same CT, parameters and pilot holes; continues bit for bit.
+    /// Restores a snapshot, earlier or later, of a field with the same CT, parameters and pilot holes;
+    /// continues bit for bit.
     pub(in crate::bone) fn restore(&mut self, snapshot: &BoneSnapshot) -> Result<(), BoneError> {
         if snapshot.voxel_count != self.geometry.voxel_count() {
-            return Err(BoneError::Snapshot { reason: "it has another number of voxels" });
+            return Err(BoneError::Snapshot { reason: "the number of voxels differs" });
         }
         if snapshot.pilot_count != self.pilot_count {
-            return Err(BoneError::Snapshot { reason: "it has other pilot holes" });
+            return Err(BoneError::Snapshot { reason: "the pilot holes differ" });
         }
         if snapshot.removed.len() > self.parameters.removed_per_tick
             || snapshot.waiting.len() > self.waiting_limit

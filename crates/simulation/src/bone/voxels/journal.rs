@@ -1,23 +1,25 @@
-//! Records which voxels changed recently, so that caches can tell which of their entries are still valid.
+//! Records which voxels changed recently, so that caches can determine which of their entries are still
+//! valid.
 //!
-//! A cache stores the number of edits it has seen ([`Journal::edits`]). The journal tells it what changed since then; if the journal no
-//! longer goes back that far, the cache drops everything. A cache therefore cannot miss a change: it asks, and nobody has to notify it.
+//! A cache stores the number of edits it has seen ([`Journal::edits`]). The journal returns the changes since
+//! then; if it no longer goes back that far, the cache drops everything. A cache therefore cannot miss a
+//! change: it polls the journal and needs no notification.
 
 use crate::bone::occupancy::VoxelBox;
 use crate::bone::spline::SPLINE_VOXELS;
 
-/// First cuts of an edit that are kept one by one.
+/// Maximum number of first cuts of an edit that are recorded individually.
 const KEPT_FIRST_CUTS: usize = 128;
 
-/// Number of regions kept. Few are enough, because a sphere that rests on bone asks in every tick.
+/// Number of regions kept. A few are enough, because a sphere that rests on bone checks in every tick.
 const KEPT_REGIONS: usize = 8;
 
-/// Around the voxels that one tick of drilling has changed.
+/// Boxes around the voxels that one tick of drilling has changed.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(in crate::bone) struct Region {
-    /// By the burr.
+    /// Voxels cut by the burr.
     pub cut: VoxelBox,
-    /// By the rest of the tool, which may press elsewhere.
+    /// Voxels crushed by the rest of the tool, which may press elsewhere.
     pub crushed: VoxelBox,
 }
 
@@ -25,7 +27,7 @@ impl Region {
     /// No voxel.
     pub const NOTHING: Self = Self { cut: VoxelBox::NOTHING, crushed: VoxelBox::NOTHING };
 
-    /// True if the region overlaps the box.
+    /// Returns true if the region overlaps the box.
     #[inline]
     fn meets(&self, voxels: &VoxelBox) -> bool {
         self.cut.meets(voxels) || self.crushed.meets(voxels)
@@ -42,7 +44,8 @@ pub(in crate::bone) struct Journal {
     regions: u64,
     /// Blocks of the pool that were in use before the last edit.
     blocks_before: usize,
-    /// The voxels that the last edit cut for the first time, as many as are kept, their number, and around all of them.
+    /// The voxels that the last edit cut for the first time (up to the maximum), their number, and their
+    /// bounding box.
     first_cuts: [[i64; 3]; KEPT_FIRST_CUTS],
     first_cut_count: usize,
     first_cut_box: VoxelBox,
@@ -78,7 +81,8 @@ impl Journal {
         self.first_cut_box = self.first_cut_box.with(voxel);
     }
 
-    /// The voxels that the last edit cut for the first time, one by one; or around them if there are too many.
+    /// Returns the voxels that the last edit cut for the first time, or their bounding box if there are too
+    /// many.
     pub fn first_cuts(&self) -> Result<&[[i64; 3]], &VoxelBox> {
         self.first_cuts.get(..self.first_cut_count).ok_or(&self.first_cut_box)
     }
@@ -93,36 +97,37 @@ impl Journal {
 
     /// Records an edit that may have changed any voxel: everything cached is out of date.
     pub(super) fn note_everything(&mut self) {
-        // Two edits and more regions than are kept: every cache then finds itself more than one edit behind.
+        // Add two edits and more regions than are kept, so that every cache finds itself more than one edit
+        // behind.
         self.edits += 2;
         self.regions += KEPT_REGIONS as u64 + 1;
     }
 
-    /// Number of edits so far.
+    /// Returns the number of edits so far.
     #[inline]
     pub fn edits(&self) -> u64 {
         self.edits
     }
 
-    /// Number of regions so far, for [`Self::is_unchanged`].
+    /// Returns the number of regions so far, for [`Self::is_unchanged`].
     #[inline]
     pub fn regions(&self) -> u64 {
         self.regions
     }
 
-    /// Blocks of the pool that were in use before the last edit.
+    /// Returns the blocks of the pool that were in use before the last edit.
     pub fn blocks_before(&self) -> usize {
         self.blocks_before
     }
 
-    /// True if no region from number `seen` on overlaps the voxels `start..start + 7` per axis.
+    /// Returns true if no region from number `seen` on overlaps the voxels `start..start + 7` per axis.
     #[inline]
     pub fn cell_is_unchanged(&self, seen: u64, start: [i64; 3]) -> bool {
         let high = start.map(|x| x + SPLINE_VOXELS as i64 - 1);
         self.is_unchanged(seen, &VoxelBox { low: start, high })
     }
 
-    /// True if no region from number `seen` on overlaps the box.
+    /// Returns true if no region from number `seen` on overlaps the box.
     #[inline]
     pub fn is_unchanged(&self, seen: u64, voxels: &VoxelBox) -> bool {
         let place = |number: u64| (number % KEPT_REGIONS as u64) as usize;

@@ -1,7 +1,7 @@
 //! The voxels themselves: all bone state that affects results or belongs in a keyframe.
 //!
-//! Voxels change only through the functions in `edit.rs`, which record every change in the journal. The caches
-//! ([`super::tracked`], [`super::reach`]) only read the voxels and the journal.
+//! Voxels change only through the functions in `edit.rs`, which record every change in the journal. The
+//! caches ([`super::tracked`], [`super::reach`]) only read the voxels and the journal.
 
 mod edit;
 mod journal;
@@ -20,7 +20,7 @@ use super::strength::{BLOCK_EDGE, ChangedBlock, SpentPool};
 pub(super) use edit::Drilling;
 pub(super) use journal::Journal;
 
-/// Bone of one CT: which voxels are bone, and how much of each remains.
+/// The bone of one CT: which voxels are bone, and how much of each remains.
 #[derive(Debug)]
 pub struct Voxels {
     geometry: GridGeometry,
@@ -31,13 +31,13 @@ pub struct Voxels {
     /// Bone of which nothing is spent.
     whole: Occupancy,
     pool: SpentPool,
-    /// What pilot holes have left of voxels: the fractions that a reset returns to.
+    /// Voxels as left by the pilot holes: the fractions that a reset restores.
     pilot: SpentPool,
     /// Voxels that pilot holes have cut, wholly or partly; a reset does not restore them.
     pilot_count: u64,
-    /// Bone that pilot holes have removed, in volumes of a voxel.
+    /// Volume that pilot holes have removed, in voxels.
     pilot_voxels: f64,
-    /// Voxels that are gone since this tick, and those of which the tick spent the rest.
+    /// Voxels that became gone in this tick, and those that became fully spent.
     removed: Vec<VoxelIndex>,
     emptied: Vec<VoxelIndex>,
     /// Voxels that are gone but not yet listed as removed, in FIFO order; at most `waiting_limit`.
@@ -47,12 +47,13 @@ pub struct Voxels {
     journal: Journal,
 }
 
-/// What drilling has changed in a field: enough to continue bit for bit in a field with the same CT and scene.
+/// The changes that drilling made to a field, sufficient to continue bit for bit in a field with the same CT
+/// and scene.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BoneSnapshot {
     voxel_count: usize,
     pilot_count: u64,
-    /// Fractions that are not those of the start.
+    /// Fractions that differ from those of the start.
     blocks: Vec<ChangedBlock>,
     removed: Vec<VoxelIndex>,
     waiting: Vec<VoxelIndex>,
@@ -92,13 +93,13 @@ impl Voxels {
         })
     }
 
-    /// The grid, with perpendicular axes.
+    /// Returns the grid, with perpendicular axes.
     #[inline]
     pub fn geometry(&self) -> &GridGeometry {
         &self.geometry
     }
 
-    /// The parameters the field was built with.
+    /// Returns the parameters the field was built with.
     #[inline]
     pub fn parameters(&self) -> &BoneParameters {
         &self.parameters
@@ -125,35 +126,37 @@ impl Voxels {
         &self.journal
     }
 
-    /// True if voxel (i, j, k) is bone in an image: at least half of it is left. False outside the grid.
+    /// Returns true if voxel (i, j, k) is bone in an image: at least half of it is left. False outside the
+    /// grid.
     pub fn is_solid(&self, i: usize, j: usize, k: usize) -> bool {
         self.is_mostly_solid([i as i64, j as i64, k as i64])
     }
 
-    /// True if the voxel is bone in an image, or not listed as removed yet. Searches the voxels that wait for it.
+    /// Returns true if the voxel is bone in an image, or not yet listed as removed. Searches the waiting
+    /// voxels.
     pub fn is_listed_solid(&self, voxel: VoxelIndex) -> bool {
         self.is_solid_index(voxel) || self.waiting.contains(&voxel)
     }
 
-    /// [`Self::is_solid`] of the voxel with this index.
+    /// Returns [`Self::is_solid`] for the voxel with this index.
     pub fn is_solid_index(&self, voxel: VoxelIndex) -> bool {
         let [i, j, k] = self.geometry.voxel(voxel);
         self.is_solid(i, j, k)
     }
 
-    /// True if a voxel is bone and at least half of it remains.
+    /// Returns true if a voxel is bone and at least half of it remains.
     #[inline]
     pub(super) fn is_mostly_solid(&self, voxel: [i64; 3]) -> bool {
         self.occupancy.is_solid_at(voxel)
             && self.pool.spent(voxel[0] as usize, voxel[1] as usize, voxel[2] as usize) <= GONE
     }
 
-    /// Number of voxels of which any bone is left.
+    /// Returns the number of voxels of which any bone is left.
     pub fn solid_count(&self) -> usize {
         self.occupancy.solid_count()
     }
 
-    /// Fraction of the voxel's strength that remains: 1 for whole bone, 0 for removed or no bone.
+    /// Returns the fraction of the voxel's strength that remains: 1 for whole bone, 0 for removed or no bone.
     pub fn remaining_strength(&self, i: usize, j: usize, k: usize) -> f64 {
         if self.occupancy.is_solid_at([i as i64, j as i64, k as i64]) {
             self.parameters.removal.strength_left(self.pool.spent(i, j, k))
@@ -162,37 +165,38 @@ impl Voxels {
         }
     }
 
-    /// The voxels that are gone since the last tick of drilling: less than half of each is left. In no particular order.
+    /// Returns the voxels that are gone since the last tick of drilling: less than half of each is left. The
+    /// order is unspecified.
     pub fn removed_this_tick(&self) -> &[VoxelIndex] {
         &self.removed
     }
 
-    /// The voxels of which the last tick spent the rest.
+    /// Returns the voxels that became fully spent in the last tick.
     pub(super) fn emptied_this_tick(&self) -> &[VoxelIndex] {
         &self.emptied
     }
 
-    /// Number of voxels that are gone and wait for the list of removed ones.
+    /// Returns the number of voxels that are gone and wait for the list of removed ones.
     pub(super) fn waiting_count(&self) -> usize {
         self.waiting.len()
     }
 
-    /// Number of voxels listed as removed since construction or reset.
+    /// Returns the number of voxels listed as removed since construction or reset.
     pub fn removed_total(&self) -> u64 {
         self.removed_total
     }
 
-    /// Blocks of partly cut voxels in use, and how many there may be.
+    /// Returns the number of blocks of partly cut voxels in use, and the maximum.
     pub fn pool_usage(&self) -> (usize, usize) {
         (self.pool.used(), self.pool.capacity())
     }
 
-    /// Memory that partly cut voxels have taken, bytes.
+    /// Returns the memory used by partly cut voxels, bytes.
     pub fn pool_bytes(&self) -> usize {
         self.pool.bytes()
     }
 
-    /// Energy in J to cut a whole voxel of the CT.
+    /// Returns the energy in J to cut a whole voxel of the CT.
     #[inline]
     pub(super) fn full_energy_j(&self, hu: i16) -> f64 {
         self.material.specific_energy_j_m3(hu) * self.geometry.voxel_volume_m3()
@@ -203,19 +207,21 @@ impl Voxels {
         &self.material
     }
 
-    /// Volume in m³ that drilling has removed so far, of whole and of partly cut voxels, recomputed from the pool.
+    /// Returns the volume in m³ that drilling has removed so far, of whole and of partly cut voxels,
+    /// recomputed from the pool.
     pub fn removed_m3(&self) -> f64 {
         let mut sum = 0.0;
         self.pool.for_each(|[i, j, k], spent| sum += spent - self.pilot.spent(i, j, k));
         sum * self.geometry.voxel_volume_m3()
     }
 
-    /// Volume in m³ that pilot holes have removed.
+    /// Returns the volume in m³ that pilot holes have removed.
     pub fn pilot_m3(&self) -> f64 {
         self.pilot_voxels * self.geometry.voxel_volume_m3()
     }
 
-    /// Energy in J that bone has absorbed from drilling so far (removed and partly cut voxels), recomputed from the pool.
+    /// Returns the energy in J that bone has absorbed from drilling so far (removed and partly cut voxels),
+    /// recomputed from the pool.
     ///
     /// # Errors
     /// `hu` does not have one value per voxel.
@@ -233,7 +239,7 @@ impl Voxels {
         Ok(sum_j)
     }
 
-    /// What drilling has changed so far. Allocates; not for the real-time loop.
+    /// Returns the changes made by drilling so far. Allocates; not for the real-time loop.
     pub fn snapshot(&self) -> BoneSnapshot {
         BoneSnapshot {
             voxel_count: self.geometry.voxel_count(),
@@ -246,7 +252,7 @@ impl Voxels {
     }
 }
 
-/// Refuses a CT whose size does not match the grid.
+/// Rejects a CT whose size does not match the grid.
 pub(super) fn check_volume(geometry: &GridGeometry, hu: &[i16]) -> Result<(), BoneError> {
     if hu.len() == geometry.voxel_count() {
         Ok(())

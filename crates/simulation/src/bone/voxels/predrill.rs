@@ -1,9 +1,10 @@
 //! Pilot holes: bone removed before the run.
 //!
-//! A pilot hole is what a ball of its radius leaves that cuts everything in its way: a voxel at the hole's wall keeps the part beyond the
-//! wall, as seen from the hole's axis. With whole voxels instead, a tool that leans on the wall goes another way wherever the voxels lie:
-//! tunnels of 4 mm ended up to 1 mm apart, and are within a tenth of that with partial ones (`tests/grid_phase.rs`). The published
-//! removal rules and the contact with balls know no part of a voxel: with them the hole is made of whole voxels.
+//! A pilot hole is the trace of a ball of its radius that cuts everything in its way: a voxel at the hole's
+//! wall keeps the part beyond the wall, as seen from the hole's axis. With whole voxels instead, the path of
+//! a tool that leans on the wall depends on the grid: 4 mm tunnels ended up to 1 mm apart, but within a tenth
+//! of that with partial voxels (`tests/physics/grid_phase.rs`). The baseline removal rules and ball contacts
+//! do not support partial voxels, so with them the hole consists of whole voxels.
 
 use nalgebra::Vector3;
 
@@ -13,7 +14,7 @@ use crate::bone::grid::VoxelIndex;
 use crate::bone::query::ContactKind;
 use crate::bone::removal::Removal;
 
-/// A hole in the grid's metric frame: all that is within `radius_m` of a segment.
+/// A hole in the grid's metric frame: all points within `radius_m` of a segment.
 struct Capsule {
     from: Vector3<f64>,
     along: Vector3<f64>,
@@ -22,13 +23,14 @@ struct Capsule {
 }
 
 impl Capsule {
-    /// From the nearest point of the segment.
+    /// Returns the offset of a point from the nearest point of the segment.
     fn offset(&self, point: &Vector3<f64>) -> Vector3<f64> {
         let t = ((point - self.from).dot(&self.along) * self.per_length2).clamp(0.0, 1.0);
         point - self.from - self.along * t
     }
 
-    /// Fraction of a voxel that a ball of the hole's radius cuts: the surface that is left lies on the hole's wall, seen from its axis.
+    /// Returns the fraction of a voxel that a ball of the hole's radius cuts: the remaining surface lies on
+    /// the hole's wall, as seen from its axis.
     fn spent(&self, centre: &Vector3<f64>, spacing: &[f64; 3]) -> f64 {
         let offset = self.offset(centre);
         let distance = offset.norm();
@@ -40,9 +42,10 @@ impl Capsule {
 }
 
 impl Voxels {
-    /// Removes the bone within `radius_m` of the segment `from`-`to` (world, metres) and returns the numbers of the voxels that are gone,
-    /// of which less than half is left, in ascending order. These voxels are part of the scene: a reset does not restore them. Use before
-    /// the run; allocates. Removes nothing for non-finite values or a radius that is not positive.
+    /// Removes the bone within `radius_m` of the segment `from`-`to` (world, metres) and returns the numbers
+    /// of the voxels that are gone, of which less than half is left, in ascending order. These voxels are
+    /// part of the scene: a reset does not restore them. Use before the run; allocates. Removes nothing for
+    /// non-finite values or a radius that is not positive.
     pub(in crate::bone) fn predrill_capsule(
         &mut self,
         from_world_m: &Vector3<f64>,
@@ -58,7 +61,7 @@ impl Voxels {
         let per_length2 = if length > 0.0 { 1.0 / (length * length) } else { 0.0 };
         let capsule = Capsule { from, along, per_length2, radius_m };
         let (middle, spacing) = (from + along * 0.5, self.geometry.spacing_m);
-        // A corner of a voxel that is cut may lie a little outside of the hole.
+        // A corner of a cut voxel may lie slightly outside the hole.
         let edge_m = radius_m + spacing.into_iter().fold(0.0, f64::max);
         let reach_m = [0, 1, 2].map(|axis| 0.5 * along[axis].abs() + edge_m);
         let Some(around) = self.occupancy.voxels_in_box(middle.into(), reach_m, spacing) else {
@@ -80,7 +83,7 @@ impl Voxels {
                     }
                     let voxel = [i, j, k].map(|x| x as usize);
                     let was_gone = !self.is_mostly_solid([i, j, k]);
-                    // Without memory for a part the whole voxel stays or goes.
+                    // Without memory for a partial voxel, the whole voxel stays or goes.
                     if !self.take_out(voxel, spent) && spent > GONE {
                         self.take_out(voxel, 1.0);
                     }

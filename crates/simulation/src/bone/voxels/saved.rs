@@ -1,5 +1,5 @@
-//! The field's snapshot as bytes: per block, which voxels have changed since the start of the run, which are spent, and the fractions of
-//! the rest; of a block that is wholly spent, its number alone.
+//! Serialises the field's snapshot: per block, which voxels have changed since the start of the run, which
+//! are spent, and the fractions of the rest; for a fully spent block, only its number.
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de::Error, ser::SerializeSeq};
 
@@ -7,7 +7,7 @@ use super::{BoneSnapshot, Voxels};
 use crate::bone::grid::VoxelIndex;
 use crate::bone::strength::{BLOCK_VOXELS, BLOCK_WORDS, BlockChange, ChangedBlock, bit};
 
-/// A block: bit b of word w stands for voxel 64 w + b.
+/// A serialised block: bit b of word w is voxel 64 w + b.
 struct SavedBlock<'a>(BlockChange<'a>);
 
 impl Serialize for SavedBlock<'_> {
@@ -47,7 +47,8 @@ impl Serialize for Blocks<'_> {
 }
 
 impl Voxels {
-    /// The contents of [`Voxels::snapshot`], serialisable without a copy; deserialises as a [`BoneSnapshot`].
+    /// Returns the contents of [`Voxels::snapshot`], serialisable without a copy; deserialises as a
+    /// [`BoneSnapshot`].
     pub fn serialised(&self) -> impl Serialize + '_ {
         let voxels = self.geometry.voxel_count() as u64;
         let lists = (&self.removed, &self.waiting);
@@ -63,7 +64,7 @@ impl<'de> Deserialize<'de> for BoneSnapshot {
             Whole::deserialize(deserializer)?;
         let inside = |voxel: &VoxelIndex| u64::from(voxel.number()) < voxels;
         if !removed.iter().chain(&waiting).all(inside) {
-            return Err(D::Error::custom("a removed voxel outside the grid"));
+            return Err(D::Error::custom("removed voxel outside the grid"));
         }
         let mut blocks = Vec::new();
         for (number, cut) in saved {
@@ -75,7 +76,8 @@ impl<'de> Deserialize<'de> for BoneSnapshot {
             let mut rest = partial.into_iter();
             let mut spent = Vec::new();
             for voxel in (0..BLOCK_VOXELS).filter(|voxel| bit(&changed, *voxel)) {
-                let mut partial = || rest.next().ok_or_else(|| D::Error::custom("a fraction is missing"));
+                let mut partial =
+                    || rest.next().ok_or_else(|| D::Error::custom("truncated: fraction missing"));
                 spent.push(if bit(&gone, voxel) { 1.0 } else { partial()? });
             }
             blocks.push(ChangedBlock { number, changed, spent });

@@ -1,13 +1,14 @@
-//! Closed-form kinematics: a rigid piece, an arc of constant curvature, a rigid piece.
+//! Closed-form kinematics: a rigid section, an arc of constant curvature, a rigid section.
 
 use crate::manipulator::parameters::ManipulatorParameters;
 
-/// Below this bend the arc functions use their power series, because the closed forms lose digits to cancellation, rad.
+/// Bend, rad, below which the arc functions use their power series, because the closed forms lose digits to
+/// cancellation.
 const SERIES_BELOW_RAD: f64 = 0.3;
-/// Terms of the series: 0.3^(2 k + 1) / (2 k + 2)! is below rounding from k = 6 on.
+/// Number of terms of the series: 0.3^(2 k + 1) / (2 k + 2)! is below rounding from k = 6 on.
 const TERMS: usize = 7;
 
-/// Where the arc begins and ends on the straight tool, m.
+/// Start and end of the arc on the straight tool, m.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Arc {
     pub start_m: f64,
@@ -31,7 +32,7 @@ impl Arc {
         Self { start_m, length_m: edges[edges.len() - 1] - start_m }
     }
 
-    /// The point at `z_m` on the straight tool, after bending by `bend_rad`.
+    /// Returns the point at `z_m` on the straight tool, after bending by `bend_rad`.
     pub fn place(&self, z_m: f64, bend_rad: f64) -> Place {
         let along = z_m - self.start_m;
         if along <= 0.0 {
@@ -74,7 +75,8 @@ fn unit_arc(a: f64, t: f64) -> ([f64; 2], [f64; 2], [f64; 2]) {
 }
 
 fn unit_arc_series(a: f64, t: f64) -> ([f64; 2], [f64; 2], [f64; 2]) {
-    // (1 - cos a t)/t = sum c_m t^(m - 1) over even m >= 2, sin(a t)/t = sum c_m t^(m - 1) over odd m, |c_m| = a^m / m!
+    // (1 - cos a t)/t = sum c_m t^(m - 1) over even m >= 2, sin(a t)/t = sum c_m t^(m - 1) over odd m, |c_m|
+    // = a^m / m!
     let (mut value, mut first, mut second) = ([0.0; 2], [0.0; 2], [0.0; 2]);
     let mut c = a;
     let mut powers = [1.0, 0.0, 0.0];
@@ -100,7 +102,8 @@ mod tests {
         for a in [0.1, 0.5, 1.0] {
             let (below, above) = (unit_arc_series(a, 0.3), unit_arc(a, 0.3));
             for (s, c) in [(below.0, above.0), (below.1, above.1), (below.2, above.2)] {
-                // The closed form divides a difference of numbers near 1 by t = 0.3 twice.
+                // The closed form divides a difference of numbers near 1 by t = 0.3 twice, hence the
+                // tolerance.
                 assert!((s[0] - c[0]).abs() < 1e-13 && (s[1] - c[1]).abs() < 1e-13, "{s:?} {c:?}");
             }
         }

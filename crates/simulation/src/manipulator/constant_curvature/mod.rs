@@ -1,9 +1,10 @@
 //! The cheapest rung: the flexible length is one arc of constant curvature, in closed form.
 //!
-//! Four degrees of freedom: the mount along base x, y, z, and the bend. Exact under a pure end moment and, for a uniform tool, under its
-//! frictionless tendons. Under a tip force or in a tunnel it is the best that one curvature can do. The bending stiffness is that of the
-//! flexures in series, `1 / sum(1/k)`. Frames, tendons, contact laws and mount are those of the planar rung (see [`crate::manipulator`]).
-//! Every step uses linearly implicit Euler.
+//! It has four degrees of freedom: the mount along base x, y, z, and the bend. It is exact under a pure end
+//! moment and, for a uniform tool, under its frictionless tendons. Under a tip force or in a tunnel it is the
+//! best approximation by a single curvature. The bending stiffness is that of the flexures in series, `1 /
+//! sum(1/k)`. Frames, tendons, contact laws and mount are those of the planar rung (see
+//! [`crate::manipulator`]). Every step uses linearly implicit Euler.
 
 mod arc;
 mod step;
@@ -23,7 +24,7 @@ use super::tendon::Channels;
 use super::{CONTACTS_PER_SPHERE, MAX_LINKS, MAX_SHAFT_SPHERES};
 use arc::Arc;
 
-/// Maximum contacts per step; excess contacts are refused and counted.
+/// Maximum contacts per step; excess contacts are rejected and counted.
 const MAX_CONTACTS: usize = CONTACTS_PER_SPHERE * (MAX_SHAFT_SPHERES + MAX_LINKS + 1);
 /// Nodes and weights of five-point Gauss quadrature on (0, 1), used for the mass along the arc.
 const GAUSS: [(f64, f64); 5] = [
@@ -40,7 +41,7 @@ struct Lump {
     mass_kg: f64,
     /// Position on the straight tool, m.
     z_m: f64,
-    /// About its own centre, axis y.
+    /// Inertia about its own centre, axis y.
     inertia_kg_m2: f64,
 }
 
@@ -49,10 +50,10 @@ struct Lump {
 pub struct ConstantCurvature {
     common: Common,
     arc: Arc,
-    /// Of the mount (N/m) and the bend (N m/rad).
+    /// Stiffness of the mount (N/m) and the bend (N m/rad).
     stiffness: Vector4<f64>,
     damping: Vector4<f64>,
-    /// Bend without load, rad.
+    /// Unloaded bend, rad.
     rest_rad: f64,
     stop: StopLaw,
     lumps: Vec<Lump>,
@@ -65,10 +66,11 @@ pub struct ConstantCurvature {
 }
 
 impl ConstantCurvature {
-    /// A tool in its rest shape, at rest on `base`, with slack tendons. Of a pre-curved tool it takes the whole bend, and spreads it evenly.
+    /// Creates a tool in its rest shape, at rest on `base`, with slack tendons. The total bend of a
+    /// pre-curved tool is spread evenly.
     ///
     /// # Errors
-    /// A parameter is out of range, or a tendon bends only a part of the tool; the error names it.
+    /// A parameter is out of range, or a tendon bends only part of the tool; the error names it.
     pub fn new(parameters: ManipulatorParameters, base: &BaseMotion) -> Result<Self, ManipulatorError> {
         Common::check(&parameters, base)?;
         let p = &parameters;
@@ -114,22 +116,22 @@ impl ConstantCurvature {
         Ok(tool)
     }
 
-    /// Mount displacement (m) and bend (rad).
+    /// Returns the mount displacement (m) and bend (rad).
     fn position(&self) -> Vector4<f64> {
         Vector4::from_column_slice(&self.common.state.position)
     }
 
-    /// Velocities of [`Self::position`].
+    /// Returns the velocities of [`Self::position`].
     fn velocity(&self) -> Vector4<f64> {
         Vector4::from_column_slice(&self.common.state.velocity)
     }
 
-    /// Length of tendon `t` taken up by the bent tool, from its rest shape, m.
+    /// Returns the length of tendon `t` taken up by the bent tool, from its rest shape, m.
     fn take_up_m(&self, t: usize) -> f64 {
         self.channels.offset_m[t][0] * self.deflection()[3]
     }
 
-    /// Mount displacement, and the bend from that without load.
+    /// Returns the mount displacement, and the bend relative to the unloaded bend.
     fn deflection(&self) -> Vector4<f64> {
         let mut q = self.position();
         q[3] -= self.rest_rad;
@@ -171,7 +173,7 @@ impl ManipulatorModel for ConstantCurvature {
         self.common.parameters.rest_rad(joint)
     }
 
-    /// The links' axes are those distal to the flexures' cells.
+    /// Returns the pose of a point on a link; the links' axes are those distal to the flexures' cells.
     fn t_world_point(&self, link: usize, along_m: f64) -> Isometry3<f64> {
         let (z_m, share) = match link {
             0 => (along_m, 0.0),
@@ -192,23 +194,24 @@ impl ManipulatorModel for ConstantCurvature {
     }
 }
 
-/// One arc cannot bend in part, nor twist.
+/// Rejects tendons that bend only part of the tool or wind around it, and outer tubes, which a single arc
+/// cannot represent.
 fn refuse_partial_tendons(p: &ManipulatorParameters) -> Result<(), ManipulatorError> {
-    helix::refuse(p, "0: the rung constant_curvature does not twist")?;
+    helix::refuse(p, "0: the constant_curvature model cannot twist")?;
     if let Some(outer) = &p.outer_tube {
-        let allowed = "none: the rung constant_curvature is one arc, which an outer tube does not leave";
+        let allowed = "no outer tube: the constant_curvature model is a single arc";
         check("outer_tube.end_m", outer.end_m, allowed, |_| false)?;
     }
     let joints = p.joint_positions_m.len();
     for TendonRoute { reach, .. } in p.tendon_routes.iter().flatten() {
-        let allowed = "all flexures: the rung constant_curvature is one arc";
+        let allowed = "all flexures: the constant_curvature model is a single arc";
         let number = reach.to.unwrap_or(joints) - reach.from;
         check("tendon_routes.reach", number as f64, allowed, |_| number == joints)?;
     }
     Ok(())
 }
 
-/// Lumped masses: shaft, Gauss points of the arc, the tube distal to it, the burr.
+/// Returns the lumped masses: shaft, Gauss points of the arc, the tube distal to it, and the burr.
 fn lumps(p: &ManipulatorParameters, arc: &Arc) -> Vec<Lump> {
     let [outer, inner] = p.tube_radii_m;
     let gyration = 0.25 * (outer * outer + inner * inner);
@@ -233,7 +236,7 @@ fn lumps(p: &ManipulatorParameters, arc: &Arc) -> Vec<Lump> {
     lumps
 }
 
-/// Mass matrix of mount and bend.
+/// Returns the mass matrix of mount and bend.
 fn mass_matrix(lumps: &[Lump], arc: &Arc, bend_rad: f64) -> Matrix4<f64> {
     let mut m = Matrix4::zeros();
     for lump in lumps {

@@ -1,4 +1,5 @@
-//! One step of the arc: linearly implicit Euler on four degrees of freedom, contacts as in the other rungs.
+//! One step of the arc: linearly implicit Euler on four degrees of freedom, with contacts as in the other
+//! rungs.
 
 use nalgebra::{Matrix4, Vector3, Vector4};
 
@@ -17,7 +18,8 @@ const BEND: usize = 3;
 struct TendonTorque {
     torque_nm: f64,
     stiffness_nm_per_rad: f64,
-    /// True if the step assumes that a tendon's friction does not change: it was sliding at the given rate and keeps sliding.
+    /// True if the step assumes that a tendon's friction does not change: it was sliding at the given rate
+    /// and keeps sliding.
     slides_on: bool,
 }
 
@@ -49,7 +51,7 @@ impl ConstantCurvature {
         Ok(report)
     }
 
-    /// Velocities after the step without contacts, and the implicit operator with its inverse.
+    /// Returns the velocities after the step without contacts, and the implicit operator with its inverse.
     fn free_velocity(
         &self,
         dt: f64,
@@ -72,9 +74,9 @@ impl ConstantCurvature {
         (before + inverse * (loads + elastic) * dt, (operator, inverse))
     }
 
-    /// Closed form of the channel: the take-up is `d (bend - rest)`. The tension falls as `exp(-mu s phi)` along the arc, and the bend sees
-    /// its mean, `(1 - exp(-x)) / x` with `x = mu s |bend|`. `rate`, the bend rate, tells whether a saturated sliding state is about to
-    /// reverse.
+    /// Computes the closed form of the channel: the take-up is `d (bend - rest)`. The tension falls as
+    /// `exp(-mu s phi)` along the arc, and the bend sees its mean, `(1 - exp(-x)) / x` with `x = mu s
+    /// |bend|`. `rate`, the bend rate, shows whether a saturated sliding state is about to reverse.
     fn tendon_torque(&self, rate: f64, command: &TendonCommand) -> TendonTorque {
         let bend = self.position()[3];
         let mut sum = TendonTorque { torque_nm: 0.0, stiffness_nm_per_rad: 0.0, slides_on: false };
@@ -103,7 +105,7 @@ impl ConstantCurvature {
         sum
     }
 
-    /// Generalised loads, and the moment of all loads about the base origin.
+    /// Returns the generalised loads, and the moment of all loads about the base origin.
     fn loads(&self, frame: &Frame) -> (Vector4<f64>, Vector3<f64>) {
         let (q, v) = (self.position(), self.velocity());
         let (mut loads, mut moment) = (Vector4::zeros(), Vector3::zeros());
@@ -132,7 +134,7 @@ impl ConstantCurvature {
         (loads, moment + position.cross(force) + torque)
     }
 
-    /// The moment about the base origin that changes the velocities by `change`.
+    /// Returns the moment about the base origin that changes the velocities by `change`.
     fn momentum_moment(&self, q: &Vector4<f64>, change: &Vector4<f64>) -> Vector3<f64> {
         let mut sum = Vector3::zeros();
         for lump in &self.lumps {
@@ -177,7 +179,7 @@ impl ConstantCurvature {
         if solver.is_empty() {
             return free;
         }
-        // One body whose four freedoms are its motions: the operator is its inertia.
+        // One body whose motions are the four freedoms: the operator is its inertia.
         for k in 0..4 {
             solver.chain.axis[k] = core::array::from_fn(|j| f64::from(u8::from(j == k)));
             solver.chain.body[0][k] = core::array::from_fn(|j| operator[(k, j)]);
@@ -201,12 +203,12 @@ impl ConstantCurvature {
     }
 }
 
-/// (1 - exp(-x)) / x.
+/// Returns (1 - exp(-x)) / x.
 fn mean_share(x: f64) -> f64 {
     if x.abs() < 1e-5 { 1.0 - 0.5 * x } else { -libm::expm1(-x) / x }
 }
 
-/// d/dx of [`mean_share`].
+/// Returns d/dx of [`mean_share`].
 fn mean_share_slope(x: f64) -> f64 {
     if x.abs() < 1e-3 { -0.5 + x / 3.0 - x * x / 8.0 } else { (libm::exp(-x) - mean_share(x)) / x }
 }

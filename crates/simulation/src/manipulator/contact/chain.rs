@@ -1,9 +1,10 @@
 //! The chain's implicit operator with contact rows on its links: `A + sum w f f'`.
 //!
-//! A row that presses adds the rank-one stiffness `w f f'` to the body it presses on and `w` to the diagonal of a stopped flexure, so the
-//! articulated-body algorithm factors the sum at the cost of the operator alone: O(links), whatever the number of rows. All spatial
-//! quantities are expressed at the base origin; N is the number of their components (4 in the bending plane with the out-of-plane
-//! velocity, 6 in space). Tendons that couple the joints follow by the Woodbury identity (see `coupling`).
+//! A row that presses adds the rank-one stiffness `w f f'` to the body it presses on and `w` to the diagonal
+//! of a stopped flexure, so the articulated-body algorithm factors the sum at the cost of the operator alone:
+//! O(links), independent of the number of rows. All spatial quantities are expressed at the base origin; N is
+//! the number of their components (4 in the bending plane with the out-of-plane velocity, 6 in space).
+//! Tendons that couple the joints follow by the Woodbury identity (see `coupling`).
 
 use super::dense::{lanes, lanes_mut};
 use crate::manipulator::MAX_TENDONS;
@@ -21,7 +22,7 @@ pub(super) fn dot<const N: usize>(a: &[f64; N], b: &[f64; N]) -> f64 {
     sum
 }
 
-/// a += scale b.
+/// Adds scale b to a.
 #[inline(always)]
 pub(super) fn add_scaled<const N: usize>(a: &mut [f64; N], scale: f64, b: &[f64; N]) {
     for i in 0..N {
@@ -29,7 +30,7 @@ pub(super) fn add_scaled<const N: usize>(a: &mut [f64; N], scale: f64, b: &[f64;
     }
 }
 
-/// m v for a symmetric m: columns equal rows, so no sum runs across SIMD lanes.
+/// Returns m v for a symmetric m: columns equal rows, so no sum runs across SIMD lanes.
 #[inline(always)]
 pub(super) fn times<const N: usize>(m: &Square<N>, v: &[f64; N]) -> [f64; N] {
     let mut out = [0.0; N];
@@ -39,7 +40,7 @@ pub(super) fn times<const N: usize>(m: &Square<N>, v: &[f64; N]) -> [f64; N] {
     out
 }
 
-/// m += scale a a'.
+/// Adds scale a a' to m.
 #[inline(always)]
 pub(super) fn add_outer<const N: usize>(m: &mut Square<N>, scale: f64, a: &[f64; N]) {
     for (row, x) in m.iter_mut().zip(a) {
@@ -47,10 +48,11 @@ pub(super) fn add_outer<const N: usize>(m: &mut Square<N>, scale: f64, a: &[f64;
     }
 }
 
-/// Rows of at least so many numbers are worked on a vector at a time: the compiler does so by itself only with shorter ones.
+/// Row length from which rows are processed with explicit SIMD; the compiler vectorises shorter ones by
+/// itself.
 const WIDE: usize = 8;
 
-/// [`add_outer`], to the same bits.
+/// Same as [`add_outer`], bit for bit.
 #[inline(always)]
 pub(super) fn add_outer_by<S: pulp::Simd, const N: usize>(
     simd: S,
@@ -66,7 +68,7 @@ pub(super) fn add_outer_by<S: pulp::Simd, const N: usize>(
     }
 }
 
-/// [`add_scaled`], to the same bits.
+/// Same as [`add_scaled`], bit for bit.
 #[inline(always)]
 pub(super) fn add_scaled_by<S: pulp::Simd, const N: usize>(
     simd: S,
@@ -83,7 +85,7 @@ pub(super) fn add_scaled_by<S: pulp::Simd, const N: usize>(
     }
 }
 
-/// [`times`], to the same bits.
+/// Same as [`times`], bit for bit.
 #[inline(always)]
 pub(super) fn times_by<S: pulp::Simd, const N: usize>(simd: S, m: &Square<N>, v: &[f64; N]) -> [f64; N] {
     if N < WIDE {
@@ -100,7 +102,7 @@ pub(super) fn times_by<S: pulp::Simd, const N: usize>(simd: S, m: &Square<N>, v:
     out
 }
 
-/// m += a s s' + b (s t' + t s') + c t t'.
+/// Adds a s s' + b (s t' + t s') + c t t' to m.
 #[inline(always)]
 pub(super) fn add_pair_by<S: pulp::Simd, const N: usize>(
     simd: S,
@@ -124,7 +126,7 @@ pub(super) fn add_pair_by<S: pulp::Simd, const N: usize>(
     }
 }
 
-/// What the rows add to the operator, and their impulses.
+/// Contributions of the rows to the operator, and their impulses.
 #[derive(Debug, Clone)]
 pub(in crate::manipulator) struct Pressing<const N: usize> {
     /// Sum of w f f' on each link.
@@ -155,22 +157,22 @@ impl<const N: usize> Pressing<N> {
     }
 }
 
-/// What Newton's method needs of the operator of a step: `A + sum w f f'` and its inverse.
+/// The operator of a step as Newton's method needs it: `A + sum w f f'` and its inverse.
 pub(in crate::manipulator) trait Operator<const N: usize> {
-    /// What the rows add, which the caller sets.
+    /// Returns the contributions of the rows, to be set by the caller.
     fn pressing(&mut self) -> &mut Pressing<N>;
-    /// Factors the operator with what `pressing` adds.
+    /// Factors the operator with the contributions in `pressing`.
     fn factor<S: pulp::Simd>(&mut self, simd: S);
     /// Solves for the velocities under the impulses in `pressing`.
     fn solve(&mut self);
-    /// The solution: motions of the links.
+    /// Returns the solution: motions of the links.
     fn motion(&self) -> &[[f64; N]];
-    /// The solution: velocities of the freedoms.
+    /// Returns the solution: velocities of the freedoms.
     fn velocity(&self) -> &[f64];
-    /// Motions of the links at velocities `x` of the freedoms.
+    /// Computes the motions of the links at velocities `x` of the freedoms.
     fn motions_of(&self, x: &[f64], out: &mut [[f64; N]]);
-    /// Calls `link` with the mobility of each link to a force on itself and `freedom` with that of each freedom to its own torque, base to
-    /// tip, for the present factor.
+    /// Calls `link` with the mobility of each link to a force on itself and `freedom` with that of each
+    /// freedom to its own torque, base to tip, for the present factor.
     fn mobilities<S: pulp::Simd>(
         &self,
         simd: S,
@@ -232,7 +234,7 @@ pub(in crate::manipulator) struct Chain<const N: usize> {
     pub body: Vec<Square<N>>,
     /// Damping and stiffness of each freedom, dt d + dt^2 k.
     pub diagonal: Vec<f64>,
-    /// Number of tendons that couple the joints, 0 if none does.
+    /// Number of tendons that couple the joints.
     pub coupled: usize,
     /// Take-up of each tendon per unit of each freedom, and the weight of its rank-one stiffness.
     pub slope: [Vec<f64>; MAX_TENDONS],
@@ -250,7 +252,7 @@ pub(in crate::manipulator) struct Chain<const N: usize> {
 }
 
 impl<const N: usize> Chain<N> {
-    /// `first`: the first freedom of each link, then the number of freedoms.
+    /// Creates a chain; `first` holds the first freedom of each link, then the number of freedoms.
     pub fn new(first: Vec<usize>) -> Self {
         let links = first.len() - 1;
         let freedoms = first[links];
@@ -279,7 +281,7 @@ impl<const N: usize> Chain<N> {
         self.first[link]..self.first[link + 1]
     }
 
-    /// Factors the operator with what `pressing` adds.
+    /// Factors the operator with the contributions in `pressing`.
     #[inline(always)]
     pub(super) fn factor_chain(&mut self) {
         let mut inertia = [[0.0; N]; N];
@@ -302,7 +304,7 @@ impl<const N: usize> Chain<N> {
         self.couple();
     }
 
-    /// The Woodbury kernel of the tendons for the present factor.
+    /// Computes the Woodbury kernel of the tendons for the present factor.
     #[inline(always)]
     fn couple(&mut self) {
         let none = [0.0; N];
@@ -349,7 +351,8 @@ impl<const N: usize> Chain<N> {
         }
     }
 
-    /// Eliminates the freedoms from tip to base: turns the impulses in `torque` into those of the factored joints.
+    /// Eliminates the freedoms from tip to base: converts the impulses in `torque` to those of the factored
+    /// joints.
     #[inline(always)]
     fn sweep_inward(&mut self, impulse: impl Fn(usize) -> [f64; N]) {
         let mut sum = [0.0; N];
@@ -363,7 +366,7 @@ impl<const N: usize> Chain<N> {
         }
     }
 
-    /// Velocities from base to tip.
+    /// Computes the velocities from base to tip.
     #[inline(always)]
     fn sweep_outward(&mut self) {
         let mut v = [0.0; N];
@@ -377,7 +380,7 @@ impl<const N: usize> Chain<N> {
         }
     }
 
-    /// `motion` for the present `velocity`.
+    /// Updates `motion` for the present `velocity`.
     #[inline(always)]
     fn move_links(&mut self) {
         let mut motion = core::mem::take(&mut self.motion);
@@ -385,7 +388,7 @@ impl<const N: usize> Chain<N> {
         self.motion = motion;
     }
 
-    /// Motions of the links at velocities `x` of the freedoms.
+    /// Computes the motions of the links at velocities `x` of the freedoms.
     #[inline(always)]
     pub(super) fn motions(&self, x: &[f64], out: &mut [[f64; N]]) {
         let mut v = [0.0; N];
@@ -397,8 +400,9 @@ impl<const N: usize> Chain<N> {
         }
     }
 
-    /// Calls `link` with the mobility of each link to a force on itself and `freedom` with that of each freedom to its own torque, base
-    /// to tip, for the present factor (Kreutz-Delgado, Jain and Rodriguez 1992). Without the tendons' coupling, which only stiffens.
+    /// Calls `link` with the mobility of each link to a force on itself and `freedom` with that of each
+    /// freedom to its own torque, base to tip, for the present factor (Kreutz-Delgado, Jain and Rodriguez
+    /// 1992). Ignores the tendons' coupling, which only stiffens.
     #[inline(always)]
     pub(super) fn link_mobilities(
         &self,
@@ -408,7 +412,8 @@ impl<const N: usize> Chain<N> {
         let mut m = [[0.0; N]; N];
         for l in 0..self.body.len() {
             for k in self.freedoms_of(l) {
-                // P' W P + s s'/d with P = 1 - u s'/d  =  W - (w s' + s w')/d + s s' (u.w/d^2 + 1/d),  w = W u.
+                // P' W P + s s'/d with P = 1 - u s'/d  =  W - (w s' + s w')/d + s s' (u.w/d^2 + 1/d),  w = W
+                // u.
                 let (s, u, inverse) = (&self.axis[k], &self.bias[k], self.inverse[k]);
                 let w = times(&m, u);
                 let scale = (dot(u, &w) * inverse + 1.0) * inverse;

@@ -1,8 +1,9 @@
-//! A tool of a few freedoms as one body: the implicit operator is a dense matrix, and a contact's force a vector over the freedoms.
+//! Dense operator for a tool of a few freedoms, treated as one body: the implicit operator is a dense matrix,
+//! and a contact's force a vector over the freedoms.
 
 use super::chain::{Operator, Pressing, Square};
 
-/// The vectors of a row of numbers; N is a multiple of their length.
+/// Returns the vectors of a row of numbers; N is a multiple of their length.
 #[inline(always)]
 pub(in crate::manipulator) fn lanes<S: pulp::Simd>(row: &[f64]) -> &[S::f64s] {
     S::as_simd_f64s(row).0
@@ -13,10 +14,11 @@ pub(in crate::manipulator) fn lanes_mut<S: pulp::Simd>(row: &mut [f64]) -> &mut 
     S::as_mut_simd_f64s(row).0
 }
 
-/// A symmetric, positive definite matrix, factored as `U' D^-1 U` with D the diagonal of the upper triangle U. N is 8 or 16.
+/// A symmetric, positive definite matrix, factored as `U' D^-1 U` with D the diagonal of the upper triangle
+/// U. N is 8 or 16.
 #[derive(Debug, Clone)]
 pub(in crate::manipulator) struct Factor<const N: usize> {
-    /// The matrix to factor, then U and, below it, what elimination leaves.
+    /// The matrix to factor, then U and, below it, the remainders of the elimination.
     pub upper: Square<N>,
     /// 1 / D.
     inverse: [f64; N],
@@ -41,7 +43,7 @@ impl<const N: usize> Factor<N> {
         }
     }
 
-    /// A^-1 b.
+    /// Returns A^-1 b.
     #[inline(always)]
     pub fn solve(&self, b: &[f64; N]) -> [f64; N] {
         let mut x = *b;
@@ -61,7 +63,7 @@ impl<const N: usize> Factor<N> {
         x
     }
 
-    /// The inverse: all its columns solved for side by side.
+    /// Returns the inverse: all its columns solved for side by side.
     #[inline(always)]
     fn inverse<S: pulp::Simd>(&self, simd: S) -> Square<N> {
         let mut x = [[0.0; N]; N];
@@ -88,7 +90,7 @@ impl<const N: usize> Factor<N> {
     }
 }
 
-/// a -= scale b.
+/// Subtracts scale b from a.
 #[inline(always)]
 fn subtract<S: pulp::Simd, const N: usize>(simd: S, a: &mut [f64; N], scale: f64, b: &[f64; N]) {
     let scale = simd.splat_f64s(scale);
@@ -104,7 +106,7 @@ pub(in crate::manipulator) struct Dense<const N: usize> {
     pub matrix: Square<N>,
     pressing: Pressing<N>,
     factor: Factor<N>,
-    /// The only body's motion: the velocities of the freedoms.
+    /// Motion of the only body: the velocities of the freedoms.
     motion: [[f64; N]; 1],
 }
 

@@ -1,8 +1,9 @@
-//! The laws of a contact and of a joint stop, and their tangents at given speeds.
+//! Laws of a contact and of a joint stop, and their tangents at given speeds.
 
 use crate::manipulator::row::Stop;
 
-/// Stiffness that holds a sticking contact, over the contact's own effective mass. 1e4: a speed error of 1 mm/s creeps at 0.1 um/s.
+/// Stiffness that holds a sticking contact, relative to the contact's effective mass. With 1e4, a speed error
+/// of 1 mm/s creeps at 0.1 um/s.
 const STICK_STIFFNESS: f64 = 1.0e4;
 
 /// A contact: compliant along the normal, Coulomb friction along two tangents.
@@ -11,9 +12,9 @@ pub(in crate::manipulator) struct ContactRow<const N: usize> {
     pub link: usize,
     /// Unit forces on the link along normal and tangents, through the contact point.
     pub force: [[f64; N]; 3],
-    /// Coulomb's coefficient.
+    /// Coulomb coefficient.
     pub friction: f64,
-    /// 1 / (k_c dt^2).
+    /// Contact compliance, 1 / (k_c dt^2).
     pub compliance: f64,
     /// Lower bound for normal speed + compliance * impulse, m/s, while the obstacle does not yield.
     pub target: f64,
@@ -21,18 +22,19 @@ pub(in crate::manipulator) struct ContactRow<const N: usize> {
     pub strength: f64,
     /// Whether the obstacle recedes within the step: see [`super::patch`].
     pub recedes: bool,
-    /// Speed of the contact point on the link without contact impulses, m/s; to begin with, due to the base motion alone.
+    /// Speed of the contact point on the link without contact impulses, m/s; initially due to the base motion
+    /// alone.
     pub drive: [f64; 3],
     /// Normal and tangential impulse, N s.
     pub impulse: [f64; 3],
     /// Speed under the present impulses.
     pub(super) speed: [f64; 3],
-    /// At the end of the step: impulse by the tangent law, and speed.
+    /// Impulse by the tangent law, and speed, at the end of the step.
     pub(super) next: [f64; 3],
     pub(super) next_speed: [f64; 3],
     /// Mobility along the normal plus compliance; larger mobility of the two tangents.
     pub(super) mobility: [f64; 2],
-    /// Radius of the cone, stick stiffness and last impulse.
+    /// Radius of the friction cone, stick stiffness and last impulse.
     pub(super) radius: f64,
     hold: f64,
     held: [f64; 2],
@@ -43,13 +45,13 @@ pub(in crate::manipulator) struct ContactRow<const N: usize> {
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Tangent {
     pub normal: f64,
-    /// 00 01 11.
+    /// Friction weights: entries 00 01 11.
     pub friction: [f64; 3],
     pub offset: [f64; 3],
 }
 
 impl Tangent {
-    /// True if the contact carries a normal impulse.
+    /// Returns true if the contact carries a normal impulse.
     #[inline(always)]
     pub(super) fn presses(&self) -> bool {
         self.normal > 0.0 || self.offset[0] > 0.0
@@ -58,7 +60,7 @@ impl Tangent {
 
 const NO_TANGENT: Tangent = Tangent { normal: 0.0, friction: [0.0; 3], offset: [0.0; 3] };
 
-/// A stop of one freedom.
+/// A joint stop of one freedom.
 #[derive(Debug, Clone, Copy)]
 pub(in crate::manipulator) struct StopRow {
     pub freedom: usize,
@@ -88,15 +90,15 @@ fn norm(a: [f64; 2]) -> f64 {
     (a[0] * a[0] + a[1] * a[1]).sqrt()
 }
 
-/// The point of the disc nearest to `z`.
+/// Returns the point of the disc nearest to `z`.
 #[inline(always)]
 pub(super) fn onto_disc(z: [f64; 2], radius: f64) -> [f64; 2] {
     let length = norm(z);
     if length <= radius { z } else { [z[0] * (radius / length), z[1] * (radius / length)] }
 }
 
-/// The law of a bound: the impulse moves by the speed `missing` to its target over the `mobility`, never pulls and never exceeds the
-/// `strength`. Returns the speed by which `impulse` misses it.
+/// Returns the speed by which `impulse` violates the law of a bound: the impulse moves by the missing speed
+/// to its target over the `mobility`, never pulls and never exceeds the `strength`.
 #[inline(always)]
 pub(super) fn bound_miss(impulse: f64, missing: f64, mobility: f64, strength: f64) -> f64 {
     let wanted = (impulse + missing / mobility).max(0.0).min(strength);
@@ -126,19 +128,20 @@ impl<const N: usize> ContactRow<N> {
         }
     }
 
-    /// Normal impulse at the normal speed `u`, m/s, where the obstacle recedes at the speed `back`, m/s.
+    /// Returns the normal impulse at the normal speed `u`, m/s, with the obstacle receding at the speed
+    /// `back`, m/s.
     #[inline(always)]
     pub(super) fn normal_law(&self, u: f64, back: f64) -> f64 {
         ((self.target - u - self.back(back)) / self.compliance).max(0.0).min(self.strength)
     }
 
-    /// Speed at which this obstacle recedes if those that recede do so at the speed `back`.
+    /// Returns the recession speed of this obstacle if receding obstacles recede at the speed `back`.
     #[inline(always)]
     fn back(&self, back: f64) -> f64 {
         if self.recedes { back } else { 0.0 }
     }
 
-    /// Impulses at speeds `u`, the cone being held.
+    /// Returns the impulses at speeds `u` with the cone held.
     #[inline(always)]
     pub(super) fn law(&self, u: &[f64; 3], back: f64) -> [f64; 3] {
         let normal = self.normal_law(u[0], back);
@@ -150,8 +153,9 @@ impl<const N: usize> ContactRow<N> {
         [normal, a, b]
     }
 
-    /// Takes the law's tangent at the present speeds. `first`: the present impulses, which are the last tick's, tell which side of a
-    /// kink the solution is on better than the speeds do. The normal's tangent is at the speed of the obstacle plus that of the sphere.
+    /// Computes the law's tangent at the present speeds. If `first`, the present impulses are the last
+    /// tick's, and predict the solution's side of a kink better than the speeds do. The normal's tangent is
+    /// at the speed of the obstacle plus that of the sphere.
     #[inline(always)]
     pub(super) fn linearise(&mut self, first: bool, back: f64) {
         self.tangent = NO_TANGENT;
@@ -186,7 +190,7 @@ impl<const N: usize> ContactRow<N> {
         self.tangent.offset[2] = self.radius * s[1] + b * u[0] + c * u[1];
     }
 
-    /// Impulses by the tangent law.
+    /// Returns the impulses by the tangent law.
     #[inline(always)]
     pub(super) fn tangent_law(&self, u: &[f64; 3], back: f64) -> [f64; 3] {
         let Tangent { normal, friction: [a, b, c], offset } = self.tangent;
@@ -197,8 +201,8 @@ impl<const N: usize> ContactRow<N> {
         ]
     }
 
-    /// Speed by which the impulses miss the laws while the cone is held, and by which they miss Coulomb's law. `back`: the speed at which the
-    /// impulses make obstacles recede.
+    /// Returns the speeds by which the impulses violate the laws with the cone held, and Coulomb's law.
+    /// `back` is the recession speed of obstacles under these impulses.
     #[inline(always)]
     pub(super) fn misses(&self, back: f64) -> [f64; 2] {
         let [n, p, q] = self.impulse;
@@ -222,7 +226,8 @@ impl<const N: usize> ContactRow<N> {
         self.renew(1.0);
     }
 
-    /// Renews the cone from the present impulses; its radius goes the share `share` of the way.
+    /// Updates the cone from the present impulses; its radius changes by the fraction `share` of the
+    /// difference.
     #[inline(always)]
     pub(super) fn renew(&mut self, share: f64) {
         self.radius += share * (self.friction * self.impulse[0].max(0.0) - self.radius);

@@ -1,22 +1,22 @@
-//! The contact problem by Newton's method on the velocities.
+//! Solves the contact problem by Newton's method on the velocities.
 //!
 //! Contact is compliant, so the velocities minimise a strictly convex, piecewise smooth function:
 //!
 //! `1/2 |v - v*|_A^2 + sum max(0, target - v_n)^2 / (2 c) + friction(v_t)`
 //!
-//! with v* the free velocities and c the compliance (the primal form of Castro, Permenter and Han 2022, "An Unconstrained Convex
-//! Formulation of Compliant Contact", IEEE Trans. Robotics 39(2), arXiv 2110.10107). A contact that yields has another
-//! integral in place of the square; obstacles that recede add a term of their common speed ([`super::patch`]); the function stays convex.
-//! Each iteration replaces every row's law by its tangent, solves the chain with the rows that press (see `chain`), and goes along the
-//! step to the minimum.
+//! with v* the free velocities and c the compliance (the primal form of Castro, Permenter and Han 2022, "An
+//! Unconstrained Convex Formulation of Compliant Contact", IEEE Trans. Robotics 39(2), arXiv 2110.10107). For
+//! a yielding contact another integral replaces the square, and receding obstacles add a term in their common
+//! speed ([`super::patch`]); the function remains convex. Each iteration replaces every row's law by its
+//! tangent, solves the chain with the pressing rows (see `chain`), and moves along the step to the minimum.
 //!
-//! **Friction.** The radius of each cone, mu times the normal impulse, is held while the function is minimised and then renewed
-//! (alternating cones), so Coulomb's law holds without the dilation of a convex cone. Within a cone, an augmented Lagrangian holds a
-//! sticking contact: impulse = projection of (q - rho v_t), where q is the last impulse and rho is so large that one renewal of q leaves
-//! no creep.
+//! **Friction.** The radius of each cone, mu times the normal impulse, is held while the function is
+//! minimised, and then updated (alternating cones), so Coulomb's law holds without the dilation of a convex
+//! cone. Within a cone, an augmented Lagrangian holds a sticking contact: impulse = projection of (q - rho
+//! v_t), where q is the last impulse and rho is large enough that one update of q leaves no creep.
 //!
-//! All vectors of an iteration are kept per row: a solution x = v - v* obeys `A x = sum f p` with p the rows' impulses, so the function's
-//! slope along a step needs only the rows' impulses and speeds.
+//! All vectors of an iteration are kept per row: a solution x = v - v* obeys `A x = sum f p` with p the rows'
+//! impulses, so the function's slope along a step needs only the rows' impulses and speeds.
 
 use super::chain::{Operator, add_outer_by, add_pair_by, add_scaled_by, dot, times_by};
 use super::laws::{ContactRow, StopRow, Tangent, bound_miss, onto_disc};
@@ -24,31 +24,32 @@ use super::patch::Patch;
 use crate::manipulator::parameters::ContactParameters;
 use crate::manipulator::row::Stop;
 
-/// The cones are renewed once the rows' laws hold to this share of the cones' own residual.
+/// The cones are updated once the residual of the rows' laws is below this fraction of that of the cones.
 const RENEWAL_SHARE: f64 = 0.5;
-/// After this many iterations the cones go half the way: in a jam a wider cone can press harder on the others and they on it in turn.
+/// Number of iterations after which the cones change by only half the difference: in a jam, a wider cone can
+/// press harder on the others, and they on it in turn.
 const PATIENCE: usize = 28;
-/// The search along a step ends at this share of the initial slope.
+/// Fraction of the initial slope at which the search along a step ends.
 const SEARCH_SHARE: f64 = 0.01;
 /// Maximum evaluations of a search.
 const SEARCH_EVALUATIONS: usize = 20;
 
-/// How a solve ended.
+/// Outcome of a solve.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(in crate::manipulator) struct Outcome {
-    /// Factorisations with contact rows.
+    /// Number of factorisations with contact rows.
     pub iterations: usize,
-    /// Largest speed by which a row misses its law, m/s (rad/s for stops).
+    /// Largest speed by which a row violates its law, m/s (rad/s for stops).
     pub residual: f64,
 }
 
 /// The rows of one step on their chain, or on another operator.
 pub(super) struct Problem<'s, const N: usize, O> {
     pub chain: &'s mut O,
-    /// Ordered by link.
+    /// Contact rows, ordered by link.
     pub row: &'s mut [ContactRow<N>],
     pub stop: &'s mut [StopRow],
-    /// How the rows that recede do so.
+    /// Recession law of the receding rows.
     pub patch: Patch,
     /// Free motion of each link, and free velocity of each freedom.
     pub free_motion: &'s [[f64; N]],
@@ -56,7 +57,8 @@ pub(super) struct Problem<'s, const N: usize, O> {
     pub parameters: &'s ContactParameters,
 }
 
-/// [`Problem::solve`], compiled for each instruction set. No operation is reordered or fused, so the result is the same to the bit.
+/// [`Problem::solve`], compiled for each instruction set. No operation is reordered or fused, so the result
+/// is bit-identical.
 impl<const N: usize, O: Operator<N>> pulp::WithSimd for Problem<'_, N, O> {
     type Output = Outcome;
 
@@ -67,7 +69,8 @@ impl<const N: usize, O: Operator<N>> pulp::WithSimd for Problem<'_, N, O> {
 }
 
 impl<const N: usize, O: Operator<N>> Problem<'_, N, O> {
-    /// Iterates until every row keeps its law to the tolerance, or the iteration limit is reached. Leaves the impulses in the rows.
+    /// Iterates until every row satisfies its law within the tolerance, or the iteration limit is reached.
+    /// Leaves the impulses in the rows.
     #[inline(always)]
     fn solve<S: pulp::Simd>(&mut self, simd: S) -> Outcome {
         self.start(simd);
@@ -91,7 +94,7 @@ impl<const N: usize, O: Operator<N>> Problem<'_, N, O> {
         outcome
     }
 
-    /// Free speeds and mobilities of the rows, and the speeds under the last tick's impulses.
+    /// Computes the free speeds and mobilities of the rows, and the speeds under the last tick's impulses.
     #[inline(always)]
     fn start<S: pulp::Simd>(&mut self, simd: S) {
         for row in self.row.iter_mut() {
@@ -192,7 +195,7 @@ impl<const N: usize, O: Operator<N>> Problem<'_, N, O> {
         }
     }
 
-    /// Slope of the function at the share `t` of the step.
+    /// Returns the slope of the function at the fraction `t` of the step.
     #[inline(always)]
     fn slope(&self, t: f64) -> f64 {
         let mut sum = 0.0;
@@ -213,7 +216,8 @@ impl<const N: usize, O: Operator<N>> Problem<'_, N, O> {
         sum
     }
 
-    /// The share of the step at which the function is least, by bisection and false position on its slope, which never falls.
+    /// Returns the fraction of the step at which the function is smallest, by bisection and false position on
+    /// its slope, which never decreases.
     #[inline(always)]
     fn search(&self) -> f64 {
         let (mut low, mut high) = (0.0, 1.0);
@@ -241,7 +245,7 @@ impl<const N: usize, O: Operator<N>> Problem<'_, N, O> {
         low + (high - low) * (slope_low / (slope_low - slope_high))
     }
 
-    /// Goes the share `length` of the step.
+    /// Moves by the fraction `length` of the step.
     #[inline(always)]
     fn go(&mut self, length: f64) {
         let blend = |from: f64, to: f64| if length == 1.0 { to } else { from + length * (to - from) };
@@ -255,7 +259,7 @@ impl<const N: usize, O: Operator<N>> Problem<'_, N, O> {
         }
     }
 
-    /// Largest misses of all rows: with the cones held, and of Coulomb's law.
+    /// Returns the largest violations over all rows: with the cones held, and of Coulomb's law.
     #[inline(always)]
     fn misses(&self) -> [f64; 2] {
         let mut most = [0.0f64; 2];
@@ -273,7 +277,7 @@ impl<const N: usize, O: Operator<N>> Problem<'_, N, O> {
         most
     }
 
-    /// Impulses that no law allows, left by rounding or by the iteration limit, go.
+    /// Removes inadmissible impulses left by rounding or by the iteration limit.
     #[inline(always)]
     fn settle(&mut self) {
         for row in self.row.iter_mut() {

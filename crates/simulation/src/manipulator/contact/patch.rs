@@ -1,24 +1,26 @@
-//! The patch of an obstacle that a tool cuts: all its contacts recede within the step at one speed, by the sum of their forces.
+//! The patch of an obstacle being cut: all its contacts recede within the step at one common speed, which
+//! depends on the sum of their forces.
 //!
-//! With P the sum of the normal impulses of the contacts that recede, the patch's speed is `back = slope (P - from)`, at least 0 and at
-//! most `most`. It is a freedom without inertia, whose minimum is taken at once: for given speeds of the contacts it is the root of a
-//! function that only falls, and in a Newton step its equation is linear and local to the link, because all those contacts are on one link.
+//! With P the sum of the normal impulses of the contacts that recede, the patch's speed is `back = slope (P -
+//! from)`, at least 0 and at most `most`. It is a degree of freedom without inertia, which is eliminated: for
+//! given speeds of the contacts it is the root of a decreasing function, and in a Newton step its equation is
+//! linear and local to the link, because all those contacts are on one link.
 
 use super::chain::{Square, add_outer, add_scaled, dot};
 use super::laws::ContactRow;
 use crate::contact_plane::Give;
 
-/// Most steps toward the root; each leaves fewer contacts that press.
+/// Maximum iterations toward the root; each leaves fewer pressing contacts.
 const ROOT_STEPS: usize = 32;
 
-/// How the contacts that recede do so.
+/// Recession law of the receding contacts.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(in crate::manipulator) struct Patch {
-    /// Sum of normal impulses up to which nothing recedes, N s.
+    /// Sum of normal impulses below which nothing recedes, N s.
     pub from: f64,
-    /// m/s per N s; 0: nothing recedes.
+    /// Recession speed per impulse, m/s per N s; 0 if nothing recedes.
     pub slope: f64,
-    /// m/s.
+    /// Maximum recession speed, m/s.
     pub most: f64,
 }
 
@@ -36,18 +38,18 @@ pub(super) enum BackLaw<const N: usize> {
 }
 
 impl Patch {
-    /// The law in a step of `dt` s.
+    /// Creates the law for a step of `dt` s.
     pub fn new(give: &Give, dt: f64) -> Patch {
         Patch { from: give.from_n * dt, slope: give.m_per_n / (dt * dt), most: give.most_m / dt }
     }
 
-    /// Speed under a sum of impulses.
+    /// Returns the recession speed under a sum of impulses.
     #[inline(always)]
     fn speed(&self, sum: f64) -> f64 {
         (self.slope * (sum - self.from)).max(0.0).min(self.most)
     }
 
-    /// Speed under the rows' present impulses.
+    /// Returns the recession speed under the rows' present impulses.
     #[inline(always)]
     pub(super) fn carried<const N: usize>(&self, rows: &[ContactRow<N>]) -> f64 {
         if self.slope == 0.0 {
@@ -56,8 +58,9 @@ impl Patch {
         self.speed(rows.iter().filter(|row| row.recedes).map(|row| row.impulse[0]).sum())
     }
 
-    /// Speed at which the rows' laws and the patch's hold together, each row moving at its speed plus the share `t` of its step. Newton's
-    /// method: the sum of the impulses falls as the speed grows, ever more slowly, so that each step comes closer from below.
+    /// Returns the recession speed at which the laws of the rows and of the patch hold simultaneously, with
+    /// each row at its speed plus the fraction `t` of its step. Uses Newton's method: the sum of the impulses
+    /// is decreasing and convex in the speed, so each iterate approaches the root from below.
     #[inline(always)]
     pub(super) fn root<const N: usize>(&self, rows: &[ContactRow<N>], t: f64) -> f64 {
         if self.slope == 0.0 {
@@ -81,8 +84,8 @@ impl Patch {
         back
     }
 
-    /// Eliminates the patch from a Newton step, the rows' tangents being taken at the speed `back`: adds what it takes from the link's
-    /// matrix and impulse.
+    /// Eliminates the patch from a Newton step, with the rows' tangents at the speed `back`: adds its
+    /// contribution to the link's matrix and impulse.
     #[inline(always)]
     pub(super) fn eliminate<const N: usize>(
         &self,
@@ -112,7 +115,7 @@ impl Patch {
 }
 
 impl<const N: usize> BackLaw<N> {
-    /// The patch's speed at these motions of the links.
+    /// Returns the recession speed at these motions of the links.
     #[inline(always)]
     pub(super) fn at(&self, motion: &[[f64; N]]) -> f64 {
         match self {

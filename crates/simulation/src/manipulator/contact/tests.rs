@@ -1,4 +1,4 @@
-//! The Newton solver against Gauss-Seidel with many thousand sweeps on the dense contact matrix.
+//! Compares the Newton solver with many thousand Gauss-Seidel sweeps on the dense contact matrix.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -9,7 +9,8 @@ use super::patch::Patch;
 use crate::manipulator::parameters::{ContactParameters, ManipulatorParameters};
 use crate::manipulator::row::Stop;
 
-/// Numbers in (-1, 1) (Steele and Vigna 2021: the multiplier of a 64-bit linear congruential generator).
+/// Random numbers in (-1, 1) (Steele and Vigna 2021: the multiplier of a 64-bit linear congruential
+/// generator).
 struct Draw(u64);
 
 impl Draw {
@@ -23,7 +24,7 @@ const LINKS: usize = 12;
 const MOUNT: usize = 3;
 const FREEDOMS: usize = MOUNT + LINKS - 1;
 
-/// A bent chain of 12 links of 3 mm as the planar rung describes it, for a step of `dt` s.
+/// Returns a bent chain of 12 links of 3 mm as the planar rung describes it, for a step of `dt` s.
 fn chain(dt: f64, draw: &mut Draw, coupled: bool) -> Chain<4> {
     let mut chain = Chain::new(std::iter::once(0).chain(MOUNT..=FREEDOMS).collect());
     chain.axis[..MOUNT].copy_from_slice(&[[0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0], [0.0, 0.0, 1.0, 0.0]]);
@@ -57,12 +58,12 @@ fn chain(dt: f64, draw: &mut Draw, coupled: bool) -> Chain<4> {
     chain
 }
 
-/// Velocity of a link per unit of each freedom, one column per freedom.
+/// Returns the velocity of a link per unit of each freedom, one column per freedom.
 fn jacobian(chain: &Chain<4>, link: usize) -> DMatrix<f64> {
     DMatrix::from_fn(4, FREEDOMS, |i, k| if k < MOUNT + link { chain.axis[k][i] } else { 0.0 })
 }
 
-/// The operator as a dense matrix.
+/// Returns the operator as a dense matrix.
 fn dense(chain: &Chain<4>) -> DMatrix<f64> {
     let mut a = DMatrix::from_diagonal(&DVector::from_row_slice(&chain.diagonal));
     for link in 0..LINKS {
@@ -76,7 +77,8 @@ fn dense(chain: &Chain<4>) -> DMatrix<f64> {
     a
 }
 
-/// Rows on random links, some of them pressed from both sides, with the forces of a sphere of 3 mm.
+/// Returns the rows on random links, some of them pressed from both sides, with the forces of a sphere of 3
+/// mm.
 fn rows(dt: f64, draw: &mut Draw, friction: f64) -> Vec<ContactRow<4>> {
     let mut rows = Vec::new();
     for link in 0..LINKS {
@@ -103,7 +105,7 @@ fn rows(dt: f64, draw: &mut Draw, friction: f64) -> Vec<ContactRow<4>> {
     rows
 }
 
-/// Impulses of contacts and stops by Gauss-Seidel with projection onto the cones, from rest.
+/// Returns the impulses of contacts and stops by Gauss-Seidel with projection onto the cones, from rest.
 fn gauss_seidel(
     a: &DMatrix<f64>,
     chain: &Chain<4>,
@@ -159,19 +161,19 @@ fn gauss_seidel(
     (v, p)
 }
 
-/// A row's forces on the freedoms.
+/// Returns a row's forces on the freedoms.
 fn on_freedoms(chain: &Chain<4>, row: &ContactRow<4>) -> [DVector<f64>; 3] {
     row.force.map(|force| jacobian(chain, row.link).transpose() * DVector::from_row_slice(&force))
 }
 
-/// The most by which a velocity of a contact differs, m/s.
+/// Returns the largest difference of a contact velocity, m/s.
 fn farthest(chain: &Chain<4>, rows: &[ContactRow<4>], v: &DVector<f64>, other: &DVector<f64>) -> f64 {
     let along = rows.iter().flat_map(|row| on_freedoms(chain, row));
     along.map(|along| (along.dot(v) - along.dot(other)).abs()).fold(0.0, f64::max)
 }
 
-/// The most by which a contact misses its law at these velocities, m/s, from the dense matrix: compliant up to its strength, and Coulomb's
-/// friction. `given` are the rows before the solve.
+/// Returns the largest violation of a contact law at these velocities, m/s, from the dense matrix: compliant
+/// up to its strength, and Coulomb's friction. `given` are the rows before the solve.
 fn largest_miss(
     a: &DMatrix<f64>,
     (chain, patch): (&Chain<4>, &Patch),
@@ -199,18 +201,19 @@ fn largest_miss(
     most
 }
 
-/// Whether obstacles bear any force.
+/// Kind of obstacles.
 #[derive(Clone, Copy, PartialEq)]
 enum Obstacles {
     Hard,
-    /// Every other one bears half of what it would carry if all were hard.
+    /// Every other one supports half of its force with hard obstacles.
     Yielding,
-    /// Those on one link recede, in every other problem by no more than a little.
+    /// Those on one link recede, in every other problem only slightly.
     Receding,
 }
 
-/// Solves 40 random problems; the most iterations, and the most by which a velocity of a contact differs from that of the sweeps, or, where
-/// obstacles yield, by which a contact misses its law, m/s.
+/// Solves 40 random problems. Returns the largest difference of a contact velocity from that of the sweeps
+/// or, with yielding obstacles, the largest violation of a contact law, m/s, and the maximum number of
+/// iterations.
 fn compare(friction: f64, coupled: bool, obstacles: Obstacles) -> (f64, usize) {
     let (mut most, mut iterations, mut ends) = (0.0f64, 0, 0);
     for seed in 0..40 {
@@ -302,9 +305,10 @@ fn the_solution_is_that_of_many_thousand_gauss_seidel_sweeps() {
         cases.into_iter().flat_map(|(friction, coupled)| all.map(|obstacles| (friction, coupled, obstacles)));
     for (friction, coupled, obstacles) in cases {
         let (most, iterations) = compare(friction, coupled, obstacles);
-        // The residual of 1e-9 m/s times the condition of the contact matrix, up to 100 here.
+        // The residual of 1e-9 m/s times the condition number of the contact matrix, up to 100 here.
         assert!(most < 1e-7, "{most:.1e} m/s");
-        // Where every other contact yields, the contacts beside it change sides more often: 73 seen.
+        // If every other contact yields, its neighbours change state more often: up to 73 iterations were
+        // observed.
         let enough = if friction > 0.5 || obstacles != Obstacles::Hard { 100 } else { 40 };
         assert!(iterations <= enough, "{iterations} iterations");
     }

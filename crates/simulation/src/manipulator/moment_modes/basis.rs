@@ -1,32 +1,35 @@
-//! The moment modes: shapes of the bending moment along the tool, and the flexure angles that follow from them.
+//! Moment modes: shapes of the bending moment along the tool, and the resulting flexure angles.
 //!
-//! Mode m is a bending moment that varies along the tool like a polynomial of degree m. Flexure i, at `xi` from -1 (first flexure) to 1
-//! (burr), of stiffness `k_i`, bends by its moment over its stiffness:
+//! Mode m is a bending moment that varies along the tool as a polynomial of degree m. Flexure i, at `xi` from
+//! -1 (first flexure) to 1 (burr), of stiffness `k_i`, bends by its moment over its stiffness:
 //!
 //! `q_i - rest_i = (sum over m of c_m p_m(xi_i)) / k_i`
 //!
-//! The polynomials are Legendre's, made orthonormal under the compliance weight, `sum over i of p_m(xi_i) p_n(xi_i) / k_i = delta_mn`, by
-//! Gram and Schmidt. The elastic energy is then `1/2 |c|^2`: the stiffness of every mode is 1, and c is in sqrt(J). Moments vary smoothly
-//! along a loaded tool even where its stiffness does not, so few modes come close to all flexures. It is the geometric variable strain of
-//! Boyer et al. (2021, IEEE Trans. Robotics 37(3), 847), with moments in the place of strains.
+//! The polynomials are Legendre polynomials, orthonormalised under the compliance weight, `sum over i of
+//! p_m(xi_i) p_n(xi_i) / k_i = delta_mn`, by Gram-Schmidt. The elastic energy is then `1/2 |c|^2`: the
+//! stiffness of every mode is 1, and c is in sqrt(J). Moments vary smoothly along a loaded tool even where
+//! its stiffness does not, so a few modes approximate all flexures well. This is the geometric variable
+//! strain approach of Boyer et al. (2021, IEEE Trans. Robotics 37(3), 847), with moments instead of strains.
 
 use super::MOUNT;
 use crate::manipulator::MAX_JOINTS;
 use crate::manipulator::parameters::ManipulatorParameters;
 
-/// Angles of the flexures per unit of each freedom. N is the number of freedoms with the mount's, of which the last may be unused.
+/// Angles of the flexures per unit of each freedom. N is the number of freedoms including the mount's; the
+/// last ones may be unused.
 #[derive(Debug, Clone)]
 pub(super) struct Basis<const N: usize> {
     /// Number of modes.
     pub modes: usize,
-    /// One row a flexure, rad/sqrt(J); the entries of mount and unused freedoms are 0.
+    /// One row per flexure, rad/sqrt(J); the entries of mount and unused freedoms are 0.
     pub of_flexure: [[f64; N]; MAX_JOINTS],
-    /// The same, one row a freedom, so that loops over the flexures run along memory.
+    /// Transpose, one row per freedom, so that loops over the flexures access contiguous memory.
     of_freedom: [[f64; MAX_JOINTS]; N],
 }
 
 impl<const N: usize> Basis<N> {
-    /// The modes of a tool, at most one per flexure. `parameters` are valid and have at most [`MAX_JOINTS`] flexures.
+    /// Creates the modes of a tool, at most one per flexure. `parameters` must be valid and have at most
+    /// [`MAX_JOINTS`] flexures.
     pub fn new(parameters: &ManipulatorParameters) -> Self {
         let moments = moments(parameters);
         let (mut of_flexure, mut of_freedom) = ([[0.0; N]; MAX_JOINTS], [[0.0; MAX_JOINTS]; N]);
@@ -39,7 +42,8 @@ impl<const N: usize> Basis<N> {
         Self { modes: moments.len(), of_flexure, of_freedom }
     }
 
-    /// Angles from rest (rad), or rates (rad/s), of the flexures for amplitudes or velocities `x`; 0 past the last flexure.
+    /// Returns the angles from rest (rad), or rates (rad/s), of the flexures for amplitudes or velocities
+    /// `x`; 0 past the last flexure.
     #[inline(always)]
     pub fn angles(&self, x: &[f64; N]) -> [f64; MAX_JOINTS] {
         let mut out = [0.0; MAX_JOINTS];
@@ -51,7 +55,7 @@ impl<const N: usize> Basis<N> {
         out
     }
 
-    /// Generalised forces of torques on the flexures, N m; 0 for the mount.
+    /// Returns the generalised forces of torques on the flexures, N m; 0 for the mount.
     #[inline(always)]
     pub fn project(&self, torque: &[f64; MAX_JOINTS]) -> [f64; N] {
         let mut out = [0.0; N];
@@ -64,7 +68,7 @@ impl<const N: usize> Basis<N> {
     }
 }
 
-/// The orthonormal moments, one row a mode, at the flexures, N m/sqrt(J).
+/// Returns the orthonormal moments at the flexures, one row per mode, N m/sqrt(J).
 fn moments(p: &ManipulatorParameters) -> Vec<Vec<f64>> {
     let z = &p.joint_positions_m;
     let (first, last) = (z.first().copied().unwrap_or(0.0), p.burr_centre_m());
@@ -75,7 +79,7 @@ fn moments(p: &ManipulatorParameters) -> Vec<Vec<f64>> {
     let mut modes: Vec<Vec<f64>> = Vec::new();
     for degree in 0..p.moment_modes.min(z.len()) {
         let mut mode: Vec<f64> = xi.iter().map(|x| legendre(degree, *x)).collect();
-        // Twice: once leaves what rounding made of the first pass.
+        // Orthogonalise twice: the second pass removes the rounding of the first.
         for _ in 0..2 {
             for earlier in &modes {
                 let share = product(&mode, earlier);
@@ -89,7 +93,7 @@ fn moments(p: &ManipulatorParameters) -> Vec<Vec<f64>> {
     modes
 }
 
-/// Legendre's polynomial of this degree, by Bonnet's recursion.
+/// Returns the Legendre polynomial of this degree, by Bonnet's recursion.
 fn legendre(degree: usize, x: f64) -> f64 {
     let (mut before, mut value) = (0.0, 1.0);
     for n in 0..degree {

@@ -1,4 +1,4 @@
-//! The contacts of a step: which of them the solver looks at, and what it finds.
+//! Contacts of a step: selects those that enter the solver, and applies its result.
 
 use nalgebra::Vector3;
 
@@ -10,12 +10,13 @@ use crate::manipulator::pressing::force;
 use crate::manipulator::state::{StepInput, StepReport};
 use crate::manipulator::step::MAX_ROUNDS;
 
-/// Contacts farther than this from where the tool goes on to, m, do not enter the solver at first.
+/// Distance, m, from the predicted tool position beyond which a contact does not initially enter the solver.
 const NEAR_M: f64 = 5.0e-6;
 
 impl<const N: usize> MomentModes<N> {
-    /// Adds the contact impulses to the free velocities. A contact that the tool does not reach carries nothing, so the solver looks only at
-    /// those that the tool would come near if it went on as before; if the solution reaches another, it is solved again with that one.
+    /// Adds the contact impulses to the free velocities. A contact that the tool does not reach carries no
+    /// force, so only those near the predicted motion enter the solver; if the solution reaches another one,
+    /// the solve is repeated with it.
     pub(super) fn with_contacts(
         &mut self,
         dt: f64,
@@ -41,7 +42,8 @@ impl<const N: usize> MomentModes<N> {
         self.with_near_contacts(dt, input, drive, free, report)
     }
 
-    /// Marks the contacts to which the tool is nearer than `margin_m` after a step with velocities `v`; true if there are new ones.
+    /// Marks the contacts that are closer than `margin_m` to the tool after a step with velocities `v`;
+    /// returns true if there are new ones.
     fn mark_near(
         &mut self,
         dt: f64,
@@ -55,9 +57,9 @@ impl<const N: usize> MomentModes<N> {
             if *enters {
                 continue;
             }
-            // Contacts of a sphere usually follow each other.
+            // Contacts of the same sphere are usually consecutive.
             if plane.sphere_index != of {
-                // The solver counts the contact of an unknown sphere as refused.
+                // The solver counts the contact of an unknown sphere as rejected.
                 let Some(fixed) = self.common.sphere_layout.get(plane.sphere_index) else { continue };
                 of = plane.sphere_index;
                 let [x, z] = self.shape.point(fixed.link, fixed.along_m);

@@ -1,14 +1,17 @@
-//! The planar tool in a few moment modes: as exact at rest as all flexures, with 2 to 8 degrees of freedom and the mount's three.
+//! The planar tool in a few moment modes: as accurate at rest as the full planar chain, with 2 to 8 degrees
+//! of freedom plus three of the mount.
 //!
-//! Every flexure is still there, with its place, its spring, its links' masses and its proxy sphere; but the bends of all follow from the
-//! amplitudes of a few modes of the bending moment (`basis`). Mass, tendons, loads and contacts of the planar rung are projected onto the
-//! modes (Galerkin), so frames, laws and parameters are those of [`crate::manipulator`]. The implicit operator is dense and small
-//! (`operator`); contacts go through the same solver as in the other rungs, which sees the whole tool as one body.
+//! Every flexure keeps its position, its spring, its links' masses and its proxy sphere, but all bends follow
+//! from the amplitudes of a few modes of the bending moment (`basis`). Mass, tendons, loads and contacts of
+//! the planar rung are projected onto the modes (Galerkin), so frames, laws and parameters are those of
+//! [`crate::manipulator`]. The implicit operator is dense and small (`operator`); contacts go through the
+//! same solver as in the other rungs, which sees the whole tool as one body.
 //!
-//! **Where it is not valid.** A flexure on its stop has a bending moment that jumps, which smooth modes cannot follow. The stops are springs
-//! on the single flexures all the same, so that nothing bends without bound, but the shape there is an approximation:
-//! [`StepReport::stopped_joint_count`] says how many flexures are beyond their stops, and [`ManipulatorModel::is_valid`] is then false. Tendons
-//! that bend a part of the tool, and outer tubes, make such jumps by themselves and are refused.
+//! **Where it is not valid.** At a flexure on its stop, the bending moment jumps, which smooth modes cannot
+//! represent. The stops still act as springs on the individual flexures, which bounds the bend, but the shape
+//! there is an approximation: [`StepReport::stopped_joint_count`] is the number of flexures beyond their
+//! stops, and [`ManipulatorModel::is_valid`] then returns false. Tendons that bend only part of the tool, and
+//! outer tubes, cause such jumps by themselves and are rejected.
 
 mod basis;
 mod contacts;
@@ -36,38 +39,40 @@ use shape::{Links, Motion, OfFlexures, Shape};
 use spheres::SphereWork;
 use tendons::{Bent, Tendons};
 
-/// Freedoms of the mount, base x, y, z; they come first.
+/// Number of freedoms of the mount, base x, y, z, which come first.
 const MOUNT: usize = 3;
-/// Modes for which [`MomentModes<8>`] has room; more take [`MomentModes<16>`].
+/// Maximum number of modes of [`MomentModes<8>`]; more need [`MomentModes<16>`].
 pub(super) const FEW_MODES: usize = 5;
 
-/// A continuum manipulator in moment modes. N is the number of freedoms, rounded up: 8 for up to five modes, 16 for more.
+/// A continuum manipulator in moment modes. N is the number of freedoms, rounded up: 8 for up to five modes,
+/// 16 for more.
 #[derive(Debug, Clone)]
 pub struct MomentModes<const N: usize> {
     common: Common,
     layout: Layout,
     links: Links,
     basis: Basis<N>,
-    /// Bending stiffness (N m/rad) and angle without load (rad) of the flexures; 1 and 0 past the last.
+    /// Bending stiffness (N m/rad) and unloaded angle (rad) of the flexures; 1 and 0 past the last.
     stiffness: OfFlexures,
     rest: OfFlexures,
     /// Damping of the flexures over their stiffness, s.
     damping_s: f64,
-    /// The fields from here on are derived from the state: angles (rad) and rates (rad/s) of the flexures, links.
+    /// This and the following fields are derived from the state: angles (rad) and rates (rad/s) of the
+    /// flexures, links.
     bend: [OfFlexures; 2],
     shape: Shape,
     motion: Motion,
     bent: Bent,
     /// Number of flexures beyond their stops.
     stopped: usize,
-    /// The fields from here on are workspace.
+    /// This and the following fields are workspace.
     sphere_work: SphereWork,
     trial: (Shape, Motion),
     dynamics: Dynamics<N>,
     factor: Factor<N>,
     tendons: Tendons<N>,
     contact: ContactSolver<N, Dense<N>>,
-    /// Contacts of this step that the solver looks at.
+    /// Contacts of this step that enter the solver.
     enters: Vec<bool>,
 }
 
@@ -86,16 +91,17 @@ impl<const N: usize> pulp::WithSimd for UpdateShape<'_, N> {
 }
 
 impl<const N: usize> MomentModes<N> {
-    /// A tool in its rest shape, at rest on `base`, with slack tendons.
+    /// Creates a tool in its rest shape, at rest on `base`, with slack tendons.
     ///
     /// # Errors
-    /// A parameter is out of range, or the tool bends in parts (an outer tube, tendons that end on the way); the error names it.
+    /// A parameter is out of range, or the tool has moment jumps (an outer tube, tendons that end before the
+    /// tip); the error names it.
     pub fn new(parameters: ManipulatorParameters, base: &BaseMotion) -> Result<Self, ManipulatorError> {
         Common::check(&parameters, base)?;
         refuse_jumps(&parameters)?;
         let (given, enough) = (parameters.joint_positions_m.len(), parameters.moment_modes <= N - MOUNT);
         if given > MAX_JOINTS {
-            let expected = "1 to 32 entries for the rung modal";
+            let expected = "1 to 32 for the modal model";
             return Err(ManipulatorError::Length { field: "joint_positions_m", given, expected });
         }
         if !enough {
@@ -135,7 +141,7 @@ impl<const N: usize> MomentModes<N> {
         Ok(tool)
     }
 
-    /// Position and velocity.
+    /// Returns position and velocity.
     #[inline(always)]
     fn freedoms(&self) -> [[f64; N]; 2] {
         let (mut x, mut v) = ([0.0; N], [0.0; N]);
@@ -149,7 +155,7 @@ impl<const N: usize> MomentModes<N> {
         [x[0], x[1], x[2]]
     }
 
-    /// Angles of the flexures for amplitudes `x`, rad.
+    /// Returns the angles of the flexures for amplitudes `x`, rad.
     #[inline(always)]
     fn angles(&self, x: &[f64; N]) -> OfFlexures {
         let mut q = self.basis.angles(x);
@@ -159,7 +165,7 @@ impl<const N: usize> MomentModes<N> {
         q
     }
 
-    /// Flexures, links and spheres for the present state.
+    /// Updates flexures, links and spheres for the present state.
     #[inline(always)]
     fn update_shape(&mut self) {
         let [x, v] = self.freedoms();
@@ -192,18 +198,18 @@ impl<const N: usize> ManipulatorModel for MomentModes<N> {
         self.common.arch.dispatch(UpdateShape { tool: self });
     }
 
-    /// As straight as the modes allow: the bend that is left has the least elastic energy.
+    /// Straightens the tool as far as the modes allow: the remaining bend has minimum elastic energy.
     fn straighten(&mut self) {
         self.common.straighten();
         let moment = core::array::from_fn(|i| -self.stiffness[i] * self.rest[i]);
-        // The modes are orthonormal under the compliance.
+        // Projects onto the modes, which are orthonormal under the compliance.
         self.common.state.position.copy_from_slice(&self.basis.project(&moment));
         self.follow_state();
         let Self { common, tendons: Tendons { channels, .. }, bent, .. } = self;
         common.set_take_up(channels, |t| bent.take_up_m(channels, t));
     }
 
-    /// False while a flexure is beyond its stop: see the module's documentation.
+    /// Returns false while a flexure is beyond its stop; see the module's documentation.
     fn is_valid(&self) -> bool {
         self.stopped == 0
     }
@@ -234,16 +240,17 @@ impl<const N: usize> ManipulatorModel for MomentModes<N> {
     }
 }
 
-/// A few smooth moments cannot jump where a tendon or an outer tube ends, nor twist.
+/// Rejects tools that smooth planar moments cannot represent: a tendon or an outer tube that ends before the
+/// tip, and winding tendons.
 fn refuse_jumps(p: &ManipulatorParameters) -> Result<(), ManipulatorError> {
-    helix::refuse(p, "0: the rung modal does not twist")?;
+    helix::refuse(p, "0: the modal model cannot twist")?;
     if let Some(outer) = &p.outer_tube {
-        let allowed = "none: the moments of the rung modal do not jump where an outer tube ends";
+        let allowed = "no outer tube: the modal model cannot represent the moment jump at its end";
         check("outer_tube.end_m", outer.end_m, allowed, |_| false)?;
     }
     let joints = p.joint_positions_m.len();
     for TendonRoute { reach, .. } in p.tendon_routes.iter().flatten() {
-        let allowed = "all flexures: the moments of the rung modal do not jump where a tendon ends";
+        let allowed = "all flexures: the modal model cannot represent the moment jump at a tendon's end";
         let number = reach.to.unwrap_or(joints) - reach.from;
         check("tendon_routes.reach", number as f64, allowed, |_| number == joints)?;
     }

@@ -1,12 +1,14 @@
 //! Mass, loads and the dense implicit operator of the modes.
 //!
-//! Spatial quantities are planar and expressed at the base origin, as in [`crate::manipulator::articulated`]. With `a_j` the axis of flexure
-//! j, `B_j` its row of the basis, `I_j` the inertia of everything distal to it and `S_j` the motion of link j per unit of each freedom, the
-//! mass matrix of a chain (composite rigid bodies, Featherstone 2008, Rigid Body Dynamics Algorithms, ch. 6) becomes
+//! Spatial quantities are planar and expressed at the base origin, as in [`crate::manipulator::articulated`].
+//! With `a_j` the axis of flexure j, `B_j` its row of the basis, `I_j` the inertia of everything distal to it
+//! and `S_j` the motion of link j per unit of each freedom, the mass matrix of a chain (composite rigid
+//! bodies, Featherstone 2008, Rigid Body Dynamics Algorithms, ch. 6) becomes
 //!
 //! `M = X + X'`, `X = sum over j of B_j (S_j-1 + 1/2 a_j B_j)' I_j a_j`
 //!
-//! one outer product a flexure. A stiffness `s_j` of a single flexure adds `1/2 s_j` to its `1/2 a_j' I_j a_j`, at no cost.
+//! with one outer product per flexure. A stiffness `s_j` of a single flexure adds `1/2 s_j` to its `1/2 a_j'
+//! I_j a_j` at no extra cost.
 
 use nalgebra::Vector3;
 
@@ -17,10 +19,11 @@ use crate::manipulator::MAX_JOINTS;
 use crate::manipulator::contact::{Square, lanes, lanes_mut};
 use crate::manipulator::loads::Frame;
 
-/// Motions of a link per unit of each freedom: rows omega_y, v_x, v_z of its planar motion at the base origin.
+/// Motions of a link per unit of each freedom: rows omega_y, v_x, v_z of its planar motion at the base
+/// origin.
 pub(super) type Jacobian<const N: usize> = [[f64; N]; 3];
 
-/// Mass, loads and motions in one shape.
+/// Mass, loads and motions for one shape.
 #[derive(Debug, Clone)]
 pub(super) struct Dynamics<const N: usize> {
     /// Motion of each link, the shaft first.
@@ -39,16 +42,17 @@ pub(super) struct Dynamics<const N: usize> {
     distal: Distal,
 }
 
-/// What the flexures add to a shape's dynamics.
+/// Contributions of the flexures to a shape's dynamics.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct OnFlexures<'a> {
     /// Torques, N m.
     pub torque: &'a OfFlexures,
-    /// Stiffnesses that the operator takes from single flexures, times the step squared, N m s²/rad.
+    /// Stiffnesses of single flexures in the operator, times the step squared, N m s²/rad.
     pub stiffness: &'a OfFlexures,
 }
 
-/// Forces on the links (N), their moments at the base origin about y (N m), and the links' centres of mass (m).
+/// Forces on the links (N), their moments at the base origin about y (N m), and the links' centres of mass
+/// (m).
 #[derive(Debug, Clone)]
 struct Forces {
     x: OfLinks,
@@ -59,20 +63,23 @@ struct Forces {
     centre_z: OfLinks,
 }
 
-/// Of each flexure: momentum (m_y, p_x, p_z) of everything distal per unit of its rate, half its own part of the mass matrix, and its torque.
+/// Per flexure: momentum (m_y, p_x, p_z) of everything distal per unit of its rate, half its own part of the
+/// mass matrix, and its torque.
 #[derive(Debug, Clone)]
 struct Distal {
     momentum: [OfFlexures; 3],
     half: OfFlexures,
     torque: OfFlexures,
-    /// First moments (x, z), inertia about the origin, force (x, z) and moment of what is distal; 0 past the last.
+    /// First moments (x, z), inertia about the origin, force (x, z) and moment of everything distal; 0 past
+    /// the last.
     behind: [OfFlexures; 6],
     /// Inertia of each link about the origin, kg m².
     about: OfLinks,
 }
 
 impl Forces {
-    /// The inertial forces of a base that turns, on links that are displaced across the plane and move there.
+    /// Adds the inertial forces of a rotating base on links that are displaced across the plane and move
+    /// there.
     fn add_turning(
         &mut self,
         links: &Links,
@@ -123,8 +130,8 @@ impl<const N: usize> Dynamics<N> {
         }
     }
 
-    /// Evaluates everything for a shape and its motion, whose mount is at `lateral_m` across the plane and moves there at the second number,
-    /// m/s.
+    /// Evaluates everything for a shape and its motion, whose mount is displaced across the plane by
+    /// `lateral_m` and moves there at the second value, m/s.
     #[inline(always)]
     pub fn evaluate<S: pulp::Simd>(
         &mut self,
@@ -149,8 +156,8 @@ impl<const N: usize> Dynamics<N> {
         (self.momentum[1], self.momentum[2]) = (self.matrix[0], self.matrix[2]);
     }
 
-    /// Gravity, base acceleration, velocity products and the tip load, as in [`crate::manipulator::loads`]. Sets the lateral force and the
-    /// moments about x and z.
+    /// Computes gravity, base acceleration, velocity products and the tip load, as in
+    /// [`crate::manipulator::loads`]. Sets the lateral force and the moments about x and z.
     #[inline(always)]
     fn loads(
         &mut self,
@@ -173,7 +180,7 @@ impl<const N: usize> Dynamics<N> {
         if frame.angular_velocity != Vector3::zeros() || frame.angular_acceleration != Vector3::zeros() {
             f.add_turning(links, shape, motion, [lateral_m, lateral_rate], frame);
         }
-        // Their sums, and those of the moments about x and z.
+        // Sums of the forces, and of the moments about x and z.
         let mut sums = [[0.0; 4]; 5];
         for l in 0..LINKS {
             let (x, z) = (f.x[l], f.z[l]);
@@ -201,7 +208,8 @@ impl<const N: usize> Dynamics<N> {
         self.moment.z = torque.z + about_z + x * force.y - lateral_m * (sum_x + force.x);
     }
 
-    /// From tip to base: what everything distal to each flexure has of momentum and puts on it. Sets the forces on the mount.
+    /// Sweeps from tip to base: accumulates the momentum and the load of everything distal to each flexure.
+    /// Sets the forces on the mount.
     #[inline(always)]
     fn sweep_inward(&mut self, links: &Links, shape: &Shape, on: OnFlexures<'_>) {
         let (f, out) = (&self.forces, &mut self.distal);
@@ -238,7 +246,8 @@ impl<const N: usize> Dynamics<N> {
         }
     }
 
-    /// From base to tip: the links' motions, the generalised forces and the mass matrix, a vector of freedoms at a time.
+    /// Sweeps from base to tip: accumulates the links' motions, the generalised forces and the mass matrix,
+    /// one vector of freedoms at a time.
     #[inline(always)]
     fn sweep_outward<S: pulp::Simd>(&mut self, simd: S, (links, basis): (&Links, &Basis<N>), shape: &Shape) {
         let distal = &self.distal;
@@ -286,8 +295,8 @@ impl<const N: usize> Dynamics<N> {
         }
     }
 
-    /// The moment about the base origin that produces a change of the freedoms' velocities, with the mount displaced by `lateral_m` across
-    /// the plane, N m s.
+    /// Returns the moment about the base origin that produces a change of the freedoms' velocities, with the
+    /// mount displaced by `lateral_m` across the plane, N m s.
     #[inline(always)]
     pub fn momentum_moment(&self, change: &[f64; N], lateral_m: f64) -> Vector3<f64> {
         let along = |row: &[f64; N]| row.iter().zip(change).map(|(a, b)| a * b).sum::<f64>();

@@ -1,29 +1,30 @@
-//! The tool's shape and motion for given flexures, with the links side by side in memory.
+//! Shape and motion of the tool for given flexures, with the links' values stored as arrays.
 
 use crate::manipulator::MAX_JOINTS;
 use crate::manipulator::geometry::{Layout, Planar};
 
-/// Room for links, the shaft first; a multiple of the four numbers of a vector.
+/// Capacity for links, the shaft first; a multiple of the vector length of four.
 pub(super) const LINKS: usize = 36;
-/// One number a link.
+/// One number per link.
 pub(super) type OfLinks = [f64; LINKS];
-/// One number a flexure; 0 past the last.
+/// One number per flexure; 0 past the last.
 pub(super) type OfFlexures = [f64; MAX_JOINTS];
 
-/// Up to this half angle the series below are exact to rounding, rad: the first term left out is 0.25^13 / 13! of 1.
+/// Half angle, rad, up to which the series below are exact to rounding: the first omitted term is 0.25^13 /
+/// 13!.
 const SERIES_UP_TO_RAD: f64 = 0.25;
 
-/// What the links are; 0 past the last.
+/// Constant properties of the links; 0 past the last.
 #[derive(Debug, Clone)]
 pub(super) struct Links {
-    /// Number of flexures; there is one link more.
+    /// Number of flexures, one less than links.
     pub joints: usize,
     /// Length up to the next flexure, m.
     pub length_m: OfLinks,
     pub mass_kg: OfLinks,
-    /// From the link's origin to its centre of mass, m.
+    /// Distance from the link's origin to its centre of mass, m.
     pub centre_m: OfLinks,
-    /// About the centre of mass, axis y.
+    /// Inertia about the centre of mass, axis y.
     pub inertia_kg_m2: OfLinks,
     pub total_mass_kg: f64,
     /// Mass of everything distal to each flexure.
@@ -31,7 +32,7 @@ pub(super) struct Links {
 }
 
 impl Links {
-    /// `layout` has at most [`MAX_JOINTS`] flexures.
+    /// Converts a layout, which must have at most [`MAX_JOINTS`] flexures.
     pub fn of(layout: &Layout) -> Self {
         let body = |link: usize| layout.body.get(link).filter(|_| link <= layout.joints);
         let of = |value: fn(&crate::manipulator::geometry::LinkBody) -> f64| {
@@ -54,7 +55,7 @@ impl Links {
     }
 }
 
-/// Where the links are, base axes; 0 past the last.
+/// Positions of the links, base axes; 0 past the last.
 #[derive(Debug, Clone)]
 pub(super) struct Shape {
     /// Sine and cosine of half of each flexure's angle.
@@ -69,7 +70,7 @@ pub(super) struct Shape {
 }
 
 impl Shape {
-    /// The straight tool.
+    /// Creates the straight tool.
     pub fn new() -> Self {
         Self {
             half_sin: [0.0; MAX_JOINTS],
@@ -81,7 +82,8 @@ impl Shape {
         }
     }
 
-    /// Updates every link from the flexures' angles `q` (rad) and the mount's displacement (base axes x, y, z, m).
+    /// Updates every link from the flexures' angles `q` (rad) and the mount's displacement (base axes x, y,
+    /// z, m).
     #[inline(always)]
     pub fn update(&mut self, links: &Links, q: &OfFlexures, mount: &[f64; 3]) {
         half_angles(q, &mut self.half_sin, &mut self.half_cos);
@@ -99,22 +101,22 @@ impl Shape {
         }
     }
 
-    /// The point at `along_m` on the axis of `link`.
+    /// Returns the point at `along_m` on the axis of `link`.
     #[inline(always)]
     pub fn point(&self, link: usize, along_m: f64) -> Planar {
         [self.x[link] + along_m * self.sin[link], self.z[link] + along_m * self.cos[link]]
     }
 }
 
-/// How the links move relative to the base.
+/// Motion of the links relative to the base.
 #[derive(Debug, Clone)]
 pub(super) struct Motion {
-    /// rad/s.
+    /// Angular velocity, rad/s.
     pub omega: OfLinks,
-    /// Of the link's origin, m/s.
+    /// Velocity of the link's origin, m/s.
     pub vx: OfLinks,
     pub vz: OfLinks,
-    /// Acceleration of the link's origin from the products of velocities, m/s².
+    /// Velocity-product acceleration of the link's origin, m/s².
     pub ax: OfLinks,
     pub az: OfLinks,
 }
@@ -148,8 +150,9 @@ impl Motion {
     }
 }
 
-/// Sine and cosine of half of each angle. A flexure bends by a few degrees, for which a few terms of the power series do, in loops without
-/// branches; a larger angle anywhere takes the library's functions.
+/// Computes the sine and cosine of half of each angle. A flexure bends by a few degrees, for which a few
+/// terms of the power series suffice, in branch-free loops; if any angle is larger, the library functions are
+/// used.
 #[inline(always)]
 fn half_angles(q: &OfFlexures, sin: &mut OfFlexures, cos: &mut OfFlexures) {
     let mut small = true;

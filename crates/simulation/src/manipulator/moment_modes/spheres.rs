@@ -1,4 +1,4 @@
-//! Places and velocities of the proxy spheres.
+//! Positions and velocities of the proxy spheres.
 
 use nalgebra::Vector3;
 
@@ -8,20 +8,21 @@ use crate::manipulator::geometry::{SphereKind, SphereLayout};
 use crate::manipulator::state::{BaseMotion, ProxySphere};
 use crate::manipulator::{MAX_JOINTS, MAX_SPHERES};
 
-/// Room to work on all spheres side by side: place and velocity in the bending plane, then along one world axis.
+/// Workspace for processing all spheres as arrays: position and velocity in the bending plane, then along one
+/// world axis.
 #[derive(Debug, Clone)]
 pub(super) struct SphereWork {
     /// Distance of each segment's sphere from its link's origin, m.
     segment_m: OfLinks,
-    /// Number of spheres before the first segment's, which are the shaft's.
+    /// Number of spheres before the first segment's, that is, on the shaft.
     before: usize,
-    /// x, z, m, and their rates relative to the base, m/s.
+    /// Positions x, z, m, and their rates relative to the base, m/s.
     local: [[f64; MAX_SPHERES]; 4],
     world: [[f64; MAX_SPHERES]; 2],
 }
 
 impl SphereWork {
-    /// Spheres are the shaft's, one a segment from base to tip, the burr's.
+    /// Creates the workspace for spheres in this order: shaft, one per segment from base to tip, burr.
     pub fn new(layout: &[SphereLayout]) -> Self {
         let mut segment_m = [0.0; LINKS];
         for fixed in layout.iter().filter(|fixed| matches!(fixed.kind, SphereKind::Segment(_))) {
@@ -44,7 +45,8 @@ impl SphereWork {
         let axes = base.t_world_base.rotation.to_rotation_matrix();
         let turn = axes.transpose() * base.angular_velocity_rad_per_s;
         let origin = base.t_world_base.translation.vector + axes * Vector3::new(0.0, mount[1], 0.0);
-        // Velocity of a point (x, mount, z): its own, the base's, and the turning's, (wy z - wz y, wz x - wx z, wx y - wy x).
+        // Velocity of a point (x, mount, z): its own, that of the base, and that of the rotation, (wy z - wz
+        // y, wz x - wx z, wx y - wy x).
         let drift = axes * Vector3::new(-turn.z * mount[1], mount_rate[1], turn.x * mount[1])
             + base.linear_velocity_m_per_s;
         let count = layout.len().min(MAX_SPHERES);
@@ -63,7 +65,7 @@ impl SphereWork {
         }
     }
 
-    /// The spheres in the bending plane, those of the segments side by side.
+    /// Updates the spheres in the bending plane, those of the segments as arrays.
     #[inline(always)]
     fn place_local(&mut self, layout: &[SphereLayout], links: &Links, shape: &Shape, motion: &Motion) {
         let joints = links.joints.min(MAX_JOINTS);

@@ -1,4 +1,5 @@
-//! One step of the modes, as in [`crate::manipulator::step`]: linearly implicit Euler, or ROS2 in smooth free motion.
+//! One step of the modes, as in [`crate::manipulator::step`]: linearly implicit Euler, or ROS2 in smooth free
+//! motion.
 
 use nalgebra::Vector3;
 
@@ -15,7 +16,7 @@ use crate::manipulator::step::{FREE_SHARE, GAMMA, MAX_ROUNDS, Stage};
 use crate::manipulator::tendon::turns;
 use crate::manipulator::{MAX_JOINTS, MAX_TENDONS, ManipulatorModel};
 
-/// a + scale b.
+/// Returns a + scale b.
 #[inline(always)]
 pub(super) fn plus<const N: usize>(a: &[f64; N], scale: f64, b: &[f64; N]) -> [f64; N] {
     core::array::from_fn(|k| a[k] + scale * b[k])
@@ -26,7 +27,8 @@ fn scaled<const N: usize>(scale: f64, a: &[f64; N]) -> [f64; N] {
     a.map(|a| scale * a)
 }
 
-/// Where a stage of a step is evaluated: positions, velocities, those assumed for the tendons' sliding, and the y of `- K y`.
+/// Evaluation point of a stage: positions, velocities, the velocities assumed for tendon sliding, and y of `-
+/// K y`.
 #[derive(Clone, Copy)]
 struct At<'a, const N: usize> {
     stage: Stage,
@@ -37,8 +39,8 @@ struct At<'a, const N: usize> {
     y: &'a [f64; N],
 }
 
-/// [`MomentModes::free_velocity`], compiled for each instruction set. No operation is reordered or fused, so the result is the same to the
-/// bit.
+/// [`MomentModes::free_velocity`], compiled for each instruction set. No operation is reordered or fused, so
+/// the result is bit-identical.
 struct Free<'a, const N: usize> {
     tool: &'a mut MomentModes<N>,
     at: At<'a, N>,
@@ -55,7 +57,7 @@ impl<const N: usize> pulp::WithSimd for Free<'_, N> {
     }
 }
 
-/// [`MomentModes::rosenbrock`], likewise.
+/// [`MomentModes::rosenbrock`], compiled in the same way.
 struct Rosenbrock<'a, const N: usize> {
     tool: &'a mut MomentModes<N>,
     dt: f64,
@@ -134,7 +136,7 @@ impl<const N: usize> MomentModes<N> {
         turns(&self.tendons.slides_on, &self.tendons.slope, [before, after])
     }
 
-    /// Velocities after a step of linearly implicit Euler without contacts.
+    /// Returns the velocities after a step of linearly implicit Euler without contacts.
     #[inline(always)]
     fn free_velocity<S: pulp::Simd>(
         &mut self,
@@ -147,11 +149,12 @@ impl<const N: usize> MomentModes<N> {
         plus(at.v, at.h, &self.factor.solve(&self.dynamics.force))
     }
 
-    /// Sets force and factored operator of one stage: `M + h D + h² K`, and all forces at `x`, `v` less `K y`.
+    /// Sets the force and the factored operator of one stage: `M + h D + h² K`, and all forces at `x`, `v`
+    /// minus `K y`.
     #[inline(always)]
     fn evaluate<S: pulp::Simd>(&mut self, simd: S, at: At<'_, N>, input: &StepInput, frame: &Frame) {
         let (q, y, bent) = match at.stage {
-            // There y is h v.
+            // At the start, y is h v.
             Stage::Start => (self.bend[0], self.bend[1].map(|rate| at.h * rate), self.bent),
             Stage::Trial => (self.angles(at.x), self.basis.angles(at.y), Bent::of(&self.trial.0)),
         };
@@ -205,7 +208,7 @@ impl<const N: usize> MomentModes<N> {
         }
     }
 
-    /// Adds the tendons' rank-one stiffness, made symmetric as in [`crate::manipulator::coupling`].
+    /// Adds the tendons' rank-one stiffness, symmetrised as in [`crate::manipulator::coupling`].
     #[inline(always)]
     fn couple<S: pulp::Simd>(&mut self, simd: S, at: &At<'_, N>) {
         let dot = |a: &[f64; N], b: &[f64; N]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
@@ -228,8 +231,8 @@ impl<const N: usize> MomentModes<N> {
         factor.factor(simd);
     }
 
-    /// Takes a ROS2 step in free motion; returns its error estimate. `Err` leaves the state unchanged: ROS2 is off (estimate 0), the
-    /// motion is not free, or the estimate is above the tolerance.
+    /// Takes a ROS2 step in free motion; returns its error estimate. `Err` leaves the state unchanged: ROS2
+    /// is off (estimate 0), the motion is not free, or the estimate is above the tolerance.
     #[inline(always)]
     fn rosenbrock<S: pulp::Simd>(
         &mut self,
@@ -288,7 +291,7 @@ impl<const N: usize> MomentModes<N> {
         Ok((plus(&plus(&v, 1.5 * dt, &kv1), 0.5 * dt, &kv2), error))
     }
 
-    /// Largest angle of a flexure from rest for amplitudes `x`, rad; NaN if one is.
+    /// Returns the largest angle of a flexure from rest for amplitudes `x`, rad; NaN if one is.
     #[inline(always)]
     fn largest_bend(&self, x: &[f64; N]) -> f64 {
         let larger = |most: f64, q: &f64| if q.abs() > most || q.is_nan() { q.abs() } else { most };
@@ -300,7 +303,7 @@ impl<const N: usize> MomentModes<N> {
         self.largest_bend(x) > FREE_SHARE * self.common.parameters.joint_limit_rad
     }
 
-    /// True if every sphere still clears its plane at `next`. Leaves `next` in the trial shape.
+    /// Returns true if every sphere still clears its plane at `next`. Leaves `next` in the trial shape.
     #[inline(always)]
     fn contacts_clear(&mut self, next: &[f64; N], input: &StepInput) -> bool {
         if input.contacts.is_empty() {

@@ -1,4 +1,5 @@
-//! The tendons on the flexures, by the formulas of [`crate::manipulator::tendon`]; those that are slack cost nothing here.
+//! Tendons on the flexures, by the formulas of [`crate::manipulator::tendon`]; slack tendons cost nothing
+//! here.
 
 use super::basis::Basis;
 use super::shape::{OfFlexures, Shape};
@@ -6,22 +7,22 @@ use crate::manipulator::state::TendonCommand;
 use crate::manipulator::tendon::{Channels, TendonMemory, base_tension, sign};
 use crate::manipulator::{MAX_JOINTS, MAX_TENDONS};
 
-/// Sums over the flexures that all take-ups are made of.
+/// Sums over the flexures from which all take-ups are computed.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Bent {
-    /// Of the sines of half the angles.
+    /// Sum of the sines of half the angles.
     sin: f64,
-    /// Of 1 less the cosines of half the angles.
+    /// Sum of 1 minus the cosines of half the angles.
     versed: f64,
 }
 
 impl Bent {
-    /// Of the straight tool.
+    /// Sums of the straight tool.
     pub const NONE: Self = Self { sin: 0.0, versed: 0.0 };
 
     #[inline(always)]
     pub fn of(shape: &Shape) -> Self {
-        // Four sums side by side, in a fixed order.
+        // Four partial sums, in a fixed order.
         let (mut sin, mut versed) = ([0.0; 4], [0.0; 4]);
         for (s, c) in shape.half_sin.chunks_exact(4).zip(shape.half_cos.chunks_exact(4)) {
             for lane in 0..4 {
@@ -33,27 +34,28 @@ impl Bent {
         Self { sin: total(sin), versed: total(versed) }
     }
 
-    /// Length of tendon `t` taken up, from the rest shape, m.
+    /// Returns the length of tendon `t` taken up, from the rest shape, m.
     #[inline(always)]
     pub fn take_up_m(&self, channels: &Channels, t: usize) -> f64 {
         channels.cable[t].gap_m * self.versed + 2.0 * channels.offset_m[t][0] * self.sin - channels.rest_m[t]
     }
 }
 
-/// What the tendons do in one shape.
+/// Effect of the tendons in one shape.
 #[derive(Debug, Clone)]
 pub(super) struct Tendons<const N: usize> {
     pub channels: Channels,
     /// Torque on each flexure, N m.
     pub torque: OfFlexures,
-    /// -d torque_i / d q_i at constant tension and sliding state, N m/rad.
+    /// Stiffness -d torque_i / d q_i at constant tension and sliding state, N m/rad.
     pub stiffness: OfFlexures,
-    /// d take-up / d freedom of each tendon that pulls, and -d force / d take-up.
+    /// Slope d take-up / d freedom of each pulling tendon, and gradient -d force / d take-up.
     pub slope: [[f64; N]; MAX_TENDONS],
     pub gradient: [[f64; N]; MAX_TENDONS],
     /// True for each tendon whose gradient is not zero.
     pub coupled: [bool; MAX_TENDONS],
-    /// True if the step assumes that this tendon's friction does not change: it was sliding at the given velocity and keeps sliding.
+    /// True if the step assumes that this tendon's friction does not change: it was sliding at the given
+    /// velocity and keeps sliding.
     pub slides_on: [bool; MAX_TENDONS],
     /// Tension at the proximal end, N.
     pub tension_n: [f64; MAX_TENDONS],
@@ -73,8 +75,8 @@ impl<const N: usize> Tendons<N> {
         }
     }
 
-    /// Evaluates all tendons in a shape with the flexures' angles `q`, rad. The freedoms' velocities `v` tell whether a saturated sliding
-    /// state is about to reverse.
+    /// Evaluates all tendons in a shape with the flexures' angles `q`, rad. The freedoms' velocities `v` show
+    /// whether a saturated sliding state is about to reverse.
     #[inline(always)]
     pub fn evaluate(
         &mut self,
@@ -117,7 +119,7 @@ impl<const N: usize> Tendons<N> {
         }
     }
 
-    /// The tension's dependence on the take-up, and the loss by friction, of tendon `t`.
+    /// Computes the dependence of the tension of tendon `t` on its take-up, and its friction loss.
     #[inline(always)]
     fn couple(
         &mut self,

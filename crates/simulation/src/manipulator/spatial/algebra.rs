@@ -1,4 +1,5 @@
-//! Spatial vectors (Featherstone 2008, Rigid Body Dynamics Algorithms, ch. 2) in base axes, all expressed at the base origin.
+//! Spatial vectors (Featherstone 2008, Rigid Body Dynamics Algorithms, ch. 2) in base axes, all expressed at
+//! the base origin.
 
 use nalgebra::Vector3;
 
@@ -14,14 +15,14 @@ pub(super) fn dot(a: &Spatial, b: &Spatial) -> f64 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3] + a[4] * b[4] + a[5] * b[5]
 }
 
-/// a += scale b.
+/// Adds scale b to a.
 pub(super) fn add_scaled(a: &mut Spatial, scale: f64, b: &Spatial) {
     for (a, b) in a.iter_mut().zip(b) {
         *a += scale * b;
     }
 }
 
-/// m v.
+/// Returns m v.
 pub(super) fn times(m: &Operator, v: &Spatial) -> Spatial {
     // Accumulates columns, which equal rows in a symmetric m: six SIMD lanes without a horizontal sum.
     let mut out = ZERO;
@@ -31,7 +32,7 @@ pub(super) fn times(m: &Operator, v: &Spatial) -> Spatial {
     out
 }
 
-/// m += scale a a'.
+/// Adds scale a a' to m.
 pub(super) fn add_outer(m: &mut Operator, scale: f64, a: &Spatial) {
     for (row, x) in m.iter_mut().zip(a) {
         add_scaled(row, scale * x, a);
@@ -42,43 +43,43 @@ fn join(upper: Vector3<f64>, lower: Vector3<f64>) -> Spatial {
     [upper.x, upper.y, upper.z, lower.x, lower.y, lower.z]
 }
 
-/// Angular part: angular velocity, or moment.
+/// Returns the angular part: angular velocity, or moment.
 pub(super) fn upper(a: &Spatial) -> Vector3<f64> {
     Vector3::new(a[0], a[1], a[2])
 }
 
-/// Linear part: velocity of the base origin, or force.
+/// Returns the linear part: velocity of the base origin, or force.
 pub(super) fn lower(a: &Spatial) -> Vector3<f64> {
     Vector3::new(a[3], a[4], a[5])
 }
 
-/// Unit rotation about `axis` through `p`.
+/// Returns the unit rotation about `axis` through `p`.
 pub(super) fn turn_about(p: &Vector3<f64>, axis: &Vector3<f64>) -> Spatial {
     join(*axis, p.cross(axis))
 }
 
-/// Unit translation along `axis`.
+/// Returns the unit translation along `axis`.
 pub(super) fn shift_along(axis: &Vector3<f64>) -> Spatial {
     join(Vector3::zeros(), *axis)
 }
 
-/// A force at `p` plus a moment.
+/// Returns a force at `p` plus a moment.
 pub(super) fn force_at(p: &Vector3<f64>, moment: &Vector3<f64>, force: &Vector3<f64>) -> Spatial {
     join(moment + p.cross(force), *force)
 }
 
-/// Velocity of point `p` of a body with motion `v`.
+/// Returns the velocity of point `p` of a body with motion `v`.
 pub(super) fn velocity_at(p: &Vector3<f64>, v: &Spatial) -> Vector3<f64> {
     lower(v) + upper(v).cross(p)
 }
 
-/// v x s: rate of change of a motion vector that moves with `v`.
+/// Returns v x s: the rate of change of a motion vector that moves with `v`.
 pub(super) fn cross_motion(v: &Spatial, s: &Spatial) -> Spatial {
     let (w, o) = (upper(v), lower(v));
     join(w.cross(&upper(s)), w.cross(&lower(s)) + o.cross(&upper(s)))
 }
 
-/// v x* f: rate of change of a force vector that moves with `v`.
+/// Returns v x* f: the rate of change of a force vector that moves with `v`.
 pub(super) fn cross_force(v: &Spatial, f: &Spatial) -> Spatial {
     let (w, o) = (upper(v), lower(v));
     join(w.cross(&upper(f)) + o.cross(&lower(f)), w.cross(&lower(f)))

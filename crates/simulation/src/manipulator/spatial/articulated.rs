@@ -1,8 +1,8 @@
 //! O(n) factorisation of a spatial chain's implicit operator.
 //!
-//! `H = M(q) + diag` by the articulated-body algorithm (Featherstone 2008, Rigid Body Dynamics Algorithms, ch. 7), one single-DoF joint
-//! at a time: a flexure with three or six degrees of freedom is that many joints with massless bodies between them, which the positive
-//! diagonal allows.
+//! `H = M(q) + diag` by the articulated-body algorithm (Featherstone 2008, Rigid Body Dynamics Algorithms,
+//! ch. 7), one single-DoF joint at a time: a flexure with three or six degrees of freedom is as many joints
+//! with massless bodies between them, which the positive diagonal allows.
 
 use super::algebra::{Operator, Spatial, ZERO, add_body, add_outer, add_scaled, dot, times};
 use super::layout::{Configuration, SpatialLayout};
@@ -51,7 +51,8 @@ impl Articulated {
         }
     }
 
-    /// Solves H x = `generalised` + sum over links of `force` (expressed at the base origin; index 0 is the shaft).
+    /// Solves H x = `generalised` + sum over links of `force` (expressed at the base origin; index 0 is the
+    /// shaft).
     pub fn solve<const D: usize>(
         &mut self,
         layout: &SpatialLayout<D>,
@@ -78,7 +79,7 @@ impl Articulated {
         }
     }
 
-    /// Motions of all links for generalised velocities `x`.
+    /// Computes the motions of all links for generalised velocities `x`.
     pub fn link_motions<const D: usize>(&self, layout: &SpatialLayout<D>, x: &[f64], out: &mut [Spatial]) {
         let mut v = ZERO;
         for link in 0..=layout.joints {

@@ -1,10 +1,12 @@
-//! Energy of a spatial chain, and whether a step made any.
+//! Energy of a spatial chain, and the check that a step does not gain any.
 //!
-//! A ROS2 step out of the bending plane can gain energy at little damping (`crates/simulation/tests/physics/swings.rs`: 10 % over a swing of 0.4 s at 2 ms
-//! without damping). Such a step is refused and made by linearly implicit Euler, which damps.
+//! With little damping, a ROS2 step out of the bending plane can gain energy
+//! (`crates/simulation/tests/physics/swings.rs`: 10 % over a swing of 0.4 s at 2 ms without damping). Such a
+//! step is rejected and repeated with linearly implicit Euler, which damps.
 //!
-//! A step's own error raises and lowers the energy a little even where the motion is right. So it is not compared with that of the step
-//! before, but with a ceiling that only the work of the loads raises, and that is at most [`MARGIN`] above the energy.
+//! The error of a step raises and lowers the energy slightly even if the motion is accurate. The energy is
+//! therefore compared not with that of the previous step, but with a ceiling that only the work of the loads
+//! raises, and that is at most [`MARGIN`] above the energy.
 
 use nalgebra::Vector3;
 
@@ -14,15 +16,16 @@ use super::layout::Configuration;
 use crate::manipulator::loads::Frame;
 use crate::manipulator::state::TendonCommand;
 
-/// Error allowed in the work of the loads over a step, as a share of it: it is integrated by the trapezoidal rule.
+/// Allowed relative error in the work of the loads over a step, which is integrated by the trapezoidal rule.
 const WORK_SHARE: f64 = 0.1;
-/// The same where stiff tendons hold a length: their tension follows from the motion within the step.
+/// Allowed relative error if stiff tendons hold a length: their tension follows from the motion within the
+/// step.
 const STIFF_WORK_SHARE: f64 = 1.0;
-/// How far the energy may rise within a free motion, as a share of it.
+/// Allowed relative rise of the energy within a free motion.
 const MARGIN: f64 = 1e-3;
 
 impl<const D: usize> SpatialChain<D> {
-    /// Kinetic energy relative to the base plus elastic energy of flexures and mount, J.
+    /// Returns the kinetic energy relative to the base plus elastic energy of flexures and mount, J.
     pub(super) fn energy_of(
         &self,
         configuration: &Configuration<D>,
@@ -47,7 +50,8 @@ impl<const D: usize> SpatialChain<D> {
         energy
     }
 
-    /// Generalised forces of gravity, the base's acceleration and turn, and the wrench on the tip at rest in the present shape.
+    /// Computes the generalised forces of gravity, base acceleration and rotation, and the tip wrench, at
+    /// rest in the present shape.
     pub(super) fn frame_forces(&mut self, frame: &Frame, out: &mut [f64]) {
         let Frame { gravity, angular_velocity, angular_acceleration, tip_wrench } = frame;
         let all =
@@ -67,7 +71,7 @@ impl<const D: usize> SpatialChain<D> {
     }
 }
 
-/// Work of a load over a step, and a bound of its error, J.
+/// Work of the loads over a step, and a bound of its error, J.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct LoadWork {
     work_j: f64,
@@ -82,13 +86,13 @@ impl LoadWork {
         self.error_j += share * work_j.abs();
     }
 
-    /// The ceiling behind a step from the ceiling before it and the energy at its start.
+    /// Returns the ceiling after a step from the ceiling before it and the energy at its start.
     pub fn ceiling_j(&self, ceiling_j: f64, before_j: f64) -> f64 {
         ceiling_j.min(before_j * (1.0 + MARGIN)) + self.work_j + self.error_j
     }
 }
 
-/// Error allowed in the work of the tendons, as a share of it.
+/// Returns the allowed relative error in the work of the tendons.
 pub(super) fn tendon_share(command: &TendonCommand) -> f64 {
     match command {
         TendonCommand::Force(_) | TendonCommand::EachForce(_) => WORK_SHARE,
@@ -96,5 +100,5 @@ pub(super) fn tendon_share(command: &TendonCommand) -> f64 {
     }
 }
 
-/// Error allowed in the work of gravity, the base's motion and the wrench on the tip, as a share of it.
+/// Allowed relative error in the work of gravity, the base motion and the tip wrench.
 pub(super) const FRAME_SHARE: f64 = WORK_SHARE;

@@ -1,8 +1,9 @@
 //! Constant layout of a spatial chain, and its configuration in space.
 //!
-//! A flexure is a series of single-DoF joints. The generalised coordinates are ordered: three of the mount (base x, y, z), then those of
-//! each flexure. With one: bending (about the link's y). With three: bending, lateral bending (about the rotated x), torsion (about the
-//! rotated z). With six: displacements along x, y and z of the proximal link come first.
+//! A flexure is a series of single-DoF joints. The generalised coordinates are ordered: three of the mount
+//! (base x, y, z), then those of each flexure. With one: bending (about the link's y). With three: bending,
+//! lateral bending (about the rotated x), torsion (about the rotated z). With six, displacements along x, y
+//! and z of the proximal link come first.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -14,14 +15,14 @@ use crate::manipulator::parameters::ManipulatorParameters;
 /// Degrees of freedom of the mount.
 pub(super) const MOUNT: usize = 3;
 
-/// Everything that is constant after construction.
+/// Constant data of the chain.
 #[derive(Debug, Clone)]
 pub(super) struct SpatialLayout<const D: usize> {
     pub joints: usize,
     pub first_joint_m: f64,
     /// Length of the link distal to each flexure.
     pub length_m: Vec<f64>,
-    /// The shaft, then one per flexure. Moments of inertia are transverse to the axis.
+    /// Bodies: the shaft, then one per flexure. Moments of inertia are transverse to the axis.
     pub body: Vec<LinkBody>,
     /// Moments of inertia along the axis, kg m^2.
     pub axial_inertia_kg_m2: Vec<f64>,
@@ -29,7 +30,7 @@ pub(super) struct SpatialLayout<const D: usize> {
 }
 
 impl<const D: usize> SpatialLayout<D> {
-    /// Mass and moments of inertia of a link.
+    /// Returns the mass and moments of inertia of a link.
     pub fn moments(&self, link: usize) -> Moments {
         let body = &self.body[link];
         Moments {
@@ -63,17 +64,17 @@ impl<const D: usize> SpatialLayout<D> {
         }
     }
 
-    /// Total number of degrees of freedom.
+    /// Returns the total number of degrees of freedom.
     pub fn freedoms(&self) -> usize {
         MOUNT + self.joints * D
     }
 
-    /// Coordinates that move `link` relative to the previous one (the mount moves link 0).
+    /// Returns the coordinates that move `link` relative to the previous one (the mount moves link 0).
     pub fn freedoms_of(&self, link: usize) -> core::ops::Range<usize> {
         if link == 0 { 0..MOUNT } else { MOUNT + (link - 1) * D..MOUNT + link * D }
     }
 
-    /// The first freedom of each link, then their number.
+    /// Returns the first freedom of each link, then the number of freedoms.
     pub fn first_freedoms(&self) -> Vec<usize> {
         core::iter::once(0).chain((0..=self.joints).map(|link| self.freedoms_of(link).end)).collect()
     }
@@ -89,7 +90,7 @@ impl<const D: usize> SpatialLayout<D> {
         }
     }
 
-    /// Index of the bending coordinate of flexure `joint`.
+    /// Returns the index of the bending coordinate of flexure `joint`.
     pub fn bend(&self, joint: usize) -> usize {
         MOUNT + joint * D + Self::BEND
     }
@@ -149,18 +150,19 @@ impl<const D: usize> Configuration<D> {
         }
     }
 
-    /// The point at `along_m` on the axis of `link`.
+    /// Returns the point at `along_m` on the axis of `link`.
     pub fn point(&self, link: usize, along_m: f64) -> Vector3<f64> {
         self.origin[link] + self.rotation[link].column(2) * along_m
     }
 
-    /// Unit axis of `link`.
+    /// Returns the unit axis of `link`.
     pub fn direction(&self, link: usize) -> Vector3<f64> {
         self.rotation[link].column(2).into_owned()
     }
 }
 
-/// Rotates columns `a` and `b` of a rotation matrix by `angle` from `a` toward `b`: a turn about the third column.
+/// Rotates columns `a` and `b` of a rotation matrix by `angle` from `a` toward `b`: a rotation about the
+/// third column.
 fn turn_columns(r: &mut Matrix3<f64>, a: usize, b: usize, angle: f64) {
     let (sin, cos) = libm::sincos(angle);
     let (u, v) = (r.column(a).into_owned(), r.column(b).into_owned());

@@ -26,9 +26,9 @@ impl Loads {
 
     /// Evaluates all loads for the velocities `v`.
     ///
-    /// Recursive Newton-Euler (Featherstone 2008, Rigid Body Dynamics Algorithms, table 5.1), in an inertial frame that coincides with
-    /// the base frame at this instant and moves with its origin: `f = -(I a + V x* I V)`, with `a` the accelerations at zero joint
-    /// acceleration.
+    /// Recursive Newton-Euler (Featherstone 2008, Rigid Body Dynamics Algorithms, table 5.1), in an inertial
+    /// frame that coincides with the base frame at this instant and moves with its origin: `f = -(I a + V x*
+    /// I V)`, with `a` the accelerations at zero joint acceleration.
     pub fn evaluate<const D: usize>(
         &mut self,
         layout: &SpatialLayout<D>,
@@ -65,7 +65,7 @@ impl Loads {
         self.moment += upper(&load);
     }
 
-    /// The moment about the base origin that produces a change of the links' motions.
+    /// Returns the moment about the base origin that produces a change of the links' motions.
     pub fn momentum_moment(&self, change: &[Spatial]) -> Vector3<f64> {
         self.inertia.iter().zip(change).map(|(inertia, v)| upper(&times(inertia, v))).sum()
     }

@@ -1,11 +1,14 @@
-//! The spatial rungs: a chain of flexures with one, three or six degrees of freedom each, in reduced coordinates.
+//! The spatial rungs: a chain of flexures with one, three or six degrees of freedom each, in reduced
+//! coordinates.
 //!
 //! [`SpatialChain<3>`] bends in two planes and twists. [`SpatialChain<6>`] also stretches and shears.
-//! [`SpatialChain<1>`] is the planar chain again, with up to 64 links, for comparison. Frames, tendons, contact laws, mount and integrators are those of
-//! the planar rung (see [`crate::manipulator`]). Each coordinate of a flexure has its own spring `k (q - q_0)`, so the forces derive from one
-//! potential at any angle.
+//! [`SpatialChain<1>`] is the planar chain again, with up to 64 links, for comparison. Frames, tendons,
+//! contact laws, mount and integrators are those of the planar rung (see [`crate::manipulator`]). Each
+//! coordinate of a flexure has its own spring `k (q - q_0)`, so the forces derive from one potential at any
+//! angle.
 //!
-//! All stiffnesses are the bending stiffness of a flexure times the ratios of [`crate::manipulator::StiffnessRatios`], the same in both.
+//! All stiffnesses are the bending stiffness of a flexure times the ratios of
+//! [`crate::manipulator::StiffnessRatios`], the same in both.
 
 mod algebra;
 mod articulated;
@@ -32,7 +35,7 @@ use loads::Loads;
 use step::Work;
 use tendon::TendonLoad;
 
-/// Maximum contacts per step; excess contacts are refused and counted.
+/// Maximum contacts per step; excess contacts are rejected and counted.
 const MAX_CONTACTS: usize = CONTACTS_PER_SPHERE * (MAX_SHAFT_SPHERES + MAX_LINKS + 1);
 
 /// A continuum manipulator whose flexures have D degrees of freedom: 1, 3 or 6.
@@ -40,16 +43,16 @@ const MAX_CONTACTS: usize = CONTACTS_PER_SPHERE * (MAX_SHAFT_SPHERES + MAX_LINKS
 pub struct SpatialChain<const D: usize> {
     common: Common,
     layout: SpatialLayout<D>,
-    /// Per degree of freedom.
+    /// Stiffness per degree of freedom.
     stiffness: Vec<f64>,
-    /// Coordinates without load: the rest angles.
+    /// Unloaded coordinates: the rest angles.
     rest: Vec<f64>,
     damping: Vec<f64>,
-    /// Baseline: springs and dampers enter as explicit forces only.
+    /// Whether springs and dampers enter as explicit forces only (baseline).
     explicit: bool,
-    /// Derived from the state.
+    /// Configuration, derived from the state.
     configuration: Configuration<D>,
-    /// The fields from here on are workspace.
+    /// This and the following fields are workspace.
     trial: Configuration<D>,
     articulated: Articulated,
     tendon: TendonLoad,
@@ -66,7 +69,7 @@ impl<const D: usize> SpatialChain<D> {
         [Rung::Planar, Rung::Spatial, Rung::Full][D / 3]
     };
 
-    /// A tool in its rest shape, at rest on `base`, with slack tendons.
+    /// Creates a tool in its rest shape, at rest on `base`, with slack tendons.
     ///
     /// # Errors
     /// A parameter is out of range; the error names it.
@@ -109,16 +112,16 @@ impl<const D: usize> SpatialChain<D> {
         Ok(chain)
     }
 
-    /// Baseline: semi-implicit Euler; springs and dampers enter as forces, not through the operator. Stable only for
-    /// steps below 2 / omega of the highest mode.
+    /// Switches to semi-implicit Euler as a baseline: springs and dampers enter as forces, not through the
+    /// operator. Stable only for steps below 2 / omega of the highest mode.
     pub fn with_explicit_springs(mut self) -> Self {
         self.explicit = true;
         self.common.parameters.integrator = super::Integrator::LinearlyImplicitEuler;
         self
     }
 
-    /// All generalised coordinates: three of the mount (m), then those of the flexures (displacements in m; bending, lateral bending and
-    /// torsion in rad).
+    /// Returns all generalised coordinates: three of the mount (m), then those of the flexures (displacements
+    /// in m; bending, lateral bending and torsion in rad).
     pub fn freedoms(&self) -> &[f64] {
         &self.common.state.position
     }
@@ -197,7 +200,7 @@ impl<const D: usize> ManipulatorModel for SpatialChain<D> {
     }
 }
 
-/// Stiffness per degree of freedom, N/m and N m/rad.
+/// Returns the stiffness per degree of freedom, N/m and N m/rad.
 fn stiffnesses<const D: usize>(p: &ManipulatorParameters) -> Vec<f64> {
     let mut stiffness = p.mount_stiffness_n_per_m.to_vec();
     for (joint, &k) in p.joint_stiffness_nm_per_rad.iter().enumerate() {

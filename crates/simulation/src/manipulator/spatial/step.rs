@@ -66,15 +66,15 @@ impl Work {
     }
 }
 
-/// The diagonal parts of a stage's operator, to be filled.
+/// Diagonal parts of a stage's operator, to be filled.
 struct Diagonals<'a> {
     /// Stiffness including the tendons' part.
     stiffness: &'a mut [f64],
-    /// What the factored operator adds to the mass.
+    /// Diagonal that the factored operator adds to the mass matrix.
     diagonal: &'a mut [f64],
 }
 
-/// out[i] = f(i) for every degree of freedom.
+/// Sets out[i] = f(i) for every degree of freedom.
 fn fill(out: &mut [f64], f: impl Fn(usize) -> f64) {
     for (i, out) in out.iter_mut().enumerate() {
         *out = f(i);
@@ -106,7 +106,7 @@ impl<const D: usize> SpatialChain<D> {
         Ok(report)
     }
 
-    /// Tendons, factored operator and loads of one stage.
+    /// Evaluates tendons, factored operator and loads of one stage.
     fn stage(
         &mut self,
         motion: Motion<'_>,
@@ -141,7 +141,7 @@ impl<const D: usize> SpatialChain<D> {
         self.coupling.update(&self.tendon.terms(), h * h, solve);
     }
 
-    /// Forces of springs, dampers and tendons at `q`, `v`, minus `K y`.
+    /// Computes the forces of springs, dampers and tendons at `q`, `v`, minus `K y`.
     fn elastic_forces(&self, motion: Motion<'_>, y: &Vec<f64>, stiffness: &[f64], out: &mut Vec<f64>) {
         let Motion { q, v } = motion;
         let stops = self.pressed.drive();
@@ -154,7 +154,7 @@ impl<const D: usize> SpatialChain<D> {
         self.coupling.subtract_stiffness(y, out);
     }
 
-    /// out = A^-1 (f + loads).
+    /// Sets out = A^-1 (f + loads).
     fn solve_loads(&mut self, f: &[f64], out: &mut Vec<f64>) {
         self.articulated.solve(&self.layout, Some(&self.loads.force), f, out);
         self.coupling.correct(out);
@@ -206,7 +206,7 @@ impl<const D: usize> SpatialChain<D> {
         fill(next, |i| self.common.state.position[i] + dt * after[i]);
     }
 
-    /// `work.after`: velocities after the step without contacts.
+    /// Computes the velocities after the step without contacts, in `work.after`.
     fn free_velocity(&mut self, dt: f64, h: f64, work: &mut Work) {
         let Work { before, after, stiffness, rhs, y, .. } = work;
         fill(y, |i| h * before[i]);
@@ -276,10 +276,10 @@ impl<const D: usize> SpatialChain<D> {
         self.common.store_contacts(&self.contact, dt, drive, &mut self.loads.moment, report);
     }
 
-    /// Takes a ROS2 step in free motion into `work.next` and `work.after`; returns its error estimate. `Err`: ROS2 is off, or the motion
-    /// is not smooth (estimate 0), not free, or above the tolerance.
+    /// Takes a ROS2 step in free motion into `work.next` and `work.after`; returns its error estimate. `Err`:
+    /// ROS2 is off, or the motion is not smooth (estimate 0), not free, or above the tolerance.
     fn rosenbrock(&mut self, dt: f64, input: &StepInput, frame: &Frame, work: &mut Work) -> Result<f64, f64> {
-        // Known again behind the next free step.
+        // Determined again after the next free step.
         let ceiling_j = core::mem::replace(&mut self.common.state.energy_ceiling_j, f64::INFINITY);
         let wanted =
             self.common.parameters.integrator == Integrator::Hybrid && self.common.contacts_far(dt, input);
@@ -287,7 +287,7 @@ impl<const D: usize> SpatialChain<D> {
             return Err(0.0);
         }
         self.pressed.clear();
-        // In the plane no step has been seen to gain energy.
+        // In the plane, no step has been observed to gain energy.
         let before_j = (D > 1).then(|| self.energy_j());
         if D > 1 {
             self.frame_forces(frame, &mut work.frame_force);
@@ -306,7 +306,8 @@ impl<const D: usize> SpatialChain<D> {
         }
     }
 
-    /// Sets the ceiling of the energy behind a ROS2 step, which is in `work.next` and `work.after`; true if the step ends above it.
+    /// Sets the energy ceiling after a ROS2 step, which is in `work.next` and `work.after`; returns true if
+    /// the step ends above it.
     fn gains_energy(&mut self, [ceiling_j, before_j]: [f64; 2], input: &StepInput, work: &Work) -> bool {
         let Work { next, after, frame_force, first_pull, .. } = work;
         self.trial.update(&self.layout, next);
@@ -322,7 +323,7 @@ impl<const D: usize> SpatialChain<D> {
         after_j > self.common.state.energy_ceiling_j || after_j.is_nan()
     }
 
-    /// The error estimate; `None` if a tendon binds, or starts or stops sliding within the step.
+    /// Returns the error estimate; `None` if a tendon binds, or starts or stops sliding within the step.
     fn rosenbrock_stages(
         &mut self,
         q: &[f64],
@@ -391,7 +392,7 @@ impl<const D: usize> SpatialChain<D> {
         })
     }
 
-    /// True if every sphere still clears its plane in configuration `next`.
+    /// Returns true if every sphere still clears its plane in configuration `next`.
     fn contacts_clear(&mut self, next: &[f64], input: &StepInput) -> bool {
         if input.contacts.is_empty() {
             return true;

@@ -1,10 +1,11 @@
 //! Tendons on a spatial chain.
 //!
-//! The law of the planar rung (see `manipulator::tendon`), extended by lateral bending and, in the full rung, compression. A flexure bent
-//! by q, bent laterally by p (about x, so toward -y) and compressed by u takes up `l = g (1 - cos(q/2) cos(p/2)) + 2 d sin(q/2) - 2 e
-//! sin(p/2) + u` of a tendon in the channel (d, e). A tension T exerts the generalised force `T dl` on every coordinate. Torsion also
-//! winds the channels; this is second order in the angle of one flexure and neglected. Of a tendon that winds about the tool it is the
-//! first: `manipulator::helix`.
+//! The law of the planar rung (see `manipulator::tendon`), extended by lateral bending and, in the full rung,
+//! compression. A flexure bent by q, bent laterally by p (about x, so toward -y) and compressed by u takes up
+//! `l = g (1 - cos(q/2) cos(p/2)) + 2 d sin(q/2) - 2 e sin(p/2) + u` of a tendon in the channel (d, e). A
+//! tension T exerts the generalised force `T dl` on every coordinate. Torsion also winds the channels; this
+//! is second order in the angle of one flexure and neglected. For a tendon that winds around the tool it is
+//! first order: `manipulator::helix`.
 
 use super::layout::SpatialLayout;
 use crate::manipulator::MAX_TENDONS;
@@ -18,31 +19,33 @@ use crate::manipulator::tendon::{Channels, TendonMemory, base_tension};
 #[derive(Debug, Clone)]
 pub(super) struct TendonLoad {
     pub channels: Channels,
-    /// Of each tendon that winds about the tool, one for each flexure that it bends.
+    /// Crossings of each winding tendon, one per flexure that it bends.
     crossings: [Vec<Crossing>; MAX_TENDONS],
     /// Generalised force per coordinate, N m (N for displacements).
     pub torque: Vec<f64>,
-    /// -d force_i / d q_i at constant tension and sliding state.
+    /// Stiffness -d force_i / d q_i at constant tension and sliding state.
     pub stiffness: Vec<f64>,
-    /// d take-up / d q_i of each tendon.
+    /// Slope d take-up / d q_i of each tendon.
     pub slope: [Vec<f64>; MAX_TENDONS],
-    /// -d force_i / d take-up of each tendon.
+    /// Gradient -d force_i / d take-up of each tendon.
     pub gradient: [Vec<f64>; MAX_TENDONS],
     /// True for each tendon whose gradient is not zero.
     pub coupled: [bool; MAX_TENDONS],
     /// Tension at the proximal end, N.
     pub tension_n: [f64; MAX_TENDONS],
-    /// True if the step assumes that this tendon's friction does not change: it was sliding at the given velocity and keeps sliding.
+    /// True if the step assumes that this tendon's friction does not change: it was sliding at the given
+    /// velocity and keeps sliding.
     pub slides_on: [bool; MAX_TENDONS],
 }
 
-/// Take-up of one flexure: length, slopes (bending, lateral), curvatures (bending, lateral), wrap angle of the channel.
+/// Take-up of one flexure: length, slopes (bending, lateral), curvatures (bending, lateral), wrap angle of
+/// the channel.
 struct TakeUp {
     length_m: f64,
     slope: [f64; 2],
     curvature: [f64; 2],
     turn_rad: f64,
-    /// d wrap / d (bending, lateral), 0 where the flexure is straight.
+    /// Slope d wrap / d (bending, lateral); 0 where the flexure is straight.
     turn_slope: [f64; 2],
 }
 
@@ -70,7 +73,7 @@ impl TakeUp {
         }
     }
 
-    /// The bends' part of a chord.
+    /// Returns the bending part of a chord.
     fn of_chord<const D: usize>(chord: &Chord) -> Self {
         let bend = SpatialLayout::<D>::BEND;
         let both = |of: &[f64; 6]| [of[bend], of[bend + 1]];
@@ -84,7 +87,7 @@ impl TakeUp {
     }
 }
 
-/// Generalised positions, and the velocities assumed there.
+/// Generalised positions and assumed velocities.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Motion<'a> {
     pub q: &'a [f64],
@@ -110,13 +113,13 @@ impl TendonLoad {
         }
     }
 
-    /// What couples the joints.
+    /// Returns the terms that couple the joints.
     pub fn terms(&self) -> TendonTerms<'_, Vec<f64>> {
         let Self { channels, coupled, slope, gradient, .. } = self;
         TendonTerms { count: channels.count, coupled, slope, gradient }
     }
 
-    /// Evaluates all tendons. The velocities tell whether a saturated sliding state is about to reverse.
+    /// Evaluates all tendons. The velocities show whether a saturated sliding state is about to reverse.
     pub fn evaluate<const D: usize>(
         &mut self,
         layout: &SpatialLayout<D>,
@@ -168,7 +171,7 @@ impl TendonLoad {
                         - local * take_up.curvature[k];
                 }
                 if let Some(chord) = &chord {
-                    // Bends are in the loop before.
+                    // Bends are handled in the loop above.
                     let bends = SpatialLayout::<D>::BEND..SpatialLayout::<D>::BEND + D.min(2);
                     for k in (0..D).filter(|k| !bends.contains(k)) {
                         self.stiffness[first + k] -= local * chord.curvature[k];
@@ -178,7 +181,8 @@ impl TendonLoad {
         }
     }
 
-    /// How tendon `t` crosses flexure `joint`, at its coordinates `q`; `None` if it runs parallel to the axis.
+    /// Returns the chord of tendon `t` across flexure `joint`, at its coordinates `q`; `None` if it runs
+    /// parallel to the axis.
     fn chord<const D: usize>(&self, t: usize, joint: usize, q: &[f64]) -> Option<Chord> {
         let place = joint.checked_sub(self.channels.reach[t][0])?;
         self.crossings[t].get(place).map(|crossing| crossing.chord::<D>(q))
@@ -224,7 +228,7 @@ impl TendonLoad {
         (length_m - self.channels.rest_m[t], rate)
     }
 
-    /// Length of tendon `t` taken up by the bent tool, from its rest shape, m.
+    /// Returns the length of tendon `t` taken up by the bent tool, from its rest shape, m.
     pub fn take_up<const D: usize>(&self, layout: &SpatialLayout<D>, q: &[f64], t: usize) -> f64 {
         let p = &self.channels.cable[t];
         let (channel, flexures) = (self.channels.offset_m[t], self.channels.flexures(t));

@@ -1,4 +1,4 @@
-//! Rules about what the controllers, the arm and the X-ray can do in this run.
+//! Rules about the controllers, the arm and the X-ray of a run.
 
 use nalgebra::Vector3;
 use scene::{Controller, Drives, Feedback};
@@ -7,17 +7,20 @@ use super::{Feed, Start};
 use crate::arm::{Arm, ArmCommand, LEAST_MANIPULABILITY_M3};
 use crate::manipulator::{Integrator, ManipulatorModel, Rung};
 
-/// A target may lie so far beyond the end of the feed, mm: the drilled tip is not at the tool's, and nobody measures a tenth of a burr.
+/// Tolerance for a target beyond the end of the feed, mm: the drilled tip is not exactly at the tool tip, and
+/// targets are not measured to a tenth of a burr.
 const BEYOND_MM: f64 = 0.5;
-/// A target may lie so far behind the start, mm: less prints as 0.0, and one beside the start is behind it by rounding.
+/// Tolerance for a target behind the start, mm: less is displayed as 0.0, and rounding can put a target
+/// beside the start behind it.
 const BEHIND_MM: f64 = 0.05;
-/// An arc may be longer than the insertion by this share: the burr need not come all the way.
+/// Factor by which an arc may exceed the insertion: the burr need not go all the way.
 const ARC_SLACK: f64 = 1.02;
-/// Rates closer than this share are the same: 33.33 Hz is how one writes 30 ticks of 1 ms.
+/// Relative difference below which two rates are the same: 30 ticks of 1 ms are usually written as 33.33 Hz.
 const SAME_RATE: f64 = 2e-4;
 
-/// The longest step, ms, at which most hard cases in bone end where they end at 0.2 ms, and at which every shipped tool is right on every
-/// model (docs/accuracy-physics.md, docs/tools.md; `trabecula-lab chart stability --bone` and `--tools`).
+/// The longest step, ms, at which most hard cases in bone end up at the same place as at 0.2 ms, and at which
+/// every shipped tool is accurate on every model (docs/accuracy-physics.md, docs/tools.md; `trabecula-lab
+/// chart stability --bone` and `--tools`).
 const LONGEST_STEP_MS: f64 = 2.0;
 
 impl Start<'_> {
@@ -25,7 +28,7 @@ impl Start<'_> {
         1e3 * self.simulation.manipulator.parameters().flexible_length_m()
     }
 
-    /// `|det J|` at the start of the joints that move on a path, if it is too small for one.
+    /// Returns the start's `|det J|` of the joints that move on a path, if it is too small for a path.
     fn singular_m3(&self) -> Option<f64> {
         let arm = &self.simulation.arm;
         if !arm.parameters().geometry.turns() {
@@ -35,7 +38,7 @@ impl Start<'_> {
         (found_m3 < LEAST_MANIPULABILITY_M3).then_some(found_m3)
     }
 
-    /// A feed along a path of the arm.
+    /// Returns the first feed along a path of the arm.
     pub(super) fn arm_feed(&self) -> Option<Feed<'_>> {
         self.feeds().find(|feed| feed.is_arms && feed.drives.contains(&Drives::Arm) && feed.length_mm > 0.0)
     }
@@ -48,7 +51,7 @@ pub(super) fn program_is_missing(start: &Start) -> Option<String> {
         (!(start.program_exists)(program)).then_some((&controller.name, program))
     })?;
     Some(format!(
-        "of `{name}` is `{program}`, expected a program: a path to an executable file, or a name found in PATH"
+        "of `{name}`: program `{program}` not found; expected a path to an executable file or a name in PATH"
     ))
 }
 
@@ -57,7 +60,8 @@ pub(super) fn feed_ends_before_bone(start: &Start) -> Option<String> {
     let (gap_mm, reach_mm) = (1e3 * start.burr_gap_m?, feed.length_mm + start.flexible_mm());
     (gap_mm > reach_mm).then(|| {
         format!(
-            "puts the burr {gap_mm:.1} mm from the nearest bone, allowed is at most {reach_mm:.1}: `{}.{}` and the tool's flexible length",
+            "puts the burr {gap_mm:.1} mm from the nearest bone; allowed: at most {reach_mm:.1}: `{}.{}` \
+             plus the tool's flexible length",
             feed.table, feed.length_key
         )
     })
@@ -66,7 +70,9 @@ pub(super) fn feed_ends_before_bone(start: &Start) -> Option<String> {
 pub(super) fn no_arm_to_move(start: &Start) -> Option<String> {
     let is_held = !start.simulation.arm.parameters().geometry.moves();
     (is_held && start.is_led(Drives::Arm)).then(|| {
-        "is \"fixed\", but a controller drives the arm; expected an arm, or no \"arm\" in `controller.drives`".to_owned()
+        "is \"fixed\", but a controller drives the arm; choose an arm, or remove \"arm\" from \
+         `controller.drives`"
+            .to_owned()
     })
 }
 
@@ -74,7 +80,8 @@ pub(super) fn no_path_from_singular_start(start: &Start) -> Option<String> {
     start.arm_feed()?;
     let found_m3 = start.singular_m3()?;
     Some(format!(
-        "is singular (manipulability {found_m3:.1e} m³, allowed is {LEAST_MANIPULABILITY_M3:.0e} or more): the arm cannot insert from there"
+        "is singular (manipulability {found_m3:.1e} m³; allowed: {LEAST_MANIPULABILITY_M3:.0e} or more): \
+         the arm cannot insert from there"
     ))
 }
 
@@ -84,12 +91,13 @@ pub(super) fn singular_start(start: &Start) -> Option<String> {
     }
     let found_m3 = start.singular_m3()?;
     Some(format!(
-        "is singular (manipulability {found_m3:.1e} m³, a path needs {LEAST_MANIPULABILITY_M3:.0e}): only joint commands work from there"
+        "is singular (manipulability {found_m3:.1e} m³, Cartesian motion needs \
+         {LEAST_MANIPULABILITY_M3:.0e}): only joint commands work from there"
     ))
 }
 
-/// The arm is asked for the feed, as its controller will, and refuses it: out of reach, at the end of a joint's range or of a gantry's travel,
-/// through a singularity.
+/// Checks that the arm accepts the feed that its controller will command: it rejects one that is out of
+/// reach, beyond a joint's range or a gantry's travel, or through a singularity.
 pub(super) fn feed_beyond_arm(start: &Start) -> Option<String> {
     let feed = start.arm_feed()?;
     let arm = &start.simulation.arm;
@@ -104,12 +112,10 @@ pub(super) fn feed_beyond_arm(start: &Start) -> Option<String> {
     });
     let reason = refused.err()?;
     let Feed { table, length_key, length_mm, .. } = feed;
-    Some(format!(
-        "does not carry the tool along the feed, `{table}.{length_key}` of {length_mm} mm: {reason}"
-    ))
+    Some(format!("cannot follow the feed (`{table}.{length_key}` = {length_mm}): {reason}"))
 }
 
-/// The arm refuses every command for such a feed, and the tool would stay where it is.
+/// Checks the feed's speed: the arm would reject every command of a faster feed, and the tool would not move.
 pub(super) fn feed_faster_than_arm(start: &Start) -> Option<String> {
     let feed = start.arm_feed()?;
     if no_arm_to_move(start).is_some() {
@@ -118,11 +124,12 @@ pub(super) fn feed_faster_than_arm(start: &Start) -> Option<String> {
     let most_mm_s = start.scene.arm.max_speed_mm_per_s;
     let (key, speed_mm_s) = feed.fastest_mm_s;
     (speed_mm_s > most_mm_s).then(|| {
-        format!("is {most_mm_s}, expected at least {speed_mm_s}: the arm refuses `{}.{key}`", feed.table)
+        format!("is {most_mm_s}, expected at least {speed_mm_s}: the arm rejects `{}.{key}`", feed.table)
     })
 }
 
-/// The target of curved drilling, seen from the burr: ahead and beside, mm; and the length of the feed, mm.
+/// Returns the target of curved drilling, relative to the burr: ahead and off the feed axis, mm; and the
+/// length of the feed, mm.
 fn target_mm(start: &Start) -> Option<[f64; 3]> {
     let mut plans =
         start.scene.controller.iter().filter_map(|controller| controller.curved_drilling.as_ref());
@@ -139,26 +146,30 @@ pub(super) fn target_out_of_reach(start: &Start) -> Option<String> {
     if ahead_mm < -BEHIND_MM {
         let behind_mm = -ahead_mm;
         return Some(format!(
-            "lies {behind_mm:.1} mm behind the start, allowed is 0 to {length_mm} ahead (`insertion_mm`)"
+            "is {behind_mm:.1} mm behind the start; allowed: 0 to {length_mm} mm ahead (`insertion_mm`)"
         ));
     }
     if ahead_mm > length_mm + BEYOND_MM {
         return Some(format!(
-            "lies {ahead_mm:.1} mm ahead of the start, allowed is 0 to {length_mm} (`insertion_mm`)"
+            "is {ahead_mm:.1} mm ahead of the start; allowed: 0 to {length_mm} mm (`insertion_mm`)"
         ));
     }
     (beside_mm > flexible_mm).then(|| {
-        format!("lies {beside_mm:.1} mm beside the line of the feed, allowed is 0 to {flexible_mm:.1} (the tool's flexible length)")
+        format!(
+            "is {beside_mm:.1} mm off the feed axis; allowed: 0 to {flexible_mm:.1} (the tool's \
+                 flexible length)"
+        )
     })
 }
 
-/// Half the angle by which a circular arc turns that begins along the feed and ends at the target: its chord turns by so much.
+/// Returns half the angle of a circular arc that begins along the feed and ends at the target, which is the
+/// angle of its chord.
 fn half_turn_rad(ahead_mm: f64, beside_mm: f64) -> f64 {
-    // Behind by rounding is beside: the arc to a point straight behind would be endless.
+    // Treat a target behind by rounding as beside: the arc to a point straight behind would be infinite.
     libm::atan2(beside_mm, ahead_mm.max(0.0))
 }
 
-/// Bone does not bend the tool further than its flexures' stops.
+/// Checks the arc to the target against the stops of the flexures, beyond which bone does not bend the tool.
 pub(super) fn target_beyond_stops(start: &Start) -> Option<String> {
     let [ahead_mm, beside_mm, _] = target_mm(start)?;
     let tool = start.simulation.manipulator.parameters();
@@ -167,7 +178,8 @@ pub(super) fn target_beyond_stops(start: &Start) -> Option<String> {
     let turn_rad = 2.0 * half_turn_rad(ahead_mm, beside_mm);
     (turn_rad > stops_rad && target_out_of_reach(start).is_none()).then(|| {
         format!(
-            "lies {ahead_mm:.1} mm ahead of the start and {beside_mm:.1} beside: the arc to it turns by {:.0}°, the tool bends by {:.0}° at most",
+            "is {ahead_mm:.1} mm ahead of the start and {beside_mm:.1} mm off the feed axis: the arc to it \
+             bends by {:.0}°, the tool by at most {:.0}°",
             turn_rad.to_degrees(),
             stops_rad.to_degrees()
         )
@@ -182,7 +194,7 @@ pub(super) fn insertion_shorter_than_arc(start: &Start) -> Option<String> {
     let arc_mm = if half_rad > 0.0 { chord_mm * half_rad / libm::sin(half_rad) } else { chord_mm };
     let reachable = target_out_of_reach(start).is_none();
     (reachable && arc_mm > length_mm * ARC_SLACK + BEYOND_MM)
-        .then(|| format!("is {length_mm}; the arc to `target_mm` is {arc_mm:.1} mm long"))
+        .then(|| format!("is {length_mm}, but the arc to `target_mm` is {arc_mm:.1} mm long"))
 }
 
 pub(super) fn run_shorter_than_plan(start: &Start) -> Option<String> {
@@ -193,29 +205,34 @@ pub(super) fn run_shorter_than_plan(start: &Start) -> Option<String> {
         .map(|feed| (feed.table, feed.time_s))
         .chain(sweeps.map(|sweep| ("controller.tension_sweep", sweep.duration_s())));
     let (table, plan_s) = plans.find(|(_, plan_s)| *plan_s > run_s)?;
-    Some(format!("is {run_s}; `{table}` needs {plan_s:.1} s"))
+    Some(format!("is {run_s}, but `{table}` needs {plan_s:.1} s"))
 }
 
 pub(super) fn long_step_in_bone(start: &Start) -> Option<String> {
     let dt_ms = start.scene.run.dt_ms;
     (start.scene.volume.is_some() && dt_ms > LONGEST_STEP_MS).then(|| {
-        format!("is {dt_ms}; expected at most {LONGEST_STEP_MS} in bone: longer steps drill elsewhere, and forces jump")
+        format!(
+            "is {dt_ms}; expected at most {LONGEST_STEP_MS} in bone: longer steps change the drilled \
+                 path and make forces jump"
+        )
     })
 }
 
-/// A pre-curved tool under a load near Euler's is up to 0.75 mm off, and not by Euler's integrator.
+/// Checks the step with a pre-curved tool: near its Euler buckling load, the hybrid integrator is up to 0.75
+/// mm off; linearly implicit Euler is not.
 pub(super) fn long_step_of_pre_curved_tool(start: &Start) -> Option<String> {
     let (tool, dt_ms) = (start.simulation.manipulator.parameters(), start.scene.run.dt_ms);
     let is_pre_curved = tool.joint_rest_rad.iter().any(|rest_rad| *rest_rad != 0.0);
     (is_pre_curved && tool.integrator == Integrator::Hybrid && dt_ms > LONGEST_STEP_MS).then(|| {
         format!(
-            "is hybrid with a pre-curved tool at `run.dt_ms` = {dt_ms}, expected at most {LONGEST_STEP_MS} ms or \
-             linearly_implicit_euler: near its buckling load the tool ends elsewhere"
+            "is hybrid with a pre-curved tool at `run.dt_ms` = {dt_ms}, expected at most {LONGEST_STEP_MS} \
+             ms or linearly_implicit_euler: near its buckling load the tool would end up in a wrong place"
         )
     })
 }
 
-/// The moment modes do not follow single flexures on their stops. In bone the walls bend the tool, which nobody knows beforehand.
+/// Checks the modal model's tension: it cannot represent single flexures on their stops. Bending by the walls
+/// in bone cannot be predicted here.
 pub(super) fn modes_on_stops(start: &Start) -> Option<String> {
     let tool = &start.simulation.manipulator;
     if tool.rung() != Rung::Modal {
@@ -227,13 +244,13 @@ pub(super) fn modes_on_stops(start: &Start) -> Option<String> {
     (most_n > least_n).then(|| {
         let asked = if most_n.is_finite() { format!("up to {most_n} N") } else { "any tension".to_owned() };
         format!(
-            "is modal, which is not valid where single flexures stand on their stops: from {least_n:.1} N on at rest in free space, and \
-             the controllers may ask for {asked}; expected planar, or less tension"
+            "is modal, which is not valid once single flexures reach their stops: above {least_n:.1} N at \
+             rest in free space, and the controllers can command {asked}; use planar, or less tension"
         )
     })
 }
 
-/// The most tension that a controller may ask for, N; infinite if the scene does not say.
+/// Returns the largest tension that a controller can command, N; infinite if the scene does not limit it.
 fn most_tension_n(entry: &Controller) -> f64 {
     let drilling = entry.curved_drilling.as_ref().filter(|drilling| drilling.feedback == Feedback::None);
     let drilled_n = drilling.and_then(|drilling| drilling.tension_n);
@@ -248,7 +265,7 @@ pub(super) fn frame_rate_is_rounded(start: &Start) -> Option<String> {
     let real_hz = 1.0 / (ticks as f64 * start.scene.dt_s());
     ((real_hz - rate_hz).abs() > SAME_RATE * rate_hz).then(|| {
         format!(
-            "is {rate_hz}; a frame every {ticks} ticks of {} ms is {real_hz:.3} Hz",
+            "is {rate_hz}, but a frame every {ticks} ticks of {} ms is {real_hz:.3} Hz",
             start.scene.run.dt_ms
         )
     })

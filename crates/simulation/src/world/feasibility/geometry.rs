@@ -1,4 +1,4 @@
-//! Rules about the tool's start, the bone, the holes and the bodies.
+//! Rules about the tool's start pose, the bone, the predrilled holes and the bodies.
 
 use nalgebra::Vector3;
 use scene::{Drives, Predrill, WIDEST_HOLE_MM};
@@ -7,17 +7,18 @@ use super::Start;
 use crate::bone::{Matter, Voxels};
 use crate::manipulator::{ManipulatorModel, ProxySphere, SphereKind};
 
-/// A start with all coordinates below this may have been given in metres, mm.
+/// Coordinate magnitude below which a start may have been given in metres, mm.
 const METRES_MM: f64 = 1.0;
-/// A start nearer to bone than this is where tools start, however small its coordinates, m.
+/// Distance from bone within which a start is plausible however small its coordinates, m.
 const NEAR_M: f64 = 0.01;
-/// A start farther from all bone than this is most likely a mistake, m.
+/// Distance from bone beyond which a start is most likely a mistake, m.
 const FAR_M: f64 = 0.1;
-/// A body may overlap the tool at the start by this much: it is pushed out, m.
+/// Allowed overlap of a body with the tool at the start, m: it is pushed out.
 const OVERLAP_M: f64 = 1e-4;
-/// Spacings of files are rounded; a share.
+/// Relative rounding of voxel spacings in files.
 const ROUNDING: f64 = 1e-6;
-/// Less depth in bone prints as 0.0 mm, and is often rounding: a place between two voxels lies on the face of both, m.
+/// Depth in bone below which nothing is reported, m: it would display as 0.0 mm, and is often rounding,
+/// because a point between two voxels is on the face of both.
 const SHALLOW_M: f64 = 5e-5;
 
 impl Start<'_> {
@@ -36,13 +37,13 @@ impl Start<'_> {
         self.burr().filter_map(gap_m).min_by(f64::total_cmp)
     }
 
-    /// The burr's spheres.
+    /// Returns the burr's spheres.
     fn burr(&self) -> impl Iterator<Item = &ProxySphere> {
         let spheres = self.simulation.manipulator.proxy_spheres().iter();
         spheres.filter(|sphere| sphere.kind == SphereKind::Burr)
     }
 
-    /// The tube's spheres: shaft and segments.
+    /// Returns the tube's spheres: shaft and segments.
     fn tube(&self) -> impl Iterator<Item = &ProxySphere> {
         let spheres = self.simulation.manipulator.proxy_spheres().iter();
         spheres.filter(|sphere| sphere.kind != SphereKind::Burr)
@@ -52,14 +53,14 @@ impl Start<'_> {
         2e3 * self.simulation.manipulator.parameters().widest_tube_m()
     }
 
-    /// The largest Hounsfield unit of the volume.
+    /// Returns the largest Hounsfield unit of the volume.
     fn most_hu(&self) -> Option<i16> {
         self.simulation.bone.as_ref()?.hu.iter().copied().max()
     }
 
-    /// The volume's largest value, if it is below the threshold.
+    /// Returns the volume's largest value, if it is below the threshold.
     fn below_threshold(&self) -> Option<(i16, i16)> {
-        // Saves a search through a CT.
+        // Avoids a search of the CT.
         if self.voxels()?.solid_count() > 0 {
             return None;
         }
@@ -68,7 +69,7 @@ impl Start<'_> {
     }
 }
 
-/// Distance of a point from a hole's axis between its ends, m.
+/// Returns the distance of a point from a hole's axis between its ends, m.
 fn from_axis_m(hole: &Predrill, point_m: &Vector3<f64>) -> f64 {
     let [from, to] = [hole.from_mm, hole.to_mm].map(|end| Vector3::from(end) * 1e-3);
     let along = to - from;
@@ -80,7 +81,7 @@ pub(super) fn nothing_to_drill(start: &Start) -> Option<String> {
     start.feeds().next()?;
     let (most_hu, threshold_hu) = start.below_threshold()?;
     let problem = format!(
-        "is {threshold_hu}, allowed is -1000 to {most_hu}, the volume's largest value: there is no bone to drill"
+        "is {threshold_hu}; allowed: -1000 to {most_hu} (the volume's largest value): no bone to drill"
     );
     Some(problem)
 }
@@ -90,14 +91,14 @@ pub(super) fn no_bone(start: &Start) -> Option<String> {
         return None;
     }
     let (most_hu, threshold_hu) = start.below_threshold()?;
-    Some(format!("is {threshold_hu}, and the largest value is {most_hu} HU: there is no bone to drill"))
+    Some(format!("is {threshold_hu}, but the volume's largest value is {most_hu} HU: no bone to drill"))
 }
 
 pub(super) fn start_in_metres(start: &Start) -> Option<String> {
     let given = start.scene.tool.burr_start_mm;
     let geometry = start.voxels()?.geometry();
     let tiny = given.iter().all(|x| x.abs() < METRES_MM) && given != [0.0; 3];
-    // A thousand times a millimetre is a metre.
+    // The coordinates in metres, read as metres.
     let place = geometry.point_to_grid(&Vector3::from(given));
     let inside =
         (0..3).all(|a| (-0.5..geometry.dims[a] as f64 - 0.5).contains(&(place[a] / geometry.spacing_m[a])));
@@ -105,7 +106,8 @@ pub(super) fn start_in_metres(start: &Start) -> Option<String> {
     let [x, y, z] = given;
     (tiny && inside).then(|| {
         format!(
-            "is [{x}, {y}, {z}], {:.1} mm from the nearest bone; a thousand times as much lies in the volume: expected millimetres, not metres",
+            "is [{x}, {y}, {z}], {:.1} mm from the nearest bone, but 1000 times that is inside \
+             the volume; expected millimetres, not metres",
             gap_m * 1e3
         )
     })
@@ -124,7 +126,7 @@ pub(super) fn burr_in_bone(start: &Start) -> Option<String> {
     let depth_m = depths_m.max_by(f64::total_cmp).filter(|depth_m| *depth_m > SHALLOW_M)?;
     let depth_mm = depth_m * 1e3;
     Some(format!(
-        "puts the burr {depth_mm:.1} mm inside bone; expected in front of it, or in a `[[predrill]]` hole"
+        "puts the burr {depth_mm:.1} mm inside bone; start in front of it, or in a `[[predrill]]` hole"
     ))
 }
 
@@ -133,14 +135,14 @@ pub(super) fn shaft_in_bone(start: &Start) -> Option<String> {
     let depth_m = start.tube().filter_map(|sphere| voxels.distance_m(&sphere.centre_m, Matter::Open));
     let depth_mm = 1e3 * depth_m.fold(0.0, f64::max);
     (depth_mm > SHALLOW_M * 1e3).then(|| {
-        format!("puts the shaft up to {depth_mm:.1} mm inside bone; expected a `[[predrill]]` hole along it")
+        format!("puts the shaft up to {depth_mm:.1} mm inside bone; add a `[[predrill]]` hole along it")
     })
 }
 
-/// What to do about an arm in bone.
-const FARTHER: &str = "expected a longer way from flange to tool, as [0.0, 0.0, 200.0]";
+/// Advice for an arm in bone.
+const FARTHER: &str = "move the tool farther from the flange, e.g. [0.0, 0.0, 200.0]";
 
-/// The deepest of parts of the arm in bone.
+/// Returns the part of the arm deepest in bone, with its depth in mm.
 fn deepest(parts: impl Iterator<Item = (&'static str, f64)>) -> Option<(&'static str, f64)> {
     parts.max_by(|a, b| a.1.total_cmp(&b.1)).map(|(name, depth_m)| (name, 1e3 * depth_m))
 }
@@ -149,7 +151,8 @@ pub(super) fn arm_in_bone(start: &Start) -> Option<String> {
     let (name, depth_mm) = deepest(start.simulation.pieces_in_bone())?;
     let [x, y, z] = start.scene.arm.tool_position_mm;
     Some(format!(
-        "is [{x}, {y}, {z}]: the arm's {name} starts {depth_mm:.0} mm inside bone, where nothing collides; {FARTHER}"
+        "is [{x}, {y}, {z}]: the arm's {name} starts {depth_mm:.0} mm inside bone (the arm does not \
+         collide); {FARTHER}"
     ))
 }
 
@@ -161,7 +164,8 @@ pub(super) fn arm_in_bone_at_end(start: &Start) -> Option<String> {
     let (name, depth_mm) = deepest(start.simulation.pieces_in_bone_at(&at_end)?.into_iter())?;
     let [x, y, z] = start.scene.arm.tool_position_mm;
     Some(format!(
-        "is [{x}, {y}, {z}]: the arm's {name} ends {depth_mm:.0} mm inside bone, where nothing collides; {FARTHER}"
+        "is [{x}, {y}, {z}]: the arm's {name} ends {depth_mm:.0} mm inside bone (the arm does not collide); \
+         {FARTHER}"
     ))
 }
 
@@ -174,7 +178,7 @@ pub(super) fn hole_thinner_than_tool(start: &Start) -> Option<String> {
     start.voxels()?;
     let hole = start.scene.predrill.iter().filter(|hole| hole.diameter_mm < tube_mm).find(is_tools)?;
     Some(format!(
-        "is {}, allowed is {tube_mm} to {WIDEST_HOLE_MM}: the tool, {tube_mm:.1} mm thick, starts in this hole",
+        "is {}; allowed: {tube_mm} to {WIDEST_HOLE_MM}: the tool, {tube_mm:.1} mm thick, starts in this hole",
         hole.diameter_mm
     ))
 }
@@ -189,7 +193,7 @@ pub(super) fn hole_thinner_than_burr(start: &Start) -> Option<String> {
     };
     let hole = start.scene.predrill.iter().find(is_burrs)?;
     Some(format!(
-        "is {}: the burr, {burr_mm:.1} mm, starts in this hole and touches its wall",
+        "is {}: the burr, {burr_mm:.1} mm in diameter, starts in this hole and touches its wall",
         hole.diameter_mm
     ))
 }
@@ -201,16 +205,17 @@ pub(super) fn burr_thinner_than_tool(start: &Start) -> Option<String> {
         return None;
     }
     let burr_mm = 2e3 * tool.radii().cutter.widest_radius_m();
-    // An outer tube that stands need not follow.
+    // An outer tube that does not advance need not fit.
     let tube_mm = match start.arm_feed() {
         Some(_) => start.tube_diameter_mm(),
         None => 2e3 * tool.radii().tube_outer_m,
     };
     (burr_mm < tube_mm)
-        .then(|| format!("is {burr_mm}: the shaft, {tube_mm:.1} mm thick, does not follow so thin a burr"))
+        .then(|| format!("is {burr_mm}: the shaft, {tube_mm:.1} mm thick, cannot follow a burr this thin"))
 }
 
-/// Guides beside a tube hold a tendon, too, but contact and X-ray know nothing of them.
+/// Checks for tendons outside the tube: guides beside a tube can hold them, but contact and X-ray do not
+/// model these.
 pub(super) fn tendon_outside_tube(start: &Start) -> Option<String> {
     let tool = start.scene.manipulator.tool.as_ref()?;
     let wall_mm = 0.5 * tool.tube.outer_diameter_mm;
@@ -221,20 +226,24 @@ pub(super) fn tendon_outside_tube(start: &Start) -> Option<String> {
         .enumerate()
         .find(|(_, tendon)| from_axis_mm(tendon) > wall_mm * (1.0 + ROUNDING))?;
     Some(format!(
-        "{} is {:.2} mm from the tool's axis, and the tube ends {wall_mm:.2} mm from it: a tendon outside of the tube touches nothing and is \
-         in no X-ray frame",
+        "{} is {:.2} mm from the tool axis, outside the tube ({wall_mm:.2} mm): it makes no contact and \
+         appears in no X-ray frame",
         index + 1,
         from_axis_mm(tendon)
     ))
 }
 
-/// The smoothed surface of bone and the voxels that are cut from it differ by up to half a voxel: a tip that is thinner catches on one and
-/// does not reach the other.
+/// Checks for a thin tip: the smoothed bone surface and the voxels that are cut differ by up to half a voxel,
+/// so a thinner tip catches on one and does not reach the other.
 pub(super) fn tip_thinner_than_voxels(start: &Start) -> Option<String> {
     let tip_mm = start.scene.manipulator.tool.as_ref()?.burr.tip_diameter_mm?;
     let voxel_mm = 1e3 * start.voxels()?.geometry().spacing_m.into_iter().fold(0.0, f64::max);
     (tip_mm < 2.0 * voxel_mm * (1.0 - ROUNDING)).then(|| {
-        format!("is {tip_mm}: a tip thinner than two voxels, {:.2} mm, catches on them, and its force comes in bursts", 2.0 * voxel_mm)
+        format!(
+            "is {tip_mm}: a tip thinner than two voxels ({:.2} mm) catches on them, and its force comes \
+                 in bursts",
+            2.0 * voxel_mm
+        )
     })
 }
 
@@ -245,10 +254,6 @@ pub(super) fn body_in_tool(start: &Start) -> Option<String> {
     let (body, gap_m) = gaps.into_iter().enumerate().min_by(|a, b| a.1.total_cmp(&b.1))?;
     let name = start.scene.body.get(body).map_or("", |body| body.name.as_str());
     (gap_m < -OVERLAP_M).then(|| {
-        format!(
-            "puts `{name}` {:.2} mm into the tool, allowed is at most {:.1}",
-            -gap_m * 1e3,
-            OVERLAP_M * 1e3
-        )
+        format!("puts `{name}` {:.2} mm into the tool; allowed: at most {:.1}", -gap_m * 1e3, OVERLAP_M * 1e3)
     })
 }

@@ -1,9 +1,9 @@
-//! Whether a scene makes sense: what its numbers and its geometry mean together.
+//! Checks whether a scene is feasible: whether its numbers and its geometry make sense together.
 //!
-//! Ranges of single keys and relations of keys are checked when a scene is parsed (`scene`). Here the tool is put where the scene puts it,
-//! beside the bone and the bodies. What cannot work is [`Verdict::Impossible`]; what works and is most likely a mistake is
-//! [`Verdict::Unlikely`]. [`RULES`] is the one list of both; values for which nothing is claimed stand in
-//! `ranges`.
+//! Ranges of single keys and relations between keys are checked when a scene is parsed (`scene`). Here the
+//! tool is placed where the scene puts it, next to the bone and the bodies. A scene that cannot work is
+//! [`Verdict::Impossible`]; one that works but is most likely a mistake is [`Verdict::Unlikely`]. [`RULES`]
+//! lists all rules; values outside the validated ranges are in `ranges`.
 
 mod controllers;
 mod geometry;
@@ -15,23 +15,23 @@ use scene::{Controller, Drives, Scene};
 
 use super::{CtView, Simulation, SimulationError};
 
-/// What becomes of a scene.
+/// Consequence of a finding.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Verdict {
-    /// It cannot work, and is refused.
+    /// The scene cannot work and is rejected.
     Impossible,
-    /// It works, and is most likely a mistake: the user is warned.
+    /// The scene works but is most likely a mistake: the user is warned.
     Unlikely,
 }
 
-/// What does not make sense in a scene.
+/// A problem in a scene.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Finding {
-    /// What follows.
+    /// Its consequence.
     pub verdict: Verdict,
-    /// The key.
+    /// The scene key.
     pub key: &'static str,
-    /// What it is, and what is allowed or expected.
+    /// Description of the problem, and what is allowed or expected.
     pub problem: String,
 }
 
@@ -41,16 +41,17 @@ impl Display for Finding {
     }
 }
 
-/// A scene, built, at tick 0.
+/// A scene and its simulation at tick 0.
 struct Start<'a> {
     scene: &'a Scene,
     simulation: Simulation<'a>,
-    /// Of the burr's surface from the nearest bone, m; negative inside the burr's radius. `None` without bone.
+    /// Distance of the burr's surface from the nearest bone, m; negative if bone is within the burr's radius.
+    /// `None` without bone.
     burr_gap_m: Option<f64>,
     program_exists: &'a dyn Fn(&str) -> bool,
 }
 
-/// A rule: what it finds of a scene, if anything.
+/// A rule that a scene may violate.
 struct Rule {
     verdict: Verdict,
     key: &'static str,
@@ -65,7 +66,7 @@ const fn unlikely(key: &'static str, find: fn(&Start) -> Option<String>) -> Rule
     Rule { verdict: Verdict::Unlikely, key, find }
 }
 
-/// Every rule, in the order in which findings are told.
+/// All rules, in the order in which findings are reported.
 const RULES: [Rule; 29] = [
     impossible("controller.command", controllers::program_is_missing),
     impossible("volume.bone_threshold_hu", geometry::nothing_to_drill),
@@ -98,12 +99,13 @@ const RULES: [Rule; 29] = [
     unlikely("drr.rate_hz", controllers::frame_rate_is_rounded),
 ];
 
-/// What does not make sense in a scene, in the order of the rules. Without a CT the rules about bone are left out.
+/// Returns the problems of a scene, in the order of the rules. Without a CT, the rules about bone are
+/// skipped.
 ///
-/// `program_exists` says of the first word of a `controller.command` whether it can be started.
+/// `program_exists` returns whether the first word of a `controller.command` can be started.
 ///
 /// # Errors
-/// [`SimulationError`]: the simulation refuses the scene.
+/// [`SimulationError`]: the simulation rejects the scene.
 pub fn findings(
     scene: &Scene,
     ct: Option<CtView<'_>>,
@@ -124,28 +126,29 @@ pub fn findings(
     Ok(RULES.iter().filter_map(found).chain(ranges::findings(scene)).collect())
 }
 
-/// A straight or curved feed that a built-in controller makes.
+/// A straight or curved feed of a built-in controller.
 struct Feed<'a> {
     table: &'static str,
-    /// The key of its length.
+    /// Scene key of its length.
     length_key: &'static str,
     length_mm: f64,
-    /// The faster of the feed and of the retraction after it, with its key.
+    /// The faster of the feed and the subsequent retraction, with its key.
     fastest_mm_s: (&'static str, f64),
-    /// Simulated time of the feed and of the retraction after it.
+    /// Simulated time of the feed and the subsequent retraction.
     time_s: f64,
     drives: &'a [Drives],
-    /// Whether it is the arm's; a tube slides out of a tool that stands.
+    /// Whether the arm moves; for a tube that is deployed, it does not.
     is_arms: bool,
 }
 
 impl<'a> Start<'a> {
-    /// The feeds of the scene's built-in controllers.
+    /// Returns the feeds of the scene's built-in controllers.
     fn feeds(&self) -> impl Iterator<Item = Feed<'a>> {
         self.scene.controller.iter().filter_map(feed)
     }
 
-    /// Whether a controller moves a part. Holding, the sweep of a tendon and a tube that slides keep the arm where it is.
+    /// Returns whether a controller moves a part. Holding, a tension sweep and a tube deployment keep the arm
+    /// still.
     fn is_led(&self, part: Drives) -> bool {
         let is_still = |controller: &Controller| {
             controller.hold.is_some()
@@ -156,7 +159,7 @@ impl<'a> Start<'a> {
     }
 }
 
-/// Key of the speed of a feed.
+/// Scene key of the speed of a feed.
 const FEED: &str = "feed_mm_per_s";
 
 fn feed(controller: &Controller) -> Option<Feed<'_>> {

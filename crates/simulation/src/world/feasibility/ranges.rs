@@ -1,11 +1,11 @@
-//! Values that a scene may set and for which nothing is claimed: the ranges outside which random scenes get lost or chatter
-//! (`trabecula-lab chart stability --random`, docs/accuracy-physics.md).
+//! Validated ranges of scene values: outside them, random scenes diverge or chatter (`trabecula-lab chart
+//! stability --random`, docs/accuracy-physics.md).
 
 use scene::Scene;
 
 use super::{Finding, Verdict};
 
-/// A key and what is trusted of it.
+/// A key and its validated range.
 struct Trusted {
     key: &'static str,
     value: fn(&Scene) -> Option<f64>,
@@ -13,13 +13,13 @@ struct Trusted {
     outside: &'static str,
 }
 
-const STIFFNESS: ([f64; 2], &str) = ([0.05, 1e3], "such a soft tool can be lost under tension");
-const MASS: ([f64; 2], &str) = ([0.01, 100.0], "such a tool can shake at rest");
-const DAMPING: ([f64; 2], &str) = ([0.005, 5.0], "such a tool can shake at rest");
-const RATIO: ([f64; 2], &str) = ([0.1, 300.0], "such a tool can be lost under tension");
-const CONTACT: ([f64; 2], &str) = ([1e4, 1e8], "such a contact can shake at rest");
+const STIFFNESS: ([f64; 2], &str) = ([0.05, 1e3], "a tool this soft can diverge under tension");
+const MASS: ([f64; 2], &str) = ([0.01, 100.0], "such a tool can chatter at rest");
+const DAMPING: ([f64; 2], &str) = ([0.005, 5.0], "such a tool can chatter at rest");
+const RATIO: ([f64; 2], &str) = ([0.1, 300.0], "such a tool can diverge under tension");
+const CONTACT: ([f64; 2], &str) = ([1e4, 1e8], "such a contact can chatter at rest");
 
-/// `[truth]` takes the place of what the tables say, so both are looked at.
+/// `[truth]` overrides the other tables, so both are checked.
 const TRUSTED: [Trusted; 12] = [
     trusted("manipulator.stiffness_scale", |scene| scene.manipulator.stiffness_scale, STIFFNESS),
     trusted("manipulator.mass_scale", |scene| scene.manipulator.mass_scale, MASS),
@@ -63,7 +63,7 @@ const fn trusted(
     Trusted { key, value, range, outside }
 }
 
-/// What a scene sets outside these ranges.
+/// Returns a finding for each value outside its validated range.
 pub(super) fn findings(scene: &Scene) -> impl Iterator<Item = Finding> {
     TRUSTED.iter().filter_map(|Trusted { key, value, range: [low, high], outside }| {
         let value = value(scene)?;

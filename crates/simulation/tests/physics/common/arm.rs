@@ -1,4 +1,4 @@
-//! Arms, random numbers and limits that the arm's tests share.
+//! Arms, random numbers and limits shared by the arm tests.
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use scene::Scene;
@@ -26,7 +26,7 @@ impl Uniform {
     }
 }
 
-/// A UR5 whose flange stands at a pose of the patient frame, comfortably.
+/// A UR5 with its flange at a pose of the patient frame, in a comfortable configuration.
 pub fn arm() -> Arm {
     let mut parameters = ArmParameters::ur5(DT_S);
     let wanted = Isometry3::new(Vector3::new(0.1, -0.2, 0.3), Vector3::new(0.4, 0.5, -0.6));
@@ -37,12 +37,12 @@ pub fn arm() -> Arm {
     arm
 }
 
-/// Where the tool's base sits on the flange in these tests: beside it, and turned.
+/// Pose of the tool's base on the flange in these tests: offset and rotated.
 pub fn t_flange_tool() -> Isometry3<f64> {
     Isometry3::new(Vector3::new(0.02, -0.01, 0.09), Vector3::new(0.3, -0.2, 0.5))
 }
 
-/// A UR5 that holds its tool comfortably at a pose of the patient frame.
+/// A UR5 that holds its tool at a pose of the patient frame, in a comfortable configuration.
 pub fn guided_arm() -> Arm {
     let mut parameters = ArmParameters::ur5(DT_S);
     parameters.geometry = parameters.geometry.with_tool(Some(t_flange_tool()));
@@ -51,7 +51,7 @@ pub fn guided_arm() -> Arm {
     Arm::new(parameters, &COMFORTABLE_Q_RAD).unwrap()
 }
 
-/// The arm of the scene that shows seven joints, a KUKA LBR iiwa 14 R820, with other keys of `[arm]` added.
+/// The arm of the seven-joint example scene, a KUKA LBR iiwa 14 R820, with additional keys of `[arm]`.
 pub fn seven_joint_arm(keys: &str) -> Arm {
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../configs/examples/arm_seven_joints.toml");
     let text = std::fs::read_to_string(&file).unwrap().replacen("[arm]\n", &format!("[arm]\n{keys}\n"), 1);
@@ -61,7 +61,7 @@ pub fn seven_joint_arm(keys: &str) -> Arm {
     Arm::new(parameters, &initial_q_rad(&scene.arm)).unwrap()
 }
 
-/// The flange moved by `shift` along its own axes and turned by `turn` about them.
+/// The flange moved by `shift` along its own axes and rotated by `turn` about them.
 pub fn moved(from: &Isometry3<f64>, shift: Vector3<f64>, turn: Vector3<f64>) -> Isometry3<f64> {
     from * Isometry3::from_parts(Translation3::from(shift), UnitQuaternion::from_scaled_axis(turn))
 }
@@ -70,7 +70,7 @@ pub fn move_cp(t_world_tool: Isometry3<f64>) -> ArmCommand {
     ArmCommand::MoveCp { t_world_tool, max_speed_m_s: None, max_angular_speed_rad_s: None }
 }
 
-/// The tool's base `before_m` before the pivot, turned by `turn` about it.
+/// The tool's base `before_m` in front of the pivot, rotated by `turn` about it.
 pub fn about_pivot(
     from: &Isometry3<f64>,
     pivot_m: &Vector3<f64>,
@@ -82,7 +82,8 @@ pub fn about_pivot(
     Isometry3::from_parts(Translation3::from(origin), rotation)
 }
 
-/// Greatest shares of the joint limits used between two ticks: position excess (rad), velocity, acceleration, jerk.
+/// Largest fractions of the joint limits used between two ticks: position excess (rad), velocity,
+/// acceleration, jerk.
 #[derive(Default, Debug)]
 pub struct Used {
     pub beyond_rad: f64,
@@ -105,8 +106,9 @@ impl Used {
         }
     }
 
-    /// Position within its limits to `beyond_rad`; velocity, acceleration and jerk within their limits but for Ruckig's own tolerance (1e-8, 1e-10, 1e-12 in its
-    /// README, of the end state; the last tick may change the acceleration by as much over 1 ms).
+    /// Asserts that the position is within its limits to `beyond_rad`, and velocity, acceleration and jerk
+    /// within theirs apart from Ruckig's own tolerance (1e-8, 1e-10, 1e-12 in its README, of the end state;
+    /// the last tick can change the acceleration by that much within 1 ms).
     pub fn check(&self, beyond_rad: f64) {
         assert!(self.beyond_rad <= beyond_rad, "{self:?}");
         assert!(
@@ -116,7 +118,7 @@ impl Used {
     }
 }
 
-/// Steps until done; returns the ticks it took.
+/// Steps until done; returns the number of ticks.
 pub fn finish(arm: &mut Arm, used: &mut Used) -> usize {
     let mut ticks = 0;
     while ticks == 0 || !arm.state().done {
@@ -129,7 +131,7 @@ pub fn finish(arm: &mut Arm, used: &mut Used) -> usize {
     ticks
 }
 
-/// Steps until done and looks at every state; returns the ticks it took.
+/// Steps until done, passing every state to `look`; returns the number of ticks.
 pub fn finish_looking(arm: &mut Arm, mut look: impl FnMut(&ArmState)) -> usize {
     let mut used = Used::default();
     for ticks in 1..400_000 {
@@ -152,8 +154,8 @@ pub fn run(arm: &mut Arm, ticks: usize) {
     }
 }
 
-/// Rest-to-rest time over `distance` by symmetric jerk limits: the double-S profile of Biagiotti and Melchiorri,
-/// "Trajectory Planning for Automatic Machines and Robots" (2008), section 3.4.
+/// Rest-to-rest time over `distance` by symmetric jerk limits: the double-S profile of Biagiotti and
+/// Melchiorri, "Trajectory Planning for Automatic Machines and Robots" (2008), section 3.4.
 pub fn rest_to_rest_s(distance: f64, v: f64, a: f64, j: f64) -> f64 {
     let (jerk_s, acceleration_s) =
         if v * j >= a * a { (a / j, a / j + v / a) } else { ((v / j).sqrt(), 2.0 * (v / j).sqrt()) };

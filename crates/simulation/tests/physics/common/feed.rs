@@ -1,4 +1,5 @@
-//! A straight feed into a block of one density: the same path at any voxel size. Shared by a test and an example.
+//! A straight feed into a block of one density: the same path at any voxel size. Shared by a test and an
+//! example.
 
 use std::path::Path;
 
@@ -10,9 +11,9 @@ use simulation::{CtView, Simulation};
 
 /// Bone of the block, HU.
 const BLOCK_HU: i16 = 600;
-/// Half the width of the block, m: the tunnel of a 6.5 mm burr and 1.5 mm on either side.
+/// Half the width of the block, m: half the tunnel of a 6.5 mm burr plus 1.5 mm.
 const HALF_WIDTH_M: f64 = 4.8e-3;
-/// Depth of the block, m: the longest feed and 4 mm.
+/// Depth of the block, m: the longest feed plus 4 mm.
 const DEPTH_M: f64 = 40.0e-3;
 /// Feed, m/s.
 const FEED_M_PER_S: f64 = 3.0e-3;
@@ -43,19 +44,20 @@ impl Block {
     }
 }
 
-/// The scene: the burr's centre starts 4 mm before the block.
+/// The scene: the burr's centre starts 4 mm in front of the block.
 pub fn scene(model: &str) -> Scene {
     let text = format!(
         "name = \"feed\"\n[run]\nmode = \"lockstep\"\nduration_s = 60.0\n[volume]\nphantom = \"block\"\n\
          [manipulator]\nmodel = \"{model}\"\n\
-         [tool]\nburr_start_mm = [0.0, 0.0, -4.0]\ndirection = [0.0, 0.0, 1.0]\nbend_toward = [1.0, 0.0, 0.0]\n\
+         [tool]\nburr_start_mm = [0.0, 0.0, -4.0]\ndirection = [0.0, 0.0, 1.0]\n\
+         bend_toward = [1.0, 0.0, 0.0]\n\
          [[controller]]\nname = \"feed\"\ndrives = [\"tendon\", \"arm\", \"burr\"]\nexternal = true\n"
     );
     let Ok(scene) = Scene::parse(&text, Path::new("feed.toml")) else { unreachable!("the scene is valid") };
     scene
 }
 
-/// Ticks of a feed over `insertion_m`, its start and rest included, at 1 kHz.
+/// Ticks of a feed over `insertion_m` at 1 kHz, including start and rest.
 pub fn ticks(insertion_m: f64) -> u64 {
     ((insertion_m / FEED_M_PER_S + REST_S) * 1e3) as u64
 }
@@ -78,23 +80,23 @@ pub fn latched(tick: u64, insertion_m: f64) -> Latched {
     latched
 }
 
-/// What a feed comes to.
+/// Result of a feed.
 #[derive(Debug, Clone)]
 pub struct Fed {
     /// The state at the end.
     pub end: State,
-    /// Front of the burr every 100 ticks, m.
+    /// Position of the burr's front every 100 ticks, m.
     pub path_m: Vec<Vector3<f64>>,
     /// Largest normal force of the burr, N.
     pub most_force_n: f64,
     /// Mean normal force of the burr over the second half of the feed, N.
     pub mean_force_n: f64,
-    /// Most voxels removed in a tick.
+    /// Largest number of voxels removed in a tick.
     pub most_removed: usize,
 }
 
 impl Fed {
-    /// Largest distance of this path from another at the same time, m.
+    /// Largest distance between two paths at equal times, m.
     pub fn apart_m(&self, other: &Fed) -> f64 {
         self.path_m.iter().zip(&other.path_m).map(|(a, b)| (a - b).norm()).fold(0.0, f64::max)
     }

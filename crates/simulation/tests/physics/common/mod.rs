@@ -1,4 +1,4 @@
-//! Scenes and bone that tests share.
+//! Scenes and bone shared by the tests.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a scene that cannot be read is a failed test")]
 
 pub mod arm;
@@ -30,7 +30,7 @@ pub fn try_scene(text: &str) -> Result<Scene, SceneError> {
     Scene::parse(&format!("{text}{TOOL}"), Path::new("test.toml"))
 }
 
-/// A scene with that tool, which must be right.
+/// A valid scene with that tool.
 pub fn scene(text: &str) -> Scene {
     try_scene(text).unwrap()
 }

@@ -1,4 +1,5 @@
-//! The four tunnels of the published experiment (Alambeigi et al. 2017): a block of foam with a pilot hole, tension, then a feed.
+//! The four tunnels of the published experiment (Alambeigi et al. 2017): a foam block with a pilot hole, a
+//! tension ramp, then a feed.
 
 use std::path::Path;
 
@@ -9,7 +10,7 @@ use simulation::bone::{GridGeometry, MaterialLaw};
 
 /// Duration of the tension ramp before the feed, s.
 pub const RAMP_S: f64 = 1.0;
-/// The whole run: 4 mm are drilled after the ramp.
+/// Duration of the run, s: 4 mm are drilled after the ramp.
 pub const RUN_S: f64 = 5.0;
 pub const FEED_M_PER_S: f64 = 1e-3;
 /// Sawbones foam of 10 pounds per cubic foot, kg/m³.
@@ -31,7 +32,8 @@ pub fn tunnel(model: &str, dt_ms: f64) -> Scene {
          [volume]\nphantom = \"block\"\nbone_threshold_hu = -100\n\
          [[predrill]]\nfrom_mm = [0.0, 0.0, -60.0]\nto_mm = [0.0, 0.0, 0.0]\ndiameter_mm = 7.0\n\
          [manipulator]\nmodel = \"{model}\"\ntendon_friction = 0.1\n[contact]\nfriction = 0.2\n\
-         [tool]\nburr_start_mm = [0.0, 0.0, 0.0]\ndirection = [0.0, 0.0, 1.0]\nbend_toward = [1.0, 0.0, 0.0]\n\
+         [tool]\nburr_start_mm = [0.0, 0.0, 0.0]\ndirection = [0.0, 0.0, 1.0]\n\
+         bend_toward = [1.0, 0.0, 0.0]\n\
          [[controller]]\nname = \"feed\"\ndrives = [\"tendon\", \"arm\", \"burr\"]\nexternal = true\n"
     );
     Scene::parse(&text, Path::new("tunnel.toml")).unwrap()

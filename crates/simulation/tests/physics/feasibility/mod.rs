@@ -1,4 +1,4 @@
-//! Scenes that make no sense, each with what is said of it: exactly that, and nothing else.
+//! Infeasible scenes, each with the exact list of expected findings.
 #![allow(clippy::unwrap_used, reason = "a test fails by it")]
 
 mod plans;
@@ -15,8 +15,8 @@ use simulation::bone::GridGeometry;
 use simulation::{CtView, Verdict, findings};
 use test_support::scenes::TOOL;
 
-/// A block of bone, 34 x 34 x 54 mm: its lower face is at z = -27 mm, and it is centred at y = 0 and the case's x. Voxels of 1 mm, some
-/// air around it.
+/// A block of bone, 34 x 34 x 54 mm: its lower face is at z = -27 mm, and it is centred at y = 0 and the
+/// case's x. Voxels of 1 mm, some air around it.
 const DIMS: [usize; 3] = [40, 40, 60];
 
 fn found(text: &str, centre_x_mm: Option<f64>) -> Vec<String> {
@@ -41,7 +41,8 @@ fn a_scene_that_makes_sense_is_accepted_in_silence() {
     assert_eq!(found(&driven_by("command = [\"python3\", \"pilot.py\"]"), Some(100.0)), Vec::<String>::new());
 }
 
-/// Every one of these ran to "completed" with exit code 0, but for those just inside a bound, which still do.
+/// Before these checks, every one of these scenes ran to "completed" with exit code 0; those just inside a
+/// bound still do.
 #[test]
 fn every_scene_that_makes_no_sense_is_told_so_exactly_and_none_inside_the_bounds() {
     let cases: Vec<Case> = starts::cases().into_iter().chain(plans::cases()).collect();
@@ -54,26 +55,27 @@ fn every_scene_that_makes_no_sense_is_told_so_exactly_and_none_inside_the_bounds
     let mut names: Vec<&str> = cases.iter().map(|case| case.what).collect();
     names.sort_unstable();
     names.dedup();
-    assert_eq!(names.len(), cases.len(), "two cases have one name");
+    assert_eq!(names.len(), cases.len(), "duplicate case name");
 }
 
-/// `trabecula plan` reads no volume: what does not depend on bone is checked all the same.
+/// `trabecula plan` reads no volume; checks that do not depend on bone still apply.
 #[test]
 fn without_a_volume_the_rules_that_need_none_hold() {
     let text =
         SENSIBLE.replace("diameter_mm = 7.0", "diameter_mm = 5.0").replace("rate_hz = 5.0", "rate_hz = 7.0");
     assert_eq!(
         found(&text, None),
-        ["unlikely: `drr.rate_hz` is 7; a frame every 143 ticks of 1 ms is 6.993 Hz"]
+        ["unlikely: `drr.rate_hz` is 7, but a frame every 143 ticks of 1 ms is 6.993 Hz"]
     );
 }
 
-/// The stability map of the tools: only the hybrid integrator, with a pre-curved tool, above 2 ms.
+/// From the tools' stability map: only the hybrid integrator with a pre-curved tool, above 2 ms.
 #[test]
 fn a_long_step_is_told_of_a_pre_curved_tool_alone_and_not_of_the_other_integrator() {
     let said = |file: &str, keys: &str, dt_ms: f64| {
         let text = format!(
-            "name = \"a\"\n[run]\nmode = \"lockstep\"\nduration_s = 1.0\ndt_ms = {dt_ms:?}\n[manipulator]\nfile = \"{file}.toml\"\n{keys}\n{TOOL}"
+            "name = \"a\"\n[run]\nmode = \"lockstep\"\nduration_s = 1.0\ndt_ms = {dt_ms:?}\n[manipulator]\n\
+             file = \"{file}.toml\"\n{keys}\n{TOOL}"
         );
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../configs/tools/scene.toml");
         let scene = Scene::parse_with(&text, &path, &|file| std::fs::read_to_string(file)).unwrap();
@@ -92,13 +94,14 @@ fn a_long_step_is_told_of_a_pre_curved_tool_alone_and_not_of_the_other_integrato
     }
 }
 
-/// A slip of the decimal point pulled on a lever three times as long, and was run without a word.
+/// Regression: a misplaced decimal point pulled on a lever three times as long, without a warning.
 #[test]
 fn a_tendon_outside_of_the_tube_is_told_and_one_in_its_wall_is_not() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../configs/tools");
     let said = |toward_mm: &str| {
         let text = format!(
-            "name = \"a\"\nrun = {{ mode = \"lockstep\", duration_s = 1.0 }}\n[manipulator]\nfile = \"jhu_27.toml\"\nmodel = \"spatial\"\n{TOOL}"
+            "name = \"a\"\nrun = {{ mode = \"lockstep\", duration_s = 1.0 }}\n[manipulator]\n\
+             file = \"jhu_27.toml\"\nmodel = \"spatial\"\n{TOOL}"
         );
         let read = |file: &Path| Ok(std::fs::read_to_string(file)?.replace("toward_mm = -2.5", toward_mm));
         let scene = Scene::parse_with(&text, &folder.join("scene.toml"), &read).unwrap();
@@ -118,7 +121,8 @@ fn a_tendon_outside_of_the_tube_is_told_and_one_in_its_wall_is_not() {
     }
 }
 
-/// Moment modes do not follow flexures on their stops, which the softest of the standard tool reaches at 10.7 N.
+/// Moment modes cannot represent flexures on their stops; the softest flexure of the standard tool reaches
+/// its stop at 10.7 N.
 #[test]
 fn modes_are_told_of_stops_that_the_controllers_may_reach() {
     let said = |keys: &str, pull: &str| {
@@ -134,7 +138,7 @@ fn modes_are_told_of_stops_that_the_controllers_may_reach() {
         assert_eq!(found.len(), 1, "{found:?}");
         assert_eq!((found[0].verdict, found[0].key), (Verdict::Unlikely, "manipulator.model"));
         assert!(
-            found[0].problem.contains("from 10.7 N on") && found[0].problem.contains(asked),
+            found[0].problem.contains("above 10.7 N") && found[0].problem.contains(asked),
             "{}",
             found[0]
         );

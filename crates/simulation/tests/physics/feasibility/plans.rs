@@ -1,4 +1,4 @@
-//! What the controllers, the arm and the X-ray are to do in the time of the run.
+//! Tasks of the controllers, the arm and the X-ray within the duration of the run.
 
 use crate::feasibility::scene_text::{Case, HOLE, case, changed, changed_in, driven_by, target};
 
@@ -13,16 +13,14 @@ fn arm() -> Vec<Case> {
         case(
             "a singular start",
             changed("[arm]\n", &singular),
-            &[
-                "impossible: `arm.initial_joints_deg` is singular (manipulability 0.0e0 m³, allowed is 1e-4 or more): the arm cannot insert from there",
-            ],
+            &["impossible: `arm.initial_joints_deg` is singular (manipulability 0.0e0 m³; allowed: \
+               1e-4 or more): the arm cannot insert from there"],
         ),
         case(
             "a start just singular",
             changed("[arm]\n", &joints("0.0, -90.0, 90.0, -90.0, 0.069, 0.0")),
-            &[
-                "impossible: `arm.initial_joints_deg` is singular (manipulability 9.8e-5 m³, allowed is 1e-4 or more): the arm cannot insert from there",
-            ],
+            &["impossible: `arm.initial_joints_deg` is singular (manipulability 9.8e-5 m³; allowed: \
+               1e-4 or more): the arm cannot insert from there"],
         ),
         case(
             "a start just short of singular",
@@ -32,9 +30,8 @@ fn arm() -> Vec<Case> {
         case(
             "a singular start, driven by a program",
             changed_in(&driven_by("external = true"), "[arm]\n", &singular),
-            &[
-                "unlikely: `arm.initial_joints_deg` is singular (manipulability 0.0e0 m³, a path needs 1e-4): only joint commands work from there",
-            ],
+            &["unlikely: `arm.initial_joints_deg` is singular (manipulability 0.0e0 m³, Cartesian \
+               motion needs 1e-4): only joint commands work from there"],
         ),
         case(
             "a singular start, and the arm is held",
@@ -44,9 +41,10 @@ fn arm() -> Vec<Case> {
         case(
             "a gantry whose travel ends before the feed",
             changed("[arm]\n", "[arm]\nmodel = \"gantry\"\ntravel_mm = [20.0, 20.0, 5.0]\n"),
-            &[
-                "impossible: `arm.model` does not carry the tool along the feed, `controller.curved_drilling.insertion_mm` of 20 mm: at 0.28125 of the path: the gantry's axis z would be at 0.005625 m, its travel is -0.005 to 0.005 m from the start; move the goal, or raise `arm.travel_mm`",
-            ],
+            &["impossible: `arm.model` cannot follow the feed \
+               (`controller.curved_drilling.insertion_mm` = 20): at 0.28125 of the path: gantry axis z \
+               out of range: 0.005625 m, its travel is -0.005 to 0.005 m from the start; move the \
+               goal, or increase `arm.travel_mm`"],
         ),
         case(
             "a gantry whose travel is just as long as the feed",
@@ -61,25 +59,24 @@ fn arm() -> Vec<Case> {
                  upper_joints_deg = [360.0, 360.0, 180.0, -126.0, 360.0, 360.0]\n\
                  initial_joints_deg = [0.0, -69.0, 103.0, -127.0, -90.0, 0.0]\n",
             ),
-            &[
-                "impossible: `arm.model` does not carry the tool along the feed, `controller.curved_drilling.insertion_mm` of 20 mm: at 0.375 of the path: all 8 solutions of the pose lie outside the joint limits; move the goal or place the base elsewhere",
-            ],
+            &["impossible: `arm.model` cannot follow the feed \
+               (`controller.curved_drilling.insertion_mm` = 20): at 0.375 of the path: all 8 solutions \
+               for the pose violate the joint limits; move the goal or the arm base"],
         ),
         case(
             "no arm, but a controller that feeds with it",
             changed("[arm]\n", "[arm]\nmodel = \"fixed\"\n"),
-            &[
-                "impossible: `arm.model` is \"fixed\", but a controller drives the arm; expected an arm, or no \"arm\" in `controller.drives`",
-            ],
+            &["impossible: `arm.model` is \"fixed\", but a controller drives the arm; choose an arm, \
+               or remove \"arm\" from `controller.drives`"],
         ),
         case(
-            "no arm, and nobody drives it",
+            "no arm, and no controller drives it",
             changed_in(&driven_by("external = true"), "[arm]\n", "[arm]\nmodel = \"fixed\"\n")
                 .replace("\"arm\", ", ""),
             &[],
         ),
         case(
-            "a singular start, and nobody drives the arm",
+            "a singular start, and no controller drives the arm",
             changed_in(&driven_by("external = true"), "[arm]\n", &singular).replace("\"arm\", ", ""),
             &[],
         ),
@@ -95,63 +92,55 @@ fn targets() -> Vec<Case> {
         case(
             "a target behind the start",
             target(Some("[100.0, 0.0, -20.0]")),
-            &[
-                "impossible: `controller.curved_drilling.target_mm` lies 5.0 mm behind the start, allowed is 0 to 20 ahead (`insertion_mm`)",
-            ],
+            &["impossible: `controller.curved_drilling.target_mm` is 5.0 mm behind the start; allowed: \
+               0 to 20 mm ahead (`insertion_mm`)"],
         ),
         case("a target at the start", target(Some("[100.0, 0.0, -15.0]")), &[]),
         case("a target behind the start by less than is printed", target(Some("[100.0, 0.0, -15.04]")), &[]),
         case(
             "a target behind the start by what is printed",
             target(Some("[100.0, 0.0, -15.06]")),
-            &[
-                "impossible: `controller.curved_drilling.target_mm` lies 0.1 mm behind the start, allowed is 0 to 20 ahead (`insertion_mm`)",
-            ],
+            &["impossible: `controller.curved_drilling.target_mm` is 0.1 mm behind the start; allowed: \
+               0 to 20 mm ahead (`insertion_mm`)"],
         ),
         case(
             "a target 308 mm away",
             target(Some("[100.0, 0.0, 293.0]")),
-            &[
-                "impossible: `controller.curved_drilling.target_mm` lies 308.0 mm ahead of the start, allowed is 0 to 20 (`insertion_mm`)",
-            ],
+            &["impossible: `controller.curved_drilling.target_mm` is 308.0 mm ahead of the start; \
+               allowed: 0 to 20 mm (`insertion_mm`)"],
         ),
         case("a target ahead by the insertion and the bound", target(Some("[100.0, 0.0, 5.5]")), &[]),
         case(
             "a target just farther ahead",
             target(Some("[100.0, 0.0, 5.6]")),
-            &[
-                "impossible: `controller.curved_drilling.target_mm` lies 20.6 mm ahead of the start, allowed is 0 to 20 (`insertion_mm`)",
-            ],
+            &["impossible: `controller.curved_drilling.target_mm` is 20.6 mm ahead of the start; \
+               allowed: 0 to 20 mm (`insertion_mm`)"],
         ),
         case("a target beside by the tool's flexible length", long("[135.3, 0.0, 20.0]"), &[]),
         case(
             "a target just farther beside",
             long("[135.5, 0.0, 20.0]"),
-            &[
-                "impossible: `controller.curved_drilling.target_mm` lies 35.5 mm beside the line of the feed, allowed is 0 to 35.4 (the tool's flexible length)",
-            ],
+            &["impossible: `controller.curved_drilling.target_mm` is 35.5 mm off the feed axis; \
+               allowed: 0 to 35.4 (the tool's flexible length)"],
         ),
-        // A quarter of a circle of radius 15 mm.
+        // A quarter circle of radius 15 mm.
         case(
             "an arc longer than the insertion",
             target(Some("[115.0, 0.0, 0.0]")),
-            &[
-                "unlikely: `controller.curved_drilling.insertion_mm` is 20; the arc to `target_mm` is 23.6 mm long",
-            ],
+            &["unlikely: `controller.curved_drilling.insertion_mm` is 20, but the arc to `target_mm` \
+               is 23.6 mm long"],
         ),
         case(
             "an arc just longer than the insertion",
             target(Some("[113.0, 0.0, -1.0]")),
-            &[
-                "unlikely: `controller.curved_drilling.insertion_mm` is 20; the arc to `target_mm` is 21.0 mm long",
-            ],
+            &["unlikely: `controller.curved_drilling.insertion_mm` is 20, but the arc to `target_mm` \
+               is 21.0 mm long"],
         ),
         case(
             "an arc that turns further than the tool bends",
             target(Some("[108.0, 0.0, -12.0]")),
-            &[
-                "unlikely: `controller.curved_drilling.target_mm` lies 3.0 mm ahead of the start and 8.0 beside: the arc to it turns by 139°, the tool bends by 135° at most",
-            ],
+            &["unlikely: `controller.curved_drilling.target_mm` is 3.0 mm ahead of the start and 8.0 \
+               mm off the feed axis: the arc to it bends by 139°, the tool by at most 135°"],
         ),
         case("an arc that turns as far as the tool bends", target(Some("[107.2, 0.0, -12.0]")), &[]),
         case("an arc as long as the insertion", target(Some("[112.7, 0.0, -1.0]")), &[]),
@@ -173,13 +162,13 @@ fn times() -> Vec<Case> {
             "an insertion of 133 s in a run of 24",
             changed("duration_s = 4.0", "duration_s = 24.0")
                 .replace("feed_mm_per_s = 8.0", "feed_mm_per_s = 0.15"),
-            &["unlikely: `run.duration_s` is 24; `controller.curved_drilling` needs 133.3 s"],
+            &["unlikely: `run.duration_s` is 24, but `controller.curved_drilling` needs 133.3 s"],
         ),
         case("an insertion that takes the whole run", changed("duration_s = 4.0", "duration_s = 2.5"), &[]),
         case(
             "an insertion that takes a tick longer than the run",
             changed("duration_s = 4.0", "duration_s = 2.499"),
-            &["unlikely: `run.duration_s` is 2.499; `controller.curved_drilling` needs 2.5 s"],
+            &["unlikely: `run.duration_s` is 2.499, but `controller.curved_drilling` needs 2.5 s"],
         ),
         case(
             "an insertion that fits, a retraction that does not",
@@ -187,22 +176,22 @@ fn times() -> Vec<Case> {
                 "insertion_mm = 20.0",
                 "insertion_mm = 20.0\nretraction_mm = 20.0\nretraction_mm_per_s = 10.0",
             ),
-            &["unlikely: `run.duration_s` is 4; `controller.curved_drilling` needs 4.5 s"],
+            &["unlikely: `run.duration_s` is 4, but `controller.curved_drilling` needs 4.5 s"],
         ),
         case(
             "a straight feed that takes longer than the run",
             skiving("duration_s = 2.0"),
-            &["unlikely: `run.duration_s` is 2; `controller.skiving` needs 2.5 s"],
+            &["unlikely: `run.duration_s` is 2, but `controller.skiving` needs 2.5 s"],
         ),
         case(
             "a sweep that takes longer than the run",
             driven_by("tension_sweep = { most_n = 5.0, step_n = 1.0 }"),
-            &["unlikely: `run.duration_s` is 4; `controller.tension_sweep` needs 5.5 s"],
+            &["unlikely: `run.duration_s` is 4, but `controller.tension_sweep` needs 5.5 s"],
         ),
         case(
             "a frame rate that is rounded",
             rate("7.0"),
-            &["unlikely: `drr.rate_hz` is 7; a frame every 143 ticks of 1 ms is 6.993 Hz"],
+            &["unlikely: `drr.rate_hz` is 7, but a frame every 143 ticks of 1 ms is 6.993 Hz"],
         ),
         case("a frame rate of whole ticks", rate("8.0"), &[]),
         case("a frame rate of whole ticks, written with four digits", rate("33.33"), &[]),
@@ -210,7 +199,7 @@ fn times() -> Vec<Case> {
         case(
             "a frame rate that is rounded a little more",
             rate("8.0017"),
-            &["unlikely: `drr.rate_hz` is 8.0017; a frame every 125 ticks of 1 ms is 8.000 Hz"],
+            &["unlikely: `drr.rate_hz` is 8.0017, but a frame every 125 ticks of 1 ms is 8.000 Hz"],
         ),
         case("frames on request only", rate("0.0"), &[]),
         case("the largest frame rate that a scene may have", rate("200.0"), &[]),
@@ -218,37 +207,36 @@ fn times() -> Vec<Case> {
             "a frame rate above what the ticks allow",
             changed_in(&rate("60.0"), "duration_s = 4.0", "duration_s = 4.0\ndt_ms = 10.0"),
             &[
-                "unlikely: `run.dt_ms` is 10; expected at most 2 in bone: longer steps drill elsewhere, and forces jump",
-                "unlikely: `drr.rate_hz` is 60; a frame every 2 ticks of 10 ms is 50.000 Hz",
+                "unlikely: `run.dt_ms` is 10; expected at most 2 in bone: longer steps change the \
+                 drilled path and make forces jump",
+                "unlikely: `drr.rate_hz` is 60, but a frame every 2 ticks of 10 ms is 50.000 Hz",
             ],
         ),
         case("the longest step in bone", step("2.0"), &[]),
         case(
             "a step in bone that is longer",
             step("2.5"),
-            &[
-                "unlikely: `run.dt_ms` is 2.5; expected at most 2 in bone: longer steps drill elsewhere, and forces jump",
-            ],
+            &["unlikely: `run.dt_ms` is 2.5; expected at most 2 in bone: longer steps change the \
+               drilled path and make forces jump"],
         ),
     ]
 }
 
 fn programs() -> Vec<Case> {
-    let second = "external = true\n[[controller]]\nname = \"c_arm\"\ndrives = [\"c_arm\"]\ncommand = [\"/no/such/program\"]";
+    let second = "external = true\n[[controller]]\nname = \"c_arm\"\ndrives = [\"c_arm\"]\n\
+                  command = [\"/no/such/program\"]";
     vec![
         case(
             "a program that does not exist",
             driven_by("command = [\"pyhton3\", \"pilot.py\"]"),
-            &[
-                "impossible: `controller.command` of `reference` is `pyhton3`, expected a program: a path to an executable file, or a name found in PATH",
-            ],
+            &["impossible: `controller.command` of `reference`: program `pyhton3` not found; expected \
+               a path to an executable file or a name in PATH"],
         ),
         case(
             "the second controller's program does not exist",
             driven_by(second),
-            &[
-                "impossible: `controller.command` of `c_arm` is `/no/such/program`, expected a program: a path to an executable file, or a name found in PATH",
-            ],
+            &["impossible: `controller.command` of `c_arm`: program `/no/such/program` not found; \
+               expected a path to an executable file or a name in PATH"],
         ),
     ]
 }
@@ -259,17 +247,19 @@ fn several_at_once() -> Vec<Case> {
         .replace("rate_hz = 5.0", "rate_hz = 7.0");
     vec![
         case(
-            "four things unlikely at once",
+            "four unlikely findings at once",
             wrong,
             &[
-                "unlikely: `tool.burr_start_mm` puts the burr 12.0 mm inside bone; expected in front of it, or in a `[[predrill]]` hole",
-                "unlikely: `tool.burr_start_mm` puts the shaft up to 8.6 mm inside bone; expected a `[[predrill]]` hole along it",
-                "unlikely: `run.duration_s` is 1; `controller.curved_drilling` needs 2.5 s",
-                "unlikely: `drr.rate_hz` is 7; a frame every 143 ticks of 1 ms is 6.993 Hz",
+                "unlikely: `tool.burr_start_mm` puts the burr 12.0 mm inside bone; start in front of \
+                 it, or in a `[[predrill]]` hole",
+                "unlikely: `tool.burr_start_mm` puts the shaft up to 8.6 mm inside bone; add a \
+                 `[[predrill]]` hole along it",
+                "unlikely: `run.duration_s` is 1, but `controller.curved_drilling` needs 2.5 s",
+                "unlikely: `drr.rate_hz` is 7, but a frame every 143 ticks of 1 ms is 6.993 Hz",
             ],
         ),
         case(
-            "all of it wrong at once",
+            "all of them at once",
             changed("diameter_mm = 7.0", "diameter_mm = 5.0")
                 .replace("rate_hz = 5.0", "rate_hz = 7.0")
                 .replace("[manipulator]\n", "[manipulator]\nburr_diameter_mm = 5.5\n")
@@ -278,13 +268,17 @@ fn several_at_once() -> Vec<Case> {
                 .replace("target_mm = [103.0, 0.0, 4.0]", "target_mm = [100.0, 0.0, -20.0]")
                 .replace("duration_s = 4.0", "duration_s = 1.0"),
             &[
-                "impossible: `predrill.diameter_mm` is 5, allowed is 6 to 50: the tool, 6.0 mm thick, starts in this hole",
-                "unlikely: `manipulator.burr_diameter_mm` is 5.5: the shaft, 6.0 mm thick, does not follow so thin a burr",
-                "impossible: `body.position_mm` puts `clamp` 1.00 mm into the tool, allowed is at most 0.1",
-                "impossible: `arm.initial_joints_deg` is singular (manipulability 0.0e0 m³, allowed is 1e-4 or more): the arm cannot insert from there",
-                "impossible: `controller.curved_drilling.target_mm` lies 5.0 mm behind the start, allowed is 0 to 20 ahead (`insertion_mm`)",
-                "unlikely: `run.duration_s` is 1; `controller.curved_drilling` needs 2.5 s",
-                "unlikely: `drr.rate_hz` is 7; a frame every 143 ticks of 1 ms is 6.993 Hz",
+                "impossible: `predrill.diameter_mm` is 5; allowed: 6 to 50: the tool, 6.0 mm thick, \
+                 starts in this hole",
+                "unlikely: `manipulator.burr_diameter_mm` is 5.5: the shaft, 6.0 mm thick, cannot \
+                 follow a burr this thin",
+                "impossible: `body.position_mm` puts `clamp` 1.00 mm into the tool; allowed: at most 0.1",
+                "impossible: `arm.initial_joints_deg` is singular (manipulability 0.0e0 m³; allowed: \
+                 1e-4 or more): the arm cannot insert from there",
+                "impossible: `controller.curved_drilling.target_mm` is 5.0 mm behind the start; \
+                 allowed: 0 to 20 mm ahead (`insertion_mm`)",
+                "unlikely: `run.duration_s` is 1, but `controller.curved_drilling` needs 2.5 s",
+                "unlikely: `drr.rate_hz` is 7, but a frame every 143 ticks of 1 ms is 6.993 Hz",
             ],
         ),
     ]

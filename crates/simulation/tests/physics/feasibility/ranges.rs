@@ -1,4 +1,4 @@
-//! Values for which nothing is claimed: told one by one, and none at the ends of the ranges.
+//! Values outside the validated ranges: each is reported, and none at the ends of the ranges.
 
 use std::path::Path;
 
@@ -6,7 +6,7 @@ use scene::Scene;
 use simulation::{Verdict, findings};
 use test_support::scenes::TOOL;
 
-/// Key, the range that is silent, and values beside it that a scene may set.
+/// Key, the range without a finding, and values outside it that a scene can set.
 const RANGES: [(&str, [f64; 2], &[f64]); 6] = [
     ("manipulator.stiffness_scale", [0.05, 1000.0], &[0.049]),
     ("manipulator.mass_scale", [0.01, 100.0], &[0.0099, 101.0]),

@@ -1,6 +1,6 @@
-//! A scene that makes sense, and changes to it.
+//! A feasible scene, and changes to it.
 
-/// A hole leads the whole tool to its start, 12 mm below the lower face.
+/// A hole leads the whole tool to its start, 12 mm inside the block from its lower face.
 pub const SENSIBLE: &str = r#"
 name = "sensible"
 [run]
@@ -45,11 +45,11 @@ feedback = "none"
 pub const HOLE: &str =
     "[[predrill]]\nfrom_mm = [100.0, 0.0, -60.0]\nto_mm = [100.0, 0.0, -15.0]\ndiameter_mm = 7.0\n";
 
-/// A scene, and what must be said of it.
+/// A scene and its expected findings.
 pub struct Case {
     pub what: &'static str,
     pub text: String,
-    /// Where the block stands.
+    /// Centre of the block along x.
     pub centre_x_mm: f64,
     pub expected: &'static [&'static str],
 }
@@ -64,7 +64,7 @@ impl Case {
     }
 }
 
-/// Changes what stands in a scene exactly once.
+/// Replaces text that occurs in a scene exactly once.
 pub fn changed_in(text: &str, from: &str, to: &str) -> String {
     assert_eq!(text.matches(from).count(), 1, "{from}");
     text.replace(from, to)
@@ -74,25 +74,25 @@ pub fn changed(from: &str, to: &str) -> String {
     changed_in(SENSIBLE, from, to)
 }
 
-/// In place of the built-in controller.
+/// Replaces the built-in controller.
 pub fn driven_by(kind: &str) -> String {
     let at = SENSIBLE.find("[controller.curved_drilling]").unwrap();
     format!("{}{kind}\n", &SENSIBLE[..at])
 }
 
-/// With this target, or with none.
+/// Sets this target, or removes it.
 pub fn target(place: Option<&str>) -> String {
     let line = place.map_or_else(String::new, |place| format!("target_mm = {place}\n"));
     changed("target_mm = [103.0, 0.0, 4.0]\n", &line)
 }
 
-/// With this start, and no target or hole that it would have to fit.
+/// Sets this start, and removes the target and hole that would have to fit it.
 pub fn start(place: &str) -> String {
     let bare = changed_in(&target(None), HOLE, "");
     changed_in(&bare, "burr_start_mm = [100.0, 0.0, -15.0]", &format!("burr_start_mm = {place}"))
 }
 
-/// With this start, driven by another controller.
+/// Sets this start, driven by another controller.
 pub fn start_driven_by(place: &str, kind: &str) -> String {
     let bare = changed_in(&driven_by(kind), HOLE, "");
     changed_in(&bare, "burr_start_mm = [100.0, 0.0, -15.0]", &format!("burr_start_mm = {place}"))

@@ -1,48 +1,49 @@
-//! One field over a whole log: least, greatest and mean value of equal spans of time. Pure: no clock, no files.
+//! One field over a complete log: minimum, maximum and mean over equal time spans. Pure: no clock, no files.
 
 use run_log::timeline::{Bin, Extremes, Timeline};
 use serde::Serialize;
 
-/// Most bins of one field: 4 MiB. An hour at 1 kHz then has bins of 32 ms.
+/// Maximum number of bins of one field: 4 MiB. An hour at 1 kHz then has bins of 32 ms.
 pub const MOST_BINS: usize = 1 << 17;
 
-/// A field's values. A bin holds one tick at first; if there are more ticks than bins, bins are merged in pairs, so that the memory is
-/// bounded and no peak is lost.
+/// A field's values. A bin covers one tick at first; if there are more ticks than bins, bins are merged in
+/// pairs, so that memory is bounded and no peak is lost.
 #[derive(Debug, Clone)]
 pub struct Bins {
     begin_ns: u64,
     end_ns: u64,
-    /// From `begin_ns` on.
+    /// Starts at `begin_ns`.
     line: Timeline<Extremes>,
 }
 
-/// Values for a picture: only the columns that have any, in rising order.
+/// Values for a plot: only the non-empty columns, in ascending order.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct Columns {
-    /// Numbers of the columns, from 0.
+    /// Column numbers, from 0.
     pub at: Vec<u32>,
-    /// Least value in each of them.
+    /// Minimum in each column.
     pub low: Vec<f32>,
-    /// Greatest value.
+    /// Maximum in each column.
     pub high: Vec<f32>,
     /// Mean of the samples.
     pub mean: Vec<f32>,
-    /// Simulated time that a bin spans, ns: neighbours farther apart than this have nothing between them.
+    /// Simulated time that a bin spans, ns. Between neighbours farther apart than this there is a gap.
     pub width_ns: u64,
 }
 
 impl Bins {
-    /// No values yet of a log from `begin_ns` to `end_ns`, with a tick of `dt_ns` and at most `most` bins (at least 2).
+    /// Creates empty bins for a log from `begin_ns` to `end_ns`, with a tick of `dt_ns` and at most `most`
+    /// bins (at least 2).
     pub fn new(begin_ns: u64, end_ns: u64, dt_ns: u64, most: usize) -> Bins {
         Bins { begin_ns, end_ns, line: Timeline::new(most, dt_ns, Extremes::EMPTY) }
     }
 
-    /// Simulated time that a bin spans, ns.
+    /// Returns the simulated time that a bin spans, ns.
     pub fn width_ns(&self) -> u64 {
         self.line.width_ns()
     }
 
-    /// Adds a sample. What is no number, or lies outside the log's bounds, is left out: it shows as a hole.
+    /// Adds a sample. Skips values that are not finite or outside the log's bounds; they show as gaps.
     pub fn add(&mut self, time_ns: u64, value: f64) {
         if !value.is_finite() || time_ns < self.begin_ns || time_ns > self.end_ns {
             return;
@@ -50,7 +51,7 @@ impl Bins {
         self.line.bin(time_ns - self.begin_ns).add(value);
     }
 
-    /// Least, greatest and mean value of each of `columns` equal columns between two times.
+    /// Returns minimum, maximum and mean of each of `columns` equal columns between two times.
     pub fn columns(&self, from_ns: u64, to_ns: u64, columns: u32) -> Columns {
         let mut found = Columns { width_ns: self.width_ns(), ..Columns::default() };
         let (span, count) = (u128::from(to_ns.saturating_sub(from_ns)), u128::from(columns));
@@ -92,7 +93,7 @@ impl Columns {
 mod tests {
     use super::*;
 
-    /// Least, greatest and mean of the samples of each column, straight from their definition.
+    /// Minimum, maximum and mean of the samples of each column, straight from the definition.
     fn by_definition(samples: &[(u64, f64)], from: u64, to: u64, columns: u32) -> Vec<(u32, f64, f64, f64)> {
         let column =
             |time: u64| ((time - from) * u64::from(columns) / (to - from)).min(u64::from(columns) - 1);
@@ -133,7 +134,7 @@ mod tests {
                 assert!((f64::from(found.mean[i]) - mean).abs() <= 1e-4 * mean.abs().max(1.0), "f32");
             }
         }
-        assert_eq!(bins.columns(20_000, 22_990, 300).at, Vec::<u32>::new(), "a hole of the log stays one");
+        assert_eq!(bins.columns(20_000, 22_990, 300).at, Vec::<u32>::new(), "a gap in the log stays a gap");
     }
 
     #[test]

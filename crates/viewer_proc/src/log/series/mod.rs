@@ -1,7 +1,8 @@
-//! Fields of a log over time, for plots: what has been read of the log, and what a request gets of it.
+//! Fields of a log over time, for plots.
 //!
-//! A background thread (`background`) reads the log once and fills [`Bins`]. A picture of any span then costs no reading, except a
-//! short span of a long log, whose bins are coarser than its ticks: that is read from the file.
+//! A background thread (`background`) reads the log once and fills [`Bins`]. Plotting any span then needs no
+//! reading, except for a short span of a long log, whose bins are coarser than its ticks; that span is read
+//! from the file.
 
 pub mod bins;
 
@@ -18,9 +19,9 @@ use crate::board::lock;
 use bins::{Bins, Columns, MOST_BINS};
 pub(super) use place::FieldPlace;
 
-/// Most fields kept of one log: 128 MiB.
+/// Maximum number of fields kept per log: 128 MiB.
 pub const MOST_FIELDS: usize = 32;
-/// What the page plots at first, so that the first pass over a log reads it already.
+/// The fields plotted by default, so that the first pass over a log already reads them.
 const FIRST: [(&str, &str); 6] = [
     ("/state", "tendon_tension_n[0]"),
     ("/state", "tendon_tension_n[1]"),
@@ -29,13 +30,13 @@ const FIRST: [(&str, &str); 6] = [
     ("/state", "burr_speed_rad_per_s"),
     ("/timing/tick", "step_ns"),
 ];
-/// Most columns of a request.
+/// Maximum number of columns per request.
 const MOST_COLUMNS: u32 = 8192;
-/// Most ticks read from the file for one request: 64 MB of states.
+/// Maximum number of ticks read from the file per request: 64 MB of states.
 const MOST_TICKS_READ: u64 = 1 << 14;
-/// How long after its tick a message of the timing lane may have been recorded.
+/// Maximum delay between a tick and the recording of its message in the timing lane.
 const MOST_LATE_NS: u64 = 100_000_000;
-/// Most misses kept, with their causes: 16 MiB. The others are only counted.
+/// Maximum number of misses kept, with their causes: 16 MiB. Further ones are only counted.
 const MOST_MISSES: usize = 1 << 20;
 
 /// A `/series` request: fields of a log over a span of time.
@@ -43,13 +44,13 @@ const MOST_MISSES: usize = 1 << 20;
 pub struct SeriesRequest {
     /// The fields.
     pub fields: Vec<FieldName>,
-    /// Begin of the span, ns of simulated time.
+    /// Start of the span, ns of simulated time.
     pub from_ns: u64,
-    /// Its end, ns.
+    /// End of the span, ns.
     pub to_ns: u64,
     /// Number of columns to divide it into.
     pub columns: u32,
-    /// Whether the second log is meant.
+    /// Whether the request is for the second log.
     #[serde(default)]
     pub second: bool,
 }
@@ -90,22 +91,22 @@ struct Series {
     place: FieldPlace,
     bins: Bins,
     progress: Progress,
-    /// Number of the last request for it.
+    /// Number of the last request for this field.
     used: u64,
 }
 
 #[derive(Debug, Default)]
 struct Found {
     series: BTreeMap<FieldName, Series>,
-    /// Time and letter of the cause, in the order of the log.
+    /// Time and letter of the cause, in log order.
     misses: Vec<(u64, char)>,
     missed: u64,
-    /// Share of the log that has been read, while it is being read.
+    /// Fraction of the log read so far, during a pass.
     reading: Option<f64>,
     requests: u64,
 }
 
-/// What has been read of a log so far. Shared by the thread that reads it and by those that answer.
+/// The part of a log read so far. Shared by the thread that reads it and those that answer requests.
 #[derive(Debug)]
 pub(super) struct LogSeries {
     begin_ns: u64,
@@ -114,12 +115,12 @@ pub(super) struct LogSeries {
     found: Mutex<Found>,
 }
 
-/// Where misses lie in a span of time.
+/// Position of misses in a time span.
 #[derive(Debug, Default, Serialize)]
 struct Misses {
-    /// Columns with one.
+    /// Columns with at least one miss.
     at: Vec<u32>,
-    /// The letter of the first one's cause in each.
+    /// Letter of the cause of the first miss in each.
     letters: String,
     /// Number of misses in each.
     count: Vec<u64>,
@@ -131,19 +132,19 @@ struct Answer {
     from_ns: u64,
     to_ns: u64,
     columns: u32,
-    /// Share of the log that has been read, or none if all of what was asked for has been.
+    /// Fraction of the log read so far; `None` if all requested fields are complete.
     reading: Option<f64>,
     series: Vec<Columns>,
     misses: Misses,
 }
 
 impl LogSeries {
-    /// Nothing read yet of a log with these bounds.
+    /// Creates an empty series for a log with these bounds.
     pub(super) fn new((begin_ns, end_ns): (u64, u64), dt_ns: u64) -> LogSeries {
         let found = Mutex::default();
         let series = LogSeries { begin_ns, end_ns: end_ns.max(begin_ns), dt_ns: dt_ns.max(1), found };
         for (topic, field) in FIRST {
-            // A field that a later version lacks is only not read in advance.
+            // A field that a later version lacks is simply not read in advance.
             let _ = series.want(&FieldName { topic: topic.to_owned(), field: field.to_owned() });
         }
         series
@@ -158,10 +159,10 @@ impl LogSeries {
         Bins::new(self.begin_ns, self.end_ns, self.dt_ns, MOST_BINS)
     }
 
-    /// Keeps a field from now on; the one that nobody has asked for the longest makes room.
+    /// Keeps a field from now on; evicts the least recently requested one if there are too many.
     ///
     /// # Errors
-    /// There is no such field.
+    /// No such field.
     pub(super) fn want(&self, name: &FieldName) -> Result<(), String> {
         let mut found = lock(&self.found);
         found.requests += 1;
@@ -181,7 +182,7 @@ impl LogSeries {
         Ok(())
     }
 
-    /// Begins a pass over a file: the topics of the fields that wait for it.
+    /// Begins a pass over a file; returns the topics of the fields that wait for it.
     pub(super) fn begin(&self, lane: Lane) -> BTreeSet<String> {
         let mut found = lock(&self.found);
         let waiting = found
@@ -195,7 +196,7 @@ impl LogSeries {
         topics.collect()
     }
 
-    /// Adds a message of the pass.
+    /// Adds a message during a pass.
     pub(super) fn add(&self, topic: &str, log_time_ns: u64, body: &[u8]) {
         let mut found = lock(&self.found);
         let reading = found
@@ -218,12 +219,12 @@ impl LogSeries {
         }
     }
 
-    /// How much of the log has been read; `None` at the end of a pass.
+    /// Sets the fraction of the log read so far; `None` at the end of a pass.
     pub(super) fn set_reading(&self, share: Option<f64>) {
         lock(&self.found).reading = share;
     }
 
-    /// Ends the pass.
+    /// Ends a pass.
     pub(super) fn end(&self, lane: Lane) {
         let mut found = lock(&self.found);
         let read = found
@@ -233,24 +234,25 @@ impl LogSeries {
         read.for_each(|(_, series)| series.progress = Progress::Read);
     }
 
-    /// Share of the log that has been read, `None` if nothing is being read.
+    /// Returns the fraction of the log read so far, or `None` if no pass is in progress.
     pub(super) fn reading(&self) -> Option<f64> {
         lock(&self.found).reading
     }
 
-    /// Missed ticks up to a time, and in the whole log.
+    /// Returns the number of missed ticks up to a time, and in the whole log.
     pub(super) fn missed(&self, time_ns: u64) -> (u64, u64) {
         let found = lock(&self.found);
         let until = found.misses.partition_point(|(time, _)| *time <= time_ns) as u64;
-        // Of a log with more misses than are kept, those behind the last kept one are not told apart.
+        // If a log has more misses than are kept, those after the last kept one are not distinguished.
         let all_kept = found.missed == found.misses.len() as u64;
         (if all_kept || until < found.misses.len() as u64 { until } else { found.missed }, found.missed)
     }
 
-    /// Answers a request; `file` gives one of the log's files, for a span that is shorter than the bins can show.
+    /// Answers a request. `file` returns one of the log's files, for a span too short for the bins'
+    /// resolution.
     ///
     /// # Errors
-    /// What is wrong with the request.
+    /// An error text for the user.
     pub(super) fn answer<'a>(
         &self,
         request: &SeriesRequest,
@@ -269,7 +271,7 @@ impl LogSeries {
             let mut own: Vec<&mut Fine<'_>> =
                 fine.iter_mut().filter(|fine| Lane::of(&fine.name.topic) == lane).collect();
             let Some(log) = file(lane).filter(|_| !own.is_empty()) else { continue };
-            // Where the file cannot be read, the bins still show what they have.
+            // If the file cannot be read, the bins are shown instead.
             if self.read_span(&mut own, request, log).is_some() {
                 for fine in own {
                     series[fine.at] = fine.bins.columns(request.from_ns, request.to_ns, request.columns);
@@ -293,7 +295,8 @@ impl LogSeries {
         serde_json::to_string(&answer).map_err(|error| error.to_string())
     }
 
-    /// What the bins have of a field; and its place, if they are too coarse for the request and the file is to be read.
+    /// Returns a field's values from the bins, and its place if they are too coarse for the request and the
+    /// file must be read.
     fn columns(&self, name: &FieldName, request: &SeriesRequest) -> (Columns, Option<FieldPlace>) {
         let found = lock(&self.found);
         let Some(series) = found.series.get(name) else { return (Columns::default(), None) };
@@ -341,11 +344,11 @@ impl LogSeries {
     }
 }
 
-/// A field that is read from the file, tick by tick.
+/// A field read from the file at full resolution.
 struct Fine<'a> {
     name: &'a FieldName,
     place: FieldPlace,
-    /// Its number in the answer.
+    /// Its index in the answer.
     at: usize,
     bins: Bins,
 }
@@ -354,13 +357,13 @@ impl SeriesRequest {
     fn check(&self) -> Result<(), String> {
         let SeriesRequest { fields, from_ns, to_ns, columns, .. } = self;
         if from_ns >= to_ns {
-            return Err(format!("the span from {from_ns} to {to_ns} ns is empty"));
+            return Err(format!("empty time span: {from_ns} to {to_ns} ns"));
         }
         if !(1..=MOST_COLUMNS).contains(columns) {
-            return Err(format!("{columns} columns; expected 1 to {MOST_COLUMNS}"));
+            return Err(format!("`columns` is {columns}; allowed: 1 to {MOST_COLUMNS}"));
         }
         if fields.len() > MOST_FIELDS {
-            return Err(format!("{} fields; expected at most {MOST_FIELDS}", fields.len()));
+            return Err(format!("too many fields: {}; at most {MOST_FIELDS} are allowed", fields.len()));
         }
         Ok(())
     }

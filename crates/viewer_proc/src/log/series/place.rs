@@ -1,4 +1,4 @@
-//! Where the values of a field are in the messages of its topic.
+//! Location of a field's values in the messages of its topic.
 
 use ipc_types::messages::Command;
 use ipc_types::messages::layout::{Description, Element, Message};
@@ -7,13 +7,14 @@ use run_log::{Topic, command_topic};
 
 use super::{FieldName, Lane};
 
-/// Where a field's value is in a message, and which tick the message is about.
+/// Offset of a field's value in a message, and the tick that the message belongs to.
 #[derive(Debug, Clone)]
 pub(in crate::log) struct FieldPlace {
     ros_type: &'static str,
     offset: usize,
     size: usize,
-    /// Where the message names its tick. Only in the timing lane: there the log's own time is when the recorder received the message.
+    /// Offset of the message's tick; only in the timing lane, where the log time is when the recorder
+    /// received the message.
     tick: Option<usize>,
 }
 
@@ -24,11 +25,11 @@ impl FieldPlace {
     /// No such topic or field, or not a number.
     pub(in crate::log) fn of(name: &FieldName) -> Result<FieldPlace, String> {
         let FieldName { topic, field } = name;
-        let description = description_of(topic).ok_or_else(|| format!("a log has no topic `{topic}`"))?;
+        let description = description_of(topic).ok_or_else(|| format!("unknown topic `{topic}`"))?;
         let place = find(description, field)?;
         let (Element::Scalar(ros_type), None) = (place.element, place.array_length) else {
             return Err(format!(
-                "`{field}` of `{topic}` is not one number: give its index or one of its fields"
+                "`{field}` of `{topic}` is not a scalar: add an index or the name of one of its fields"
             ));
         };
         let tick = description.fields.iter().find(|field| field.name == "tick").map(|field| field.offset);
@@ -36,13 +37,13 @@ impl FieldPlace {
         Ok(FieldPlace { ros_type, offset: place.offset, size: place.size, tick })
     }
 
-    /// The value; `None` if the message is too short.
+    /// Returns the value, or `None` if the message is too short.
     pub(in crate::log) fn read(&self, body: &[u8]) -> Option<f64> {
         let bytes = body.get(self.offset..self.offset.checked_add(self.size)?)?;
         Scalar::read(self.ros_type, bytes).map(Scalar::nearest_f64)
     }
 
-    /// The simulated time that the message is about, ns.
+    /// Returns the simulated time that the message belongs to, ns.
     pub(in crate::log) fn time_ns(&self, body: &[u8], log_time_ns: u64, dt_ns: u64) -> u64 {
         let tick = self.tick.and_then(|at| body.get(at..at + 8)?.try_into().ok()).map(u64::from_le_bytes);
         tick.map_or(log_time_ns, |tick| tick.saturating_mul(dt_ns))

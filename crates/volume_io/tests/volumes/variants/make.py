@@ -1,8 +1,8 @@
-"""Writes volumes as other programs do, and what two independent readers make of each.
+"""Writes volumes with other programs, and the result of two independent readers for each.
 
     python make.py FOLDER
 
-FOLDER/cases.json lists the cases; each reader's voxels lie beside it as little-endian int32, i fastest, in the order of the file.
+FOLDER/cases.json lists the cases; each reader's voxels are beside it as little-endian int32, i fastest, in file order.
 """
 
 import json
@@ -239,8 +239,9 @@ dicom_case("dicom_rle", "RLE lossless", packed(RLELossless, True))
 dicom_case("dicom_jls", "JPEG-LS lossless, signed 16 bits", packed(JPEGLSLossless, True))
 dicom_case("dicom_jls_12", "JPEG-LS lossless, unsigned 12 bits", packed(JPEGLSLossless, False))
 dicom_case("dicom_jls_near", "JPEG-LS near-lossless, 12 bits", packed(JPEGLSNearLossless, False, jls_error=3))
-# JPEG 2000: pydicom and GDCM both unpack it with OpenJPEG, so what was written is the second reader where nothing is lost. Where it is,
-# OpenJPEG's 9-7 transform scales one band by 1.625732 for the 1.625786 of T.800 (2/K), and rounding differs: 1 HU.
+# JPEG 2000: pydicom and GDCM both unpack it with OpenJPEG, so what was written is the second reader where
+# nothing is lost. Where it is, OpenJPEG's 9-7 transform scales one band by 1.625732 for the 1.625786 of T.800
+# (2/K), and rounding differs: 1 HU.
 BYTES = (UNSIGNED >> 4).astype(np.uint8)
 J2K_AFFINE = np.diag([*SPACING, 1.0])
 J2K_AFFINE[:3, 3] = ORIGIN
@@ -318,7 +319,8 @@ lossy = gdcm.JPEG2000Codec()
 lossy.SetReversible(False)
 lossy.SetRate(0, 8.0)
 gdcm_case("gdcm_j2k_lossy", "JPEG 2000, an eighth of the bytes", gdcm.TransferSyntax.JPEG2000, False, 1, lossy)
-# 12-bit JPEG is written by dcmtk alone, a Debian package. pydicom's decoder transforms in another precision than libjpeg, which dcmtk has.
+# 12-bit JPEG is written by dcmtk alone, a Debian package. pydicom's decoder transforms in another precision
+# than libjpeg, which dcmtk has.
 if shutil.which("dcmcjpeg"):
     make = lambda k: ct_slice(k, UNSIGNED[k], signed=False, stored=12, intercept=-1024)
     _, paths = series_of("dcmtk_source", make)

@@ -1,8 +1,9 @@
-//! Volumes as other programs write them, voxel for voxel against two independent readers each, and the table of them in
-//! `docs/volumes.md`.
+//! Volumes written by other programs, compared voxel by voxel with two independent readers each, and their
+//! table in `docs/volumes.md`.
 //!
-//! `make.py` writes the files with pydicom, GDCM, dcmtk, SimpleITK, pynrrd and nibabel, and what those readers make of them. With
-//! `WRITE_TABLE=1` this test writes the table instead of comparing it.
+//! `make.py` writes the files with pydicom, GDCM, dcmtk, SimpleITK, pynrrd and nibabel, and the results of
+//! those readers. With `WRITE_TABLE=1` this test writes the table instead of comparing it.
+//! readers make of them. With `WRITE_TABLE=1` this test writes the table instead of comparing it.
 
 // Helpers of tests may fail a test.
 #![allow(clippy::unwrap_used)]
@@ -26,11 +27,12 @@ const PACKAGES: [&str; 8] = [
     "pyjpegls==1.5.1",
 ];
 const PROBE: &str = "numpy, pydicom, SimpleITK, gdcm, nrrd, nibabel, pylibjpeg, openjpeg, jpeg_ls";
-/// Where the table stands.
+/// Position of the table.
 const PAGE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/volumes.md");
 const HEAD: &str = "| format | feature | written by | read alike by |\n|---|---|---|---|\n";
 
-/// Rows and columns of a direction's deviation, and positions, in millimetres: what `f32` affines and six decimals leave.
+/// Tolerance for directions (rows and columns) and positions, in millimetres: rounding of `f32` affines and
+/// of six decimals.
 const SAME_MM: f64 = 2e-4;
 
 #[test]
@@ -70,7 +72,7 @@ fn options(case: &Value) -> ReadOptions {
     ReadOptions { label, slices, series, ..ReadOptions::default() }
 }
 
-/// The case's row in the table, or what is wrong.
+/// The case's table row, or what is wrong.
 fn verdict(case: &Value) -> Result<String, String> {
     let file = PathBuf::from(text(case, "file"));
     let (volume, info) = read_as(&file, &options(case)).map_err(|error| error.to_string())?;
@@ -89,7 +91,7 @@ fn verdict(case: &Value) -> Result<String, String> {
     Ok(format!("| {format} | {feature} | {by} | {} |", readers.join("; ")))
 }
 
-/// The largest difference of a voxel, if dimensions and geometry are the same.
+/// The largest voxel difference, if dimensions and geometry agree.
 fn compare(volume: &Volume, reader: &Value) -> Result<i64, String> {
     let dims: Vec<usize> =
         reader["dims"].as_array().unwrap().iter().map(|n| n.as_u64().unwrap() as usize).collect();
@@ -113,7 +115,7 @@ fn compare(volume: &Volume, reader: &Value) -> Result<i64, String> {
     Ok(worst.unwrap_or(i64::MAX))
 }
 
-/// Holds the rows beside the page's table; or writes it.
+/// Compares the rows with the page's table, or writes it.
 fn compare_table(rows: &[String]) {
     let page = std::fs::read_to_string(PAGE).unwrap();
     let begin = page.find(HEAD).unwrap() + HEAD.len();
@@ -131,7 +133,7 @@ fn compare_table(rows: &[String]) {
     let there: Vec<&str> = page[begin..end].lines().collect();
     let missing: Vec<&String> = rows.iter().filter(|row| !there.contains(&row.as_str())).collect();
     assert!(missing.is_empty(), "not in {PAGE}, write it with WRITE_TABLE=1:\n{missing:#?}");
-    // Some rows need programs that are not on every machine.
+    // Some rows need programs that are not installed everywhere.
     let surplus: Vec<&&str> = there.iter().filter(|line| !rows.iter().any(|row| row == **line)).collect();
     assert!(surplus.iter().all(|line| line.contains("dcmtk")), "no longer so:\n{surplus:#?}");
 }
