@@ -36,35 +36,35 @@ const KILL_POLL_PERIOD: Duration = Duration::from_millis(2);
 
 /// The keeper's report to the launcher about the start.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Started {
+pub enum StartReport {
     /// Started, with the program's process ID.
     As(u32),
     /// Not started, with the system's error number.
     Not(i32),
 }
 
-impl Started {
+impl StartReport {
     fn bytes(self) -> [u8; 5] {
         let (kind, number) = match self {
-            Started::As(pid) => (b'+', pid.to_le_bytes()),
-            Started::Not(code) => (b'-', code.to_le_bytes()),
+            StartReport::As(pid) => (b'+', pid.to_le_bytes()),
+            StartReport::Not(code) => (b'-', code.to_le_bytes()),
         };
         [kind, number[0], number[1], number[2], number[3]]
     }
 
     /// Reads the keeper's report.
-    pub fn read(mut leash: &UnixStream) -> std::io::Result<Started> {
+    pub fn read(mut leash: &UnixStream) -> std::io::Result<StartReport> {
         let mut bytes = [0; 5];
         leash.read_exact(&mut bytes)?;
         let number = [bytes[1], bytes[2], bytes[3], bytes[4]];
         match bytes[0] {
-            b'+' => Ok(Started::As(u32::from_le_bytes(number))),
-            _ => Ok(Started::Not(i32::from_le_bytes(number))),
+            b'+' => Ok(StartReport::As(u32::from_le_bytes(number))),
+            _ => Ok(StartReport::Not(i32::from_le_bytes(number))),
         }
     }
 }
 
-enum News {
+enum KeeperEvent {
     Signal(i32),
     /// The launcher is gone.
     Alone,
@@ -86,24 +86,24 @@ pub fn run(words: &[OsString]) -> Result<ExitCode, Failure> {
     // If this process is killed, at least the program dies with it.
     let spawned = bind_to_parent_with(&mut command, Signal::KILL).spawn();
     let started = match &spawned {
-        Ok(child) => Started::As(child.id()),
-        Err(cause) => Started::Not(cause.raw_os_error().unwrap_or(0)),
+        Ok(child) => StartReport::As(child.id()),
+        Err(cause) => StartReport::Not(cause.raw_os_error().unwrap_or(0)),
     };
     // If the launcher is gone, the watch below notices.
     let _ = (&leash).write_all(&started.bytes());
-    let Started::As(pid) = started else { return Ok(ExitCode::FAILURE) };
+    let StartReport::As(pid) = started else { return Ok(ExitCode::FAILURE) };
     hear_launcher(leash, sender).map_err(failed)?;
     let Some(program) = i32::try_from(pid).ok().and_then(Pid::from_raw) else {
         return Ok(ExitCode::FAILURE);
     };
-    Ok(end_as(Kept { program, status: None, kill_at: None }.watch(&news)))
+    Ok(end_as(SupervisedProgram { program, status: None, kill_at: None }.watch(&news)))
 }
 
-fn hear_signals(sender: Sender<News>) -> std::io::Result<()> {
+fn hear_signals(sender: Sender<KeeperEvent>) -> std::io::Result<()> {
     let mut signals = Signals::new([SIGCHLD, SIGTERM, SIGINT, SIGHUP])?;
     std::thread::Builder::new().name("signals".to_owned()).spawn(move || {
         for signal in signals.forever() {
-            if sender.send(News::Signal(signal)).is_err() {
+            if sender.send(KeeperEvent::Signal(signal)).is_err() {
                 return;
             }
         }
@@ -111,12 +111,12 @@ fn hear_signals(sender: Sender<News>) -> std::io::Result<()> {
     Ok(())
 }
 
-fn hear_launcher(mut leash: UnixStream, sender: Sender<News>) -> std::io::Result<()> {
+fn hear_launcher(mut leash: UnixStream, sender: Sender<KeeperEvent>) -> std::io::Result<()> {
     std::thread::Builder::new().name("leash".to_owned()).spawn(move || {
         let mut byte = [0];
         let said = match leash.read(&mut byte) {
-            Ok(1) if byte[0] == END_AT_ONCE => News::EndAtOnce,
-            _ => News::Alone,
+            Ok(1) if byte[0] == END_AT_ONCE => KeeperEvent::EndAtOnce,
+            _ => KeeperEvent::Alone,
         };
         // The receiver lives as long as the process.
         let _ = sender.send(said);
@@ -124,15 +124,15 @@ fn hear_launcher(mut leash: UnixStream, sender: Sender<News>) -> std::io::Result
     Ok(())
 }
 
-struct Kept {
+struct SupervisedProgram {
     program: Pid,
     status: Option<WaitStatus>,
     kill_at: Option<Instant>,
 }
 
-impl Kept {
+impl SupervisedProgram {
     /// Watches until the program and all its descendants have ended.
-    fn watch(mut self, news: &Receiver<News>) -> Option<WaitStatus> {
+    fn watch(mut self, news: &Receiver<KeeperEvent>) -> Option<WaitStatus> {
         loop {
             let _ = self.reap();
             if self.status.is_some() {
@@ -143,13 +143,13 @@ impl Kept {
                 Some(at) => news.recv_timeout(at.saturating_duration_since(Instant::now())),
             };
             match said {
-                Ok(News::Signal(SIGCHLD)) => {}
-                Ok(News::Signal(_)) => self.ask_to_end(),
-                Ok(News::Alone) => {
+                Ok(KeeperEvent::Signal(SIGCHLD)) => {}
+                Ok(KeeperEvent::Signal(_)) => self.ask_to_end(),
+                Ok(KeeperEvent::Alone) => {
                     self.ask_to_end();
                     self.kill_at = Some(Instant::now() + GRACE_PERIOD);
                 }
-                Ok(News::EndAtOnce) | Err(_) => break,
+                Ok(KeeperEvent::EndAtOnce) | Err(_) => break,
             }
         }
         self.end_all();

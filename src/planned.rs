@@ -22,7 +22,7 @@ const RESAMPLED_MM: f64 = 0.75;
 
 /// Inputs of a generated scene.
 #[derive(Debug)]
-pub struct Planned<'a> {
+pub struct PlannedScene<'a> {
     pub name: String,
     /// Path of the plan in the scene.
     pub plan_file: &'a Path,
@@ -35,7 +35,7 @@ pub struct Planned<'a> {
     pub thickest_mm: f64,
 }
 
-impl Planned<'_> {
+impl PlannedScene<'_> {
     /// Returns the path from the burr's start to the target.
     pub fn arc(&self) -> Arc {
         self.plan.arc(0.0)
@@ -128,7 +128,7 @@ mod tests {
 
     fn text_of(file: &str) -> String {
         let plan = Plan::of(&markups::read(file).unwrap()).unwrap();
-        let planned = Planned {
+        let planned = PlannedScene {
             name: "hip".to_owned(),
             plan_file: Path::new("plan.mrk.json"),
             plan,

@@ -246,15 +246,15 @@ fn put(stream: usize, priority: Priority, bytes: &[u8]) -> std::io::Result<usize
 
 /// Standard output: the command's result.
 #[derive(Debug)]
-pub struct Answers;
+pub struct ResultOutput;
 
 /// Standard error: the command's own messages.
 #[derive(Debug)]
-pub struct Words;
+pub struct Diagnostics;
 
 /// Standard error: output of other programs, and the progress display.
 #[derive(Debug)]
-pub struct Echo;
+pub struct ForwardedOutput;
 
 macro_rules! stream {
     ($name:ident, $stream:expr, $priority:expr) => {
@@ -270,9 +270,9 @@ macro_rules! stream {
     };
 }
 
-stream!(Answers, 0, Priority::Answer);
-stream!(Words, 1, Priority::Word);
-stream!(Echo, 1, Priority::Echo);
+stream!(ResultOutput, 0, Priority::Answer);
+stream!(Diagnostics, 1, Priority::Word);
+stream!(ForwardedOutput, 1, Priority::Echo);
 
 #[cfg(test)]
 mod tests {

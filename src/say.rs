@@ -7,7 +7,7 @@
 use std::io::{self, BufWriter, ErrorKind, Stdout, StdoutLock, Write};
 use std::sync::OnceLock;
 
-use foreign_text::{Plain, plain};
+use foreign_text::{EscapingWriter, plain};
 
 use crate::printer;
 
@@ -16,9 +16,9 @@ static UNWRITTEN: OnceLock<String> = OnceLock::new();
 
 /// A writer to standard output that remembers the first error.
 #[derive(Debug)]
-pub struct Noting<W>(W);
+pub struct CheckedWriter<W>(W);
 
-impl<W: Write> Write for Noting<W> {
+impl<W: Write> Write for CheckedWriter<W> {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         note(self.0.write(bytes))
     }
@@ -41,21 +41,21 @@ pub fn note<T>(written: io::Result<T>) -> io::Result<T> {
 
 /// Standard output, bypassing the printer.
 #[allow(clippy::disallowed_methods, reason = "the one place")]
-pub fn standard_output() -> Noting<Stdout> {
-    Noting(io::stdout())
+pub fn standard_output() -> CheckedWriter<Stdout> {
+    CheckedWriter(io::stdout())
 }
 
 /// Standard output for long results: buffered, with terminal control characters escaped.
-pub type Out<'a> = BufWriter<Plain<Noting<StdoutLock<'a>>>>;
+pub type Out<'a> = BufWriter<EscapingWriter<CheckedWriter<StdoutLock<'a>>>>;
 
 /// Opens buffered standard output.
 pub fn out() -> Out<'static> {
-    BufWriter::new(Plain::new(Noting(standard_output().0.lock())))
+    BufWriter::new(EscapingWriter::new(CheckedWriter(standard_output().0.lock())))
 }
 
 /// Writes a line to standard output in one piece.
 pub fn answer(text: &str) {
-    line(&mut printer::Answers, text);
+    line(&mut printer::ResultOutput, text);
 }
 
 /// Output format of a command's results.
@@ -83,7 +83,7 @@ pub fn merged(mut object: serde_json::Value, more: serde_json::Value) -> serde_j
 
 /// Writes trusted text unescaped, such as shell completions.
 pub fn verbatim(text: &str) {
-    // `Noting` remembers a failure.
+    // `CheckedWriter` remembers a failure.
     let _ = standard_output().write_all(text.as_bytes());
 }
 
@@ -113,5 +113,5 @@ macro_rules! say {
 /// report them.
 #[macro_export]
 macro_rules! tell {
-    ($($arguments:tt)*) => { $crate::say::line(&mut $crate::printer::Words, &format!($($arguments)*)) };
+    ($($arguments:tt)*) => { $crate::say::line(&mut $crate::printer::Diagnostics, &format!($($arguments)*)) };
 }

@@ -3,14 +3,14 @@
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use delivery::x_ray::{ControllerFrames, FrameMark, FrameStep, NoFrame};
+use delivery::x_ray::{ControllerFrames, FrameMark, FrameStep, FrameTimeout};
 use ipc_types::clock::now_ns;
 use ipc_types::messages::layout::Message;
 use ipc_types::messages::services;
 use ipc_types::messages::{
     Command, EventCode, Frame, ImagePrefix, Participant, Phase, RunStatus, SensorReading, State, Tick,
 };
-use ipc_types::ports::{PortError, Publisher, Received, Subscriber};
+use ipc_types::ports::{PortError, Publisher, ReceivedMessage, Subscriber};
 use ipc_types::process::{EndRequest, EventSender, Role, prioritise, session_scene};
 use ipc_types::scene::{Mode, Policy, Scene, SceneError};
 use ipc_types::session::{Reader, Session, SessionError};
@@ -49,7 +49,7 @@ pub enum ControllerError {
     },
     /// A frame that was due did not arrive.
     #[error(transparent)]
-    NoFrame(#[from] NoFrame),
+    NoFrame(#[from] FrameTimeout),
     /// Signals cannot be handled.
     #[error("cannot install signal handlers: {0}")]
     Signals(std::io::Error),
@@ -209,7 +209,7 @@ struct Frames {
     subscriber: Subscriber<Frame>,
     decide: ControllerFrames,
     /// Taken from the queue, but shown at a later state.
-    kept: Option<Received<Frame>>,
+    kept: Option<ReceivedMessage<Frame>>,
     scene: Scene,
     pixels: Vec<u16>,
 }
@@ -244,7 +244,7 @@ impl Frames {
         }
     }
 
-    fn show(&mut self, frame: &Received<Frame>, controller: &mut dyn Controller) {
+    fn show(&mut self, frame: &ReceivedMessage<Frame>, controller: &mut dyn Controller) {
         let data = frame.tail().get(ImagePrefix::DESCRIPTION.size..).unwrap_or_default();
         self.pixels.clear();
         self.pixels.extend(data.chunks_exact(2).map(|pair| u16::from_le_bytes([pair[0], pair[1]])));

@@ -17,16 +17,16 @@ use crate::identity::Guard;
 use crate::messages::layout::{Description, Message};
 use crate::messages::services::{self, CONNECTIONS_BYTES, Service};
 use crate::messages::{Blame, Command, ControllerIndex, Part};
-use crate::own::Own;
+use crate::own::ProcessOwned;
 use crate::ports::{ByteReceiver, ByteSender, Publisher, Subscriber};
 use crate::session::{
-    ANNOUNCEMENT_FILE, Announcement, ByteService, CONTROLLER_VARIABLE, PAGE_FILE, Reader, Remains,
+    ANNOUNCEMENT_FILE, Announcement, ByteService, CONTROLLER_VARIABLE, ClientLeftovers, PAGE_FILE, Reader,
     SESSION_VARIABLE, Session, SessionError, SessionId, await_announcement, check_layouts, create_node,
     file_error, is_locked, open_folder, read_blame, short_memory, transported, write_blame,
 };
 use crate::shared_memory::{SharedMemory, require_free};
 use crate::shared_page::SharedPage;
-use crate::wake::{Waiter, Waker, Way, YieldBackoff, allowed_cores};
+use crate::wake::{WaitStrategy, Waiter, Waker, YieldBackoff, allowed_cores};
 
 /// How long a client waits for a session's announcement, or for a service.
 const JOIN_TIME: Duration = Duration::from_secs(10);
@@ -57,8 +57,9 @@ impl Session {
         let none = || SessionError::NotASession { given: foreign_path(folder) };
         let id = SessionId::of(folder).ok_or_else(none)?;
         // Before the node, so that it is dropped after it.
-        let remains = Own::new(Remains::of(folder, &id, &handle).map_err(file_error(folder))?);
-        let node = Own::new(create_node(folder, &id)?);
+        let remains =
+            ProcessOwned::new(ClientLeftovers::of(folder, &id, &handle).map_err(file_error(folder))?);
+        let node = ProcessOwned::new(create_node(folder, &id)?);
         let page = SharedPage::open(&handle).map_err(file_error(&folder.join(PAGE_FILE)))?;
         Ok(Session { folder: folder.to_owned(), handle, id, announcement, node, _remains: remains, page })
     }
@@ -204,14 +205,14 @@ impl Session {
         self.page.raise_for_new_reader(reader.slot());
         let way = match reader {
             // They poll at intervals; no other process waits for them.
-            Reader::Recorder | Reader::Drr => Way::Hybrid,
+            Reader::Recorder | Reader::Drr => WaitStrategy::Hybrid,
             Reader::Physics | Reader::Controller(_) => {
                 let spinning = 1 + self.announcement.controllers.len();
-                Way::of(self.announcement.wait, self.announcement.policy, spinning, allowed_cores())
+                WaitStrategy::of(self.announcement.wait, self.announcement.policy, spinning, allowed_cores())
             }
         };
         Ok(Waiter {
-            listener: Own::new(listener),
+            listener: ProcessOwned::new(listener),
             page: self.page.clone(),
             reader: reader.slot(),
             way,
@@ -230,7 +231,7 @@ impl Session {
             self.node.service_builder(&service_name).event().open().map_err(transported(&name, "opening"))?;
         let notifier = service.notifier_builder().create().map_err(transported(&name, "notifying"))?;
         let (spared, listeners) = (Cell::new(0), Cell::new(0));
-        let (notifier, service) = (Own::new(notifier), Own::new(service));
+        let (notifier, service) = (ProcessOwned::new(notifier), ProcessOwned::new(service));
         Ok(Waker { notifier, page: self.page.clone(), reader: reader.slot(), service, spared, listeners })
     }
 
@@ -260,7 +261,7 @@ impl Session {
             std::thread::sleep(RETRY_TIME);
             opened = builder().open_with_attributes(&attributes);
         }
-        opened.map(Own::new).map_err(|cause| match cause {
+        opened.map(ProcessOwned::new).map_err(|cause| match cause {
             PublishSubscribeOpenError::IncompatibleAttributes => layout("another layout".to_owned()),
             other => transported(name, "opening")(other),
         })

@@ -27,12 +27,12 @@ const LONGEST_MAKING: Duration = Duration::from_secs(10);
 
 /// A thread that removes a session's incomplete segments until it is dropped.
 #[derive(Debug)]
-pub struct HalfMadeSweeper {
+pub struct SegmentSweeper {
     is_over: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
 }
 
-impl HalfMadeSweeper {
+impl SegmentSweeper {
     /// Sweeps the session in this folder once its host is dead; until then the host does this itself. Every
     /// part runs a sweeper, because each may be the last to end, and starts it before joining, because
     /// joining opens segments. Dropping the sweeper removes whatever is left.
@@ -40,28 +40,28 @@ impl HalfMadeSweeper {
     /// # Errors
     /// If the folder does not belong to a session, or the system refuses to start the thread or to open the
     /// shared-memory folder.
-    pub fn after_host(session: &Path) -> std::io::Result<HalfMadeSweeper> {
+    pub fn after_host(session: &Path) -> std::io::Result<SegmentSweeper> {
         let id = SessionId::of(session).ok_or(std::io::ErrorKind::InvalidInput)?;
         let folder = open_folder(session).map_err(std::io::Error::other)?;
         let sweep = Sweep::new(id.shared_memory_prefix())?;
-        HalfMadeSweeper::run(move |is_over| sweep.after_host(&folder, is_over))
+        SegmentSweeper::run(move |is_over| sweep.after_host(&folder, is_over))
     }
 
     /// Sweeps the segments whose names start with `prefix`.
     ///
     /// # Errors
     /// If the system refuses to start the thread or to open the folder.
-    pub(crate) fn start(prefix: String) -> std::io::Result<HalfMadeSweeper> {
+    pub(crate) fn start(prefix: String) -> std::io::Result<SegmentSweeper> {
         let sweep = Sweep::new(prefix)?;
-        HalfMadeSweeper::run(move |is_over| sweep.until(is_over))
+        SegmentSweeper::run(move |is_over| sweep.until(is_over))
     }
 
-    fn run(work: impl FnOnce(&AtomicBool) + Send + 'static) -> std::io::Result<HalfMadeSweeper> {
+    fn run(work: impl FnOnce(&AtomicBool) + Send + 'static) -> std::io::Result<SegmentSweeper> {
         let is_over = Arc::new(AtomicBool::new(false));
         let seen_over = Arc::clone(&is_over);
         let thread =
             std::thread::Builder::new().name("half-made".to_owned()).spawn(move || work(&seen_over))?;
-        Ok(HalfMadeSweeper { is_over, thread: Some(thread) })
+        Ok(SegmentSweeper { is_over, thread: Some(thread) })
     }
 }
 
@@ -108,7 +108,7 @@ impl Sweep {
     }
 }
 
-impl Drop for HalfMadeSweeper {
+impl Drop for SegmentSweeper {
     fn drop(&mut self) {
         self.is_over.store(true, Ordering::Relaxed);
         if let Some(thread) = self.thread.take() {

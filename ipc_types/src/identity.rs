@@ -10,7 +10,7 @@ use iceoryx2::service::dynamic_config::publish_subscribe::PublisherDetails;
 use crate::messages::layout::Message;
 use crate::messages::services;
 use crate::messages::{Command, ControllerIndex, DrrRequest, Part};
-use crate::ports::Received;
+use crate::ports::ReceivedMessage;
 use crate::session::{ByteService, Session, SessionError};
 use crate::shared_page::SharedPage;
 
@@ -129,7 +129,7 @@ impl Session {
 impl Requesters {
     /// Returns the controller that sent a request; `None` if it came from an observer or from a program that
     /// has since ended.
-    pub fn controller_of(&self, request: &Received<DrrRequest>) -> Option<ControllerIndex> {
+    pub fn controller_of(&self, request: &ReceivedMessage<DrrRequest>) -> Option<ControllerIndex> {
         let Sender(sender) = request.sender();
         let node = publishers(&self.requests).find(|details| details.publisher_id == sender)?.node_id;
         let mut all = ControllerIndex::first(self.commands.len()).zip(&self.commands);
@@ -158,7 +158,7 @@ impl Sender {
     }
 }
 
-impl<M: Message> Received<M> {
+impl<M: Message> ReceivedMessage<M> {
     /// Returns the connection that this message arrived over.
     pub fn sender(&self) -> Sender {
         Sender(self.sample.publisher_id())

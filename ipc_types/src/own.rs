@@ -1,8 +1,8 @@
 //! Resources that belong to the process that created them and not to its `fork` children.
 //!
 //! A `fork` child has a copy of every port of its parent and would close them when it ends, freeing the
-//! parent's slots in the services, its files and its shared memory. Each of these is therefore an [`Own`],
-//! which only its creator cleans up.
+//! parent's slots in the services, its files and its shared memory. Each of these is therefore an
+//! [`ProcessOwned`], which only its creator cleans up.
 //!
 //! A process recognises itself by a page that the kernel zeroes in every child (`MADV_WIPEONFORK`). Checking
 //! it is one load, where `getpid` is a system call, and it works however the process forks.
@@ -53,18 +53,22 @@ fn wiped_page() -> Option<MmapRaw> {
 
 /// A value that only its creating process drops.
 #[derive(Debug)]
-pub struct Own<T> {
+pub struct ProcessOwned<T> {
     value: ManuallyDrop<T>,
     made_by: Generation,
-    /// `ManuallyDrop::drop`. Called through a pointer, the code that drops a `T` is compiled once, where the value is
-    /// created, and not in every crate that drops one: a port of the transport takes rustc seconds.
+    /// `ManuallyDrop::drop`. Called through a pointer, the code that drops a `T` is compiled once, where the
+    /// value is created, and not in every crate that drops one: a port of the transport takes rustc seconds.
     drop: unsafe fn(&mut ManuallyDrop<T>),
 }
 
-impl<T> Own<T> {
+impl<T> ProcessOwned<T> {
     /// Wraps a value; this process becomes its owner.
-    pub fn new(value: T) -> Own<T> {
-        Own { value: ManuallyDrop::new(value), made_by: Generation::current(), drop: ManuallyDrop::<T>::drop }
+    pub fn new(value: T) -> ProcessOwned<T> {
+        ProcessOwned {
+            value: ManuallyDrop::new(value),
+            made_by: Generation::current(),
+            drop: ManuallyDrop::<T>::drop,
+        }
     }
 
     /// Returns whether this process owns it; if not, its parent does.
@@ -73,7 +77,7 @@ impl<T> Own<T> {
     }
 }
 
-impl<T> Deref for Own<T> {
+impl<T> Deref for ProcessOwned<T> {
     type Target = T;
 
     fn deref(&self) -> &T {
@@ -81,13 +85,13 @@ impl<T> Deref for Own<T> {
     }
 }
 
-impl<T> DerefMut for Own<T> {
+impl<T> DerefMut for ProcessOwned<T> {
     fn deref_mut(&mut self) -> &mut T {
         &mut self.value
     }
 }
 
-impl<T> Drop for Own<T> {
+impl<T> Drop for ProcessOwned<T> {
     fn drop(&mut self) {
         if self.is_ours() {
             // SAFETY: nothing else drops the value, and nothing uses it after its owner's drop.
@@ -116,14 +120,14 @@ mod tests {
         use std::io::Read;
         let (mut heard, bell) = std::io::pipe().unwrap();
         let before = Generation::current();
-        let own = Own::new(Bell(bell));
+        let own = ProcessOwned::new(Bell(bell));
         assert!(own.is_ours());
         // SAFETY: the child allocates nothing, drops a value whose drop makes at most one system call, and
         // exits with `_exit`.
         let child = unsafe { libc::fork() };
         if child == 0 {
             let is_foreign = !own.is_ours() && Generation::current() != before;
-            let of_its_own = Own::new(0_u8).is_ours();
+            let of_its_own = ProcessOwned::new(0_u8).is_ours();
             drop(own);
             // SAFETY: as above.
             unsafe { libc::_exit(i32::from(!(is_foreign && of_its_own))) };

@@ -16,7 +16,7 @@ use crate::identity::Guard;
 use crate::messages::Part;
 use crate::messages::layout::Message;
 use crate::messages::services;
-use crate::own::Own;
+use crate::own::ProcessOwned;
 
 /// Malformed messages that one call discards, so that a flood of them cannot stall the reader.
 const REFUSED_AT_ONCE: usize = 64;
@@ -119,16 +119,17 @@ impl<M: Message> Publisher<M> {
     }
 }
 
-/// A publisher of bytes. It knows no type of message, so that the transport's code is compiled once, in this crate.
+/// A publisher of bytes. It knows no type of message, so that the transport's code is compiled once, in this
+/// crate.
 #[derive(Debug)]
 pub(crate) struct ByteSender {
-    raw: Own<RawPublisher<ipc::Service, [u8], ()>>,
+    raw: ProcessOwned<RawPublisher<ipc::Service, [u8], ()>>,
     name: String,
 }
 
 impl ByteSender {
     pub(crate) fn new(raw: RawPublisher<ipc::Service, [u8], ()>, name: String) -> Self {
-        ByteSender { raw: Own::new(raw), name }
+        ByteSender { raw: ProcessOwned::new(raw), name }
     }
 
     fn send(&self, parts: &[&[u8]]) -> Result<(), PortError> {
@@ -199,9 +200,9 @@ impl<M: Message> Subscriber<M> {
     ///
     /// Returns an error for a message of the wrong length, which is taken off the queue. On a part's service,
     /// skips and counts messages from programs that are not that part ([`Subscriber::foreign_messages`]).
-    pub fn receive(&self) -> Result<Option<Received<M>>, PortError> {
+    pub fn receive(&self) -> Result<Option<ReceivedMessage<M>>, PortError> {
         let Some((sample, part)) = self.port.receive()? else { return Ok(None) };
-        Received::new(sample, part, &self.port.name).map(Some)
+        ReceivedMessage::new(sample, part, &self.port.name).map(Some)
     }
 
     /// Returns the number of messages so far from programs that are not the part that owns the service.
@@ -217,7 +218,7 @@ impl<M: Message> Subscriber<M> {
     pub fn receive_valid(
         &self,
         mut refused: impl FnMut(&PortError),
-    ) -> Result<Option<Received<M>>, PortError> {
+    ) -> Result<Option<ReceivedMessage<M>>, PortError> {
         for _ in 0..REFUSED_AT_ONCE {
             match self.receive() {
                 Err(error @ PortError::Length { .. }) => refused(&error),
@@ -228,7 +229,7 @@ impl<M: Message> Subscriber<M> {
     }
 
     /// Takes the newest message in the queue, if any, and drops the older ones.
-    pub fn receive_newest(&self) -> Result<Option<Received<M>>, PortError> {
+    pub fn receive_newest(&self) -> Result<Option<ReceivedMessage<M>>, PortError> {
         let mut newest = None;
         while let Some(received) = self.receive()? {
             newest = Some(received);
@@ -245,7 +246,7 @@ impl<M: Message> Subscriber<M> {
 /// A subscriber of bytes, as [`ByteSender`] is a publisher.
 #[derive(Debug)]
 pub(crate) struct ByteReceiver {
-    raw: Own<RawSubscriber<ipc::Service, [u8], ()>>,
+    raw: ProcessOwned<RawSubscriber<ipc::Service, [u8], ()>>,
     name: String,
     /// Present on services that only the hub's parts may write to.
     guard: Option<Guard>,
@@ -257,7 +258,7 @@ impl ByteReceiver {
         name: String,
         guard: Option<Guard>,
     ) -> Self {
-        ByteReceiver { raw: Own::new(raw), name, guard }
+        ByteReceiver { raw: ProcessOwned::new(raw), name, guard }
     }
 
     /// The oldest message and the part that sent it, skipping those of programs that are not that part.
@@ -275,7 +276,7 @@ impl ByteReceiver {
                     known => known,
                 },
             };
-            return Ok(Some((ByteSample(Own::new(sample)), part)));
+            return Ok(Some((ByteSample(ProcessOwned::new(sample)), part)));
         }
         Ok(None)
     }
@@ -287,7 +288,7 @@ impl ByteReceiver {
 
 /// A message's bytes in shared memory.
 #[derive(Debug)]
-pub(crate) struct ByteSample(Own<Sample<ipc::Service, [u8], ()>>);
+pub(crate) struct ByteSample(ProcessOwned<Sample<ipc::Service, [u8], ()>>);
 
 impl ByteSample {
     pub(crate) fn publisher_id(&self) -> UniquePublisherId {
@@ -302,14 +303,14 @@ impl ByteSample {
 /// A message in shared memory. Copy it before deciding on its content: its writer is another process and
 /// could change it.
 #[derive(Debug)]
-pub struct Received<M> {
+pub struct ReceivedMessage<M> {
     pub(crate) sample: ByteSample,
     part: Option<Part>,
     /// A copy, if the message is not aligned in shared memory.
     copy: Option<Box<M>>,
 }
 
-impl<M: Message> Received<M> {
+impl<M: Message> ReceivedMessage<M> {
     fn new(sample: ByteSample, part: Option<Part>, service: &str) -> Result<Self, PortError> {
         let bytes = sample.payload();
         M::DESCRIPTION.check_length(bytes).map_err(|expected| PortError::Length {
@@ -321,7 +322,7 @@ impl<M: Message> Received<M> {
             Ok(_) => None,
             Err(_) => M::read_from_prefix(bytes).ok().map(|(message, _)| Box::new(message)),
         };
-        Ok(Received { sample, part, copy })
+        Ok(ReceivedMessage { sample, part, copy })
     }
 
     /// Returns the part that sent it; `None` on services that every client may write to.

@@ -7,14 +7,14 @@ use zerocopy::IntoBytes;
 
 use crate::messages::services::{self, MAX_EVENT_TEXT};
 use crate::messages::{Event, EventCode, Participant, Severity, Tick, Volume};
-use crate::ports::{PortError, Publisher, Received, Subscriber};
+use crate::ports::{PortError, Publisher, ReceivedMessage, Subscriber};
 use crate::scene::{Policy, Scene, SceneError};
 use crate::session::{Session, SessionError};
 
 pub use crate::family::{
     bind_to_parent, bind_to_parent_with, children, descendants, end_with_parent, is_alive,
 };
-pub use crate::signals::{Continued, EndRequest, EndSignal};
+pub use crate::signals::{EndRequest, EndSignal, ResumeFlag};
 
 /// Exit code of a run that failed.
 pub const EXIT_FAILED: u8 = 1;
@@ -31,7 +31,10 @@ const VOLUME_LIMIT: Duration = Duration::from_secs(60);
 /// # Errors
 /// [`PortError::NoVolume`] if it did not arrive in time or the process was asked to end first; transport
 /// errors.
-pub fn await_volume(volumes: &Subscriber<Volume>, end: &EndRequest) -> Result<Received<Volume>, PortError> {
+pub fn await_volume(
+    volumes: &Subscriber<Volume>,
+    end: &EndRequest,
+) -> Result<ReceivedMessage<Volume>, PortError> {
     let limit = Instant::now() + VOLUME_LIMIT;
     while Instant::now() < limit && !end.is_set() {
         if let Some(volume) = volumes.receive()? {

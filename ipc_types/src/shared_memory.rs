@@ -53,7 +53,7 @@ impl Display for Identity {
 
 /// A segment whose memory could not be reserved.
 #[derive(Debug)]
-pub(crate) struct Short {
+pub(crate) struct MemoryShortage {
     pub(crate) bytes: u64,
     pub(crate) cause: io::Error,
 }
@@ -119,14 +119,14 @@ impl SharedMemory {
     /// Reserves the memory of every data segment of a session now, so that a full `/dev/shm` is an error here
     /// rather than a SIGBUS at the first write. Skips what another port has reserved, because reserving a
     /// page twice makes the kernel clear it at once.
-    pub(crate) fn reserve(&self, prefix: &str) -> Result<(), Short> {
+    pub(crate) fn reserve(&self, prefix: &str) -> Result<(), MemoryShortage> {
         for name in self.names(prefix).iter().filter(|name| name.ends_with(".data")) {
             // The segment of a process that has just ended needs no memory.
             let Some((file, stat)) = self.open_own(name, OFlags::WRONLY) else { continue };
             let bytes = u64::try_from(stat.st_size).unwrap_or(0);
             if !is_reserved(&stat) {
                 rustix::fs::fallocate(file.as_fd(), FallocateFlags::empty(), 0, bytes)
-                    .map_err(|cause| Short { bytes, cause: cause.into() })?;
+                    .map_err(|cause| MemoryShortage { bytes, cause: cause.into() })?;
             }
         }
         Ok(())
@@ -149,10 +149,10 @@ fn is_own(stat: &Stat) -> bool {
 
 /// Checks for free memory before a port is created: the transport touches its memory before we can reserve
 /// it, which is a SIGBUS if there is none.
-pub(crate) fn require_free(bytes: u64) -> Result<(), Short> {
+pub(crate) fn require_free(bytes: u64) -> Result<(), MemoryShortage> {
     match rustix::fs::statvfs(FOLDER) {
         Ok(stat) if stat.f_blocks > 0 && stat.f_bavail * stat.f_frsize < bytes => {
-            Err(Short { bytes, cause: Errno::NOSPC.into() })
+            Err(MemoryShortage { bytes, cause: Errno::NOSPC.into() })
         }
         // A file system that does not report it may have enough.
         _ => Ok(()),
@@ -164,7 +164,7 @@ const FILES_LEFT: u64 = 8;
 
 /// Why no file can be created in shared memory.
 #[derive(Debug)]
-pub(crate) enum Refused {
+pub(crate) enum MemoryRefusal {
     /// The system's reason.
     System(Errno),
     /// Enough bytes, but too few files.
@@ -176,11 +176,11 @@ pub(crate) enum Refused {
 
 /// Returns why shared memory takes no more files or bytes; `None` if it does. The transport reports neither
 /// where nor why it failed to create a segment.
-pub(crate) fn refusal() -> Option<Refused> {
+pub(crate) fn refusal() -> Option<MemoryRefusal> {
     refusal_of(FOLDER)
 }
 
-fn refusal_of(folder: &str) -> Option<Refused> {
+fn refusal_of(folder: &str) -> Option<MemoryRefusal> {
     // An unnamed file needs no cleanup.
     let flags = OFlags::RDWR | OFlags::TMPFILE | OFlags::CLOEXEC;
     let made = rustix::fs::openat(CWD, folder, flags, Mode::RUSR | Mode::WUSR);
@@ -189,16 +189,16 @@ fn refusal_of(folder: &str) -> Option<Refused> {
     match made.and_then(|file| rustix::fs::fallocate(file, FallocateFlags::empty(), 0, 1)) {
         // A file system without unnamed files may still take named ones.
         Ok(()) | Err(Errno::OPNOTSUPP | Errno::ISDIR) if left >= FILES_LEFT => None,
-        Err(cause) if left >= FILES_LEFT => Some(Refused::System(cause)),
-        _ => Some(Refused::NoFiles { left }),
+        Err(cause) if left >= FILES_LEFT => Some(MemoryRefusal::System(cause)),
+        _ => Some(MemoryRefusal::NoFiles { left }),
     }
 }
 
-impl Display for Refused {
+impl Display for MemoryRefusal {
     fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
         match self {
-            Refused::System(cause) => write!(f, "{}; ", io::Error::from(*cause))?,
-            Refused::NoFiles { left } => {
+            MemoryRefusal::System(cause) => write!(f, "{}; ", io::Error::from(*cause))?,
+            MemoryRefusal::NoFiles { left } => {
                 return write!(
                     f,
                     "only {left} more files can be created there; remove unused ones, or raise the limit \
@@ -207,12 +207,14 @@ impl Display for Refused {
             }
         }
         f.write_str(match self {
-            Refused::System(Errno::ROFS) => {
+            MemoryRefusal::System(Errno::ROFS) => {
                 "it must be writable: `mount -o remount,rw /dev/shm`; start a container without \
                  `--read-only`, or with `--tmpfs /dev/shm`"
             }
-            Refused::System(Errno::NOENT | Errno::NOTDIR) => "it must exist: `mount -t tmpfs tmpfs /dev/shm`",
-            Refused::System(Errno::ACCESS | Errno::PERM) => {
+            MemoryRefusal::System(Errno::NOENT | Errno::NOTDIR) => {
+                "it must exist: `mount -t tmpfs tmpfs /dev/shm`"
+            }
+            MemoryRefusal::System(Errno::ACCESS | Errno::PERM) => {
                 "every user must be able to create files there: set its mode to 1777"
             }
             _ => "free some space or enlarge /dev/shm",

@@ -87,17 +87,17 @@ impl EndRequest {
 /// Set when the process resumes after a stop (SIGSTOP, Ctrl-Z, a debugger's detach); the kernel then sends
 /// SIGCONT.
 #[derive(Debug, Clone, Default)]
-pub struct Continued(Arc<AtomicBool>);
+pub struct ResumeFlag(Arc<AtomicBool>);
 
-impl Continued {
+impl ResumeFlag {
     /// Installs a handler: from now on SIGCONT sets the flag; the process resumes as before.
     ///
     /// # Errors
     /// If the system refuses to install a handler.
-    pub fn install() -> std::io::Result<Continued> {
+    pub fn install() -> std::io::Result<ResumeFlag> {
         let flag = Arc::new(AtomicBool::new(false));
         signal_hook::flag::register(SIGCONT, Arc::clone(&flag))?;
-        Ok(Continued(flag))
+        Ok(ResumeFlag(flag))
     }
 
     /// Returns whether the process has resumed since the last call.

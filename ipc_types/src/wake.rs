@@ -1,9 +1,9 @@
 //! Waiting for messages: poll for a short while, then sleep until woken.
 //!
-//! How long a reader polls before it sleeps is set by its [`Way`]. No reader holds a core that another part
-//! needs: it spins only while there are more cores than spinning parts; otherwise it yields between polls. If
-//! a yield loses the core to another thread, it sleeps instead, for this wait and the next ones
-//! ([`YieldBackoff`]).
+//! How long a reader polls before it sleeps is set by its [`WaitStrategy`]. No reader holds a core that
+//! another part needs: it spins only while there are more cores than spinning parts; otherwise it yields
+//! between polls. If a yield loses the core to another thread, it sleeps instead, for this wait and the next
+//! ones ([`YieldBackoff`]).
 //!
 //! Waking must be free while the reader is awake. A reader about to sleep therefore raises a flag that it
 //! shares with its writers, polls its queues once more, and then blocks on its iceoryx2 event; a writer sends
@@ -21,7 +21,7 @@ use iceoryx2::port::listener::Listener;
 use iceoryx2::port::notifier::Notifier;
 use iceoryx2::prelude::{PortFactory, ipc};
 
-use crate::own::Own;
+use crate::own::ProcessOwned;
 use crate::scene::{Policy, Wait};
 use crate::session::EventService;
 use crate::shared_page::{FLAG_NEW, SharedPage};
@@ -40,7 +40,7 @@ const LONGEST_SLEEP: Duration = Duration::from_millis(10);
 /// Wakes one reader.
 #[derive(Debug)]
 pub struct Waker {
-    pub(crate) notifier: Own<Notifier<ipc::Service>>,
+    pub(crate) notifier: ProcessOwned<Notifier<ipc::Service>>,
     pub(crate) page: SharedPage,
     pub(crate) reader: usize,
     pub(crate) service: EventService,
@@ -90,7 +90,7 @@ pub fn allowed_cores() -> usize {
 
 /// How a thread waits before it sleeps.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Way {
+pub enum WaitStrategy {
     /// Polls continuously and never sleeps.
     Spin,
     /// As `Spin`, but yields between polls.
@@ -101,18 +101,18 @@ pub enum Way {
     Sleep,
 }
 
-impl Way {
+impl WaitStrategy {
     /// Chooses how one of `spinning` parts waits on `cores` cores. On one core it sleeps. If the spinning
     /// parts leave no core free, they yield, or sleep under `SCHED_FIFO`, where a yield lets no other part
     /// run.
-    pub fn of(wait: Wait, policy: Policy, spinning: usize, cores: usize) -> Way {
+    pub fn of(wait: Wait, policy: Policy, spinning: usize, cores: usize) -> WaitStrategy {
         match (wait, policy) {
-            (Wait::Event, _) => Way::Sleep,
-            (Wait::Hybrid, _) => Way::Hybrid,
-            (Wait::Spin, _) if cores <= 1 => Way::Sleep,
-            (Wait::Spin, _) if spinning < cores => Way::Spin,
-            (Wait::Spin, Policy::Other) => Way::Yield,
-            (Wait::Spin, Policy::Fifo) => Way::Sleep,
+            (Wait::Event, _) => WaitStrategy::Sleep,
+            (Wait::Hybrid, _) => WaitStrategy::Hybrid,
+            (Wait::Spin, _) if cores <= 1 => WaitStrategy::Sleep,
+            (Wait::Spin, _) if spinning < cores => WaitStrategy::Spin,
+            (Wait::Spin, Policy::Other) => WaitStrategy::Yield,
+            (Wait::Spin, Policy::Fifo) => WaitStrategy::Sleep,
         }
     }
 }
@@ -151,9 +151,9 @@ impl YieldBackoff {
 /// Lets a reader wait for its messages.
 #[derive(Debug)]
 pub struct Waiter {
-    pub(crate) way: Way,
+    pub(crate) way: WaitStrategy,
     pub(crate) yield_backoff: YieldBackoff,
-    pub(crate) listener: Own<Listener<ipc::Service>>,
+    pub(crate) listener: ProcessOwned<Listener<ipc::Service>>,
     pub(crate) page: SharedPage,
     pub(crate) reader: usize,
 }
@@ -181,13 +181,13 @@ impl Waiter {
         }
     }
 
-    /// Polls without sleeping, as its [`Way`] prescribes; returns whether it is ready.
+    /// Polls without sleeping, as its [`WaitStrategy`] prescribes; returns whether it is ready.
     fn poll(&self, deadline: Instant, ready: &mut impl FnMut() -> bool) -> bool {
         let end = match self.way {
-            Way::Sleep => return ready(),
-            Way::Hybrid if !self.yield_backoff.core_seems_free() => return ready(),
-            Way::Hybrid => Instant::now() + YIELD_TIME,
-            Way::Spin | Way::Yield => deadline,
+            WaitStrategy::Sleep => return ready(),
+            WaitStrategy::Hybrid if !self.yield_backoff.core_seems_free() => return ready(),
+            WaitStrategy::Hybrid => Instant::now() + YIELD_TIME,
+            WaitStrategy::Spin | WaitStrategy::Yield => deadline,
         };
         loop {
             if ready() {
@@ -197,9 +197,9 @@ impl Waiter {
                 return false;
             }
             match self.way {
-                Way::Spin => std::hint::spin_loop(),
-                Way::Yield => std::thread::yield_now(),
-                Way::Hybrid | Way::Sleep => {
+                WaitStrategy::Spin => std::hint::spin_loop(),
+                WaitStrategy::Yield => std::thread::yield_now(),
+                WaitStrategy::Hybrid | WaitStrategy::Sleep => {
                     if !self.yield_backoff.offer_core() {
                         return ready();
                     }
@@ -221,15 +221,17 @@ mod tests {
     #[test]
     fn nothing_spins_on_one_core_and_spinning_parts_leave_others_a_core() {
         for policy in [Policy::Other, Policy::Fifo] {
-            for (wait, one) in
-                [(Wait::Spin, Way::Sleep), (Wait::Event, Way::Sleep), (Wait::Hybrid, Way::Hybrid)]
-            {
-                assert_eq!(Way::of(wait, policy, 2, 1), one);
+            for (wait, one) in [
+                (Wait::Spin, WaitStrategy::Sleep),
+                (Wait::Event, WaitStrategy::Sleep),
+                (Wait::Hybrid, WaitStrategy::Hybrid),
+            ] {
+                assert_eq!(WaitStrategy::of(wait, policy, 2, 1), one);
             }
-            assert_eq!(Way::of(Wait::Spin, policy, 2, 3), Way::Spin);
+            assert_eq!(WaitStrategy::of(Wait::Spin, policy, 2, 3), WaitStrategy::Spin);
         }
-        assert_eq!(Way::of(Wait::Spin, Policy::Other, 2, 2), Way::Yield);
-        assert_eq!(Way::of(Wait::Spin, Policy::Fifo, 2, 2), Way::Sleep);
+        assert_eq!(WaitStrategy::of(Wait::Spin, Policy::Other, 2, 2), WaitStrategy::Yield);
+        assert_eq!(WaitStrategy::of(Wait::Spin, Policy::Fifo, 2, 2), WaitStrategy::Sleep);
     }
 
     #[test]

@@ -3,8 +3,8 @@
 use std::net::{IpAddr, SocketAddr};
 use std::path::{Path, PathBuf};
 
-use bridge_proc::igtl::{self, IgtlOptions, Permission, Where};
-use bridge_proc::ros2::{self, Reach, Ready, Ros2Options};
+use bridge_proc::igtl::{self, IgtlOptions, PeerEndpoint, Permission};
+use bridge_proc::ros2::{self, NetworkScope, Ready, Ros2Options};
 use clap::{ArgGroup, Args, Subcommand};
 use foreign_text::foreign_path;
 use ipc_types::process::EndRequest;
@@ -35,10 +35,10 @@ pub enum BridgeCommand {
 }
 
 /// DDS discovery ranges, named as in ROS_AUTOMATIC_DISCOVERY_RANGE.
-const RANGES: [Choice<Reach>; 3] = [
-    ("LOCALHOST", "This machine only", Reach::Localhost),
-    ("SUBNET", "All networks of this machine", Reach::Subnet),
-    ("SYSTEM_DEFAULT", "Same as LOCALHOST, the default of this bridge", Reach::Localhost),
+const RANGES: [Choice<NetworkScope>; 3] = [
+    ("LOCALHOST", "This machine only", NetworkScope::Localhost),
+    ("SUBNET", "All networks of this machine", NetworkScope::Subnet),
+    ("SYSTEM_DEFAULT", "Same as LOCALHOST, the default of this bridge", NetworkScope::Localhost),
 ];
 
 /// Arguments of `bridge ros2`.
@@ -64,7 +64,7 @@ pub struct Ros2Arguments {
         ignore_case = true,
         value_parser = choice(&RANGES)
     )]
-    discovery_range: Reach,
+    discovery_range: NetworkScope,
     /// States per second.
     #[arg(long, value_name = "HZ", default_value_t = 100.0)]
     rate: f64,
@@ -201,8 +201,8 @@ impl Ros2Arguments {
         // The older variable overrides the range if set.
         let only_localhost = std::env::var_os("ROS_LOCALHOST_ONLY").is_some_and(|value| value == "1");
         let reach = match self.discovery_range {
-            Reach::Subnet if !only_localhost => Reach::Subnet,
-            _ => Reach::Localhost,
+            NetworkScope::Subnet if !only_localhost => NetworkScope::Subnet,
+            _ => NetworkScope::Localhost,
         };
         Ok(Ros2Options {
             session: self.session.clone(),
@@ -219,8 +219,8 @@ impl Ros2Arguments {
 impl IgtlArguments {
     fn options(&self) -> Result<IgtlOptions, Failure> {
         let peers = match self.connect {
-            Some(address) => Where::Connect(address),
-            None => Where::Listen(SocketAddr::new(self.bind, self.port)),
+            Some(address) => PeerEndpoint::Connect(address),
+            None => PeerEndpoint::Listen(SocketAddr::new(self.bind, self.port)),
         };
         let permission = match &self.control_token_file {
             Some(file) => Permission::Token(token(file)?),

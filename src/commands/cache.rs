@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
 use clap::Subcommand;
-use ipc_types::session::Unfit;
+use ipc_types::session::PlaceError;
 use serde_json::json;
 
 use crate::cache::{Cache, CachedFile, LIMIT_BYTES, place};
@@ -39,7 +39,7 @@ pub fn run(command: &CacheCommand) -> Result<(), Failure> {
 fn opened(path: &Path) -> Result<Option<Cache>, Failure> {
     match Cache::open_existing(path) {
         Ok(cache) => Ok(Some(cache)),
-        Err(Unfit::Missing | Unfit::System(_)) => Ok(None),
+        Err(PlaceError::Missing | PlaceError::System(_)) => Ok(None),
         Err(cause) => Err(Failure::bad_input(format!(
             "{}: unusable as a cache: {cause}; make it a folder of mode 700 owned by you, or remove it",
             path.display()

@@ -18,8 +18,8 @@ use crate::output::refuse_existing;
 use crate::say::Figures;
 use crate::x_ray::dicom::{Series, write_dicom};
 use crate::x_ray::files::{Animation, write_nrrd, write_png};
-use crate::x_ray::poses::{self, Placed, Pose};
-use crate::x_ray::series::{Look, render_and_write};
+use crate::x_ray::poses::{self, Pose, ResolvedPose};
+use crate::x_ray::series::{RenderStyle, render_and_write};
 use inputs::suspicions;
 
 /// Arguments of `drr`.
@@ -164,7 +164,7 @@ pub fn run(arguments: &DrrArguments) -> Result<(), Failure> {
     let view = VolumeView::try_from(&volume).map_err(Failure::bad_input)?;
     let mut renderer = DrrRenderer::new(&view, parameters(arguments), &ThisMachine).map_err(of_flag)?;
     let series = Series::new(volume_io::volume_hash(&volume), &placed, arguments.tube_kv);
-    let look = Look {
+    let look = RenderStyle {
         as_values: kind == Kind::Nrrd,
         linear: arguments.display == Display::Linear,
         dense_is_dark: arguments.display == Display::BoneDark,
@@ -259,7 +259,7 @@ fn all_poses(arguments: &DrrArguments) -> Result<Vec<Pose>, Failure> {
 }
 
 /// Resolves all poses, so that a bad one is reported before anything is rendered.
-fn place(poses: &[Pose], volume: &Volume) -> Result<Vec<Placed>, Failure> {
+fn place(poses: &[Pose], volume: &Volume) -> Result<Vec<ResolvedPose>, Failure> {
     let centre_m = volume.grid.world_m(volume.grid.dims().map(|n| 0.5 * (n as f64 - 1.0)));
     let number = |i: usize, cause| Failure::bad_input(format!("pose {}: {cause}", i + 1));
     poses.iter().enumerate().map(|(i, p)| p.place(centre_m).map_err(|cause| number(i, cause))).collect()

@@ -14,7 +14,7 @@ use crate::failure::Failure;
 use crate::feasibility;
 use crate::launcher::volume_source::{self, VolumeFiles};
 use crate::output::refuse_existing;
-use crate::planned::Planned;
+use crate::planned::PlannedScene;
 use crate::say::Figures;
 
 /// Arguments of `scene from-markups`.
@@ -52,7 +52,7 @@ pub fn run(arguments: &FromMarkupsArguments) -> Result<(), Failure> {
     refuse_outside(arguments, &plan, &volume)?;
     let folder = absolute(output.parent().unwrap_or(Path::new("")));
     let [plan_file, ct] = [&arguments.plan, &arguments.ct].map(|file| from(&folder, file));
-    let planned = Planned {
+    let planned = PlannedScene {
         name,
         plan_file: &plan_file,
         plan,
@@ -116,7 +116,7 @@ fn refuse_outside(arguments: &FromMarkupsArguments, plan: &Plan, volume: &Volume
     Ok(())
 }
 
-fn say(arguments: &FromMarkupsArguments, planned: &Planned, output: &Path, notes: &[String]) {
+fn say(arguments: &FromMarkupsArguments, planned: &PlannedScene, output: &Path, notes: &[String]) {
     let (plan, arc) = (&planned.plan, planned.arc());
     let place = |[x, y, z]: [f64; 3]| format!("{x:.1}, {y:.1}, {z:.1}");
     let bend = plan.bend_mm().map_or(String::new(), |bend_mm| format!("bend         {}\n", place(bend_mm)));

@@ -6,7 +6,7 @@ use std::process::ExitCode;
 
 use clap::{Args, Subcommand};
 use ipc_types::process::end_with_parent;
-use ipc_types::session::{HalfMadeSweeper, host_is_alive};
+use ipc_types::session::{SegmentSweeper, host_is_alive};
 
 use crate::failure::Failure;
 use crate::keeper;
@@ -15,9 +15,9 @@ use crate::keeper;
 #[derive(Debug, Subcommand)]
 pub enum ProcCommand {
     /// The physics process.
-    Physics(Joined),
+    Physics(SessionArgument),
     /// The X-ray (DRR) process.
-    Drr(Joined),
+    Drr(SessionArgument),
     /// One of the scene's built-in controllers.
     Controller {
         /// Its name in the scene.
@@ -25,7 +25,7 @@ pub enum ProcCommand {
         name: String,
         /// The session.
         #[command(flatten)]
-        joined: Joined,
+        joined: SessionArgument,
     },
     /// The recorder.
     Recorder {
@@ -34,7 +34,7 @@ pub enum ProcCommand {
         output: PathBuf,
         /// The session.
         #[command(flatten)]
-        joined: Joined,
+        joined: SessionArgument,
     },
     /// A third-party program and all its descendants; standard input is a socket to the launcher.
     #[command(hide = true)]
@@ -47,7 +47,7 @@ pub enum ProcCommand {
 
 /// The session to join.
 #[derive(Debug, Args)]
-pub struct Joined {
+pub struct SessionArgument {
     /// Folder of the session; `trabecula run` prints it.
     #[arg(long, env = "TRABECULA_SESSION")]
     session: PathBuf,
@@ -57,7 +57,7 @@ pub struct Joined {
 pub fn run(command: &ProcCommand) -> Result<ExitCode, Failure> {
     end_with_parent();
     // A part must end even if its launcher was killed while creating a segment.
-    let _sweeper = command.session().map(HalfMadeSweeper::after_host);
+    let _sweeper = command.session().map(SegmentSweeper::after_host);
     match command {
         ProcCommand::Physics(joined) => {
             physics_proc::process::run(joined.to_living()?).map_err(Failure::failed)?;
@@ -88,7 +88,7 @@ impl ProcCommand {
     }
 }
 
-impl Joined {
+impl SessionArgument {
     /// Returns the session's folder if its host is alive. A host that died before [`end_with_parent`] was set
     /// up sends no signal, so this checks for it.
     fn to_living(&self) -> Result<&Path, Failure> {

@@ -7,7 +7,7 @@ use clap::Args;
 use recorder_proc::exit_code::exit_code;
 use run_log::Verdict;
 use run_log::hash_text;
-use run_log::segments::{Passed, SegmentOptions, SegmentReport, keyframe_before, verify_segments};
+use run_log::segments::{SegmentOptions, SegmentReport, SkippedGap, keyframe_before, verify_segments};
 use run_log::verify::ReplayReport;
 use serde_json::json;
 
@@ -19,7 +19,7 @@ use crate::failure::Failure;
 use crate::feasibility::is_program;
 use crate::launcher::volume_source::VolumeFiles;
 use crate::replay::{
-    ComparedFrames, LivePlan, OpenedLog, Overrides, Recorded, record, run_live, step, verify_frames,
+    ComparedFrames, LivePlan, OpenedLog, Overrides, ReplayRecording, record, run_live, step, verify_frames,
 };
 use crate::say::Figures;
 
@@ -215,7 +215,7 @@ fn replay(
     }
     let of_gaps = if found.gaps.is_empty() { 0 } else { EXIT_GAP };
     let code = verdict.as_ref().map_or(of_gaps, |verdict| exit_code(verdict).max(of_gaps));
-    let ticks = |gap: &Passed| [gap.after, gap.resumed].map(|tick| tick.map(|tick| tick.0));
+    let ticks = |gap: &SkippedGap| [gap.after, gap.resumed].map(|tick| tick.map(|tick| tick.0));
     let figures = json!({
         "verified": arguments.verify,
         "first_tick": found.first_tick.0,
@@ -291,8 +291,8 @@ fn tell(
     }
 }
 
-fn tell_recorded(recorded: &Recorded, log: &OpenedLog, figures: Figures) -> Result<(), Failure> {
-    let Recorded { path, ticks, frames, sha256, remark } = recorded;
+fn tell_recorded(recorded: &ReplayRecording, log: &OpenedLog, figures: Figures) -> Result<(), Failure> {
+    let ReplayRecording { path, ticks, frames, sha256, remark } = recorded;
     let [theirs, ours] = sha256;
     if figures.json {
         say!("{}", json!({"output": path, "ticks": ticks, "frames": frames, "sha256": sha256}));

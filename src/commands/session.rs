@@ -25,18 +25,18 @@ pub enum SessionCommand {
         json: bool,
     },
     /// Stop a run after the current tick.
-    Stop(Named),
+    Stop(SessionSelector),
     /// Pause a run before the next tick.
-    Pause(Named),
+    Pause(SessionSelector),
     /// Resume a paused run.
-    Resume(Named),
+    Resume(SessionSelector),
     /// Print the environment variables that a program needs to join: `eval "$(trabecula session env)"`.
-    Env(Named),
+    Env(SessionSelector),
 }
 
 /// Selects a session.
 #[derive(Debug, Args)]
-pub struct Named {
+pub struct SessionSelector {
     /// Name or folder of the session; default: `TRABECULA_SESSION`, or else this user's only running session.
     session: Option<String>,
 }
@@ -84,13 +84,13 @@ fn name_of(folder: &Path) -> String {
     folder.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned())
 }
 
-fn joined(named: &Named) -> Result<Client, Failure> {
+fn joined(named: &SessionSelector) -> Result<Client, Failure> {
     let connection =
         Connection { session: named.session.clone(), limit: Duration::ZERO, ..Connection::observer() };
     Client::connect(&connection).map_err(Failure::bad_input)
 }
 
-fn control(named: &Named, action: ControlAction) -> Result<(), Failure> {
+fn control(named: &SessionSelector, action: ControlAction) -> Result<(), Failure> {
     let mut client = joined(named)?;
     let session = client.session_name();
     let reply = client.run_control(action.code(), 0, LIMIT).map_err(|cause| match cause {
@@ -101,7 +101,7 @@ fn control(named: &Named, action: ControlAction) -> Result<(), Failure> {
     Ok(())
 }
 
-fn env(named: &Named) -> Result<(), Failure> {
+fn env(named: &SessionSelector) -> Result<(), Failure> {
     let client = joined(named)?;
     say!("export {SESSION_VARIABLE}={}", client.info().folder.display());
     let mut external = client.scene().controller.iter().filter(|controller| controller.external);

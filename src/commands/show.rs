@@ -13,7 +13,7 @@ use crate::output::refuse_existing;
 use crate::report::ReportError;
 use crate::say::{Figures, merged};
 use crate::scene_picture::facts::Facts;
-use crate::scene_picture::figure::{Pictured, draw};
+use crate::scene_picture::figure::{PictureInput, draw};
 use crate::scene_picture::shape::Shapes;
 use crate::scene_picture::surroundings::Surroundings;
 use crate::scenes::{BuiltIn, SceneSource};
@@ -57,7 +57,7 @@ pub fn run(arguments: &ShowArguments) -> Result<(), Failure> {
     let threshold_hu = scene.volume.as_ref().map_or(0, |volume| volume.bone_threshold_hu);
     let surroundings = Surroundings::of(&volume, threshold_hu);
     let facts = Facts::of(&scene, &volume, &surroundings, &shapes)?;
-    let pictured = Pictured { scene: &scene, volume: &volume, shapes: &shapes, facts: &facts };
+    let pictured = PictureInput { scene: &scene, volume: &volume, shapes: &shapes, facts: &facts };
     draw(&pictured).and_then(|figure| figure.write_png(output)).map_err(ReportError::from)?;
     arguments.figures.say(
         || text_of(arguments, &facts),

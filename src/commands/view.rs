@@ -8,12 +8,12 @@ use clap::Args;
 use ipc_types::arm_meshes::ArmMeshError;
 use ipc_types::process::EndRequest;
 use ipc_types::scene::Scene;
-use ipc_types::session::{SESSION_VARIABLE, Searched, only_session};
+use ipc_types::session::{SESSION_VARIABLE, SearchedPlaces, only_session};
 use simulation::manipulator_parameters;
 use viewer_proc::live;
-use viewer_proc::log::{self, LogOptions, SceneHelp};
-use viewer_proc::server::Door;
-use viewer_proc::{ArmLooks, ServerOptions, ToolShape, ViewerError};
+use viewer_proc::log::{self, LogOptions, SceneCallbacks};
+use viewer_proc::server::ListeningPort;
+use viewer_proc::{ArmMeshes, ServerOptions, ToolShape, ViewerError};
 
 use super::view_arm::{arm_looks, arm_parts};
 use super::view_plan::OpenedScene;
@@ -79,13 +79,13 @@ impl ServerArguments {
     }
 
     /// Prints the page's address and opens it. `folder` holds the file that redirects the browser to it.
-    fn ready(&self, door: &Door, folder: &Path) -> Option<RedirectFile> {
+    fn ready(&self, door: &ListeningPort, folder: &Path) -> Option<RedirectFile> {
         say!("{}", door.url());
         if self.no_open { None } else { RedirectFile::open(&door.url(), folder) }
     }
 
-    fn door(&self) -> Result<Door, Failure> {
-        Door::open(&self.options()).map_err(|error| failure(&error))
+    fn door(&self) -> Result<ListeningPort, Failure> {
+        ListeningPort::open(&self.options()).map_err(|error| failure(&error))
     }
 }
 
@@ -113,7 +113,7 @@ pub fn run(arguments: &ViewArguments) -> Result<(), Failure> {
     let only = || only_session().map_err(Failure::bad_input);
     let session = match named.map_or_else(only, |folder| Ok(Some(folder)))? {
         Some(folder) => folder,
-        None => return Err(failure(&ViewerError::NoSession(Searched::places(None)))),
+        None => return Err(failure(&ViewerError::NoSession(SearchedPlaces::places(None)))),
     };
     redirect_file::sweep(&session);
     let door = arguments.server.door()?;
@@ -153,7 +153,7 @@ fn view_plan(scene: &Path, arguments: &ViewArguments, end: &EndRequest) -> Resul
 fn view_followed(
     log: PathBuf,
     arguments: &ViewArguments,
-    door: &Door,
+    door: &ListeningPort,
     end: &EndRequest,
 ) -> Result<(), Failure> {
     let options = LogOptions { log, second: None, until_left: true };
@@ -172,13 +172,13 @@ fn view_logs(log: &Path, arguments: &ViewArguments, end: &EndRequest) -> Result<
 fn show_logs(
     options: &LogOptions,
     arguments: &ViewArguments,
-    door: &Door,
+    door: &ListeningPort,
     ready: impl FnOnce(),
     end: &EndRequest,
 ) -> Result<(), Failure> {
     let volume =
         |scene: &Scene| volume_source::load(scene, arguments.volume_files).map_err(|error| error.to_string());
-    let help = SceneHelp { shapes: &shapes, volume: &volume };
+    let help = SceneCallbacks { shapes: &shapes, volume: &volume };
     log::view(options, door, &help, ready, end).map_err(|error| failure(&error))
 }
 
@@ -189,8 +189,8 @@ pub(super) fn failure(error: &ViewerError) -> Failure {
 
 /// Returns a scene's tool and arm as the page draws them. If an arm mesh is missing, adds a note and draws
 /// the arm as tubes, because a log may be viewed on a machine without the arm's files.
-fn shapes(scene: &Scene) -> (ToolShape, ArmLooks) {
-    let tubes = |cause: ArmMeshError| ArmLooks {
+fn shapes(scene: &Scene) -> (ToolShape, ArmMeshes) {
+    let tubes = |cause: ArmMeshError| ArmMeshes {
         meshes: Vec::new(),
         notes: vec![format!("the arm is drawn as tubes: {cause}")],
     };

@@ -6,7 +6,7 @@ use ipc_types::scene::{Arm, ArmMesh, Scene};
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use simulation::arm::{ArmGeometry, ArmParameters, Joints, LinkFrames};
 use simulation::pose;
-use viewer_proc::ArmLooks;
+use viewer_proc::ArmMeshes;
 use viewer_proc::surface::link_mesh;
 
 /// Returns the geometry of a scene's arm without its tool; the last frame is the flange.
@@ -22,7 +22,7 @@ pub fn arm_parts(scene: &Scene) -> Option<Vec<Pose>> {
 }
 
 /// Returns the links of a scene's arm that have meshes.
-pub fn arm_looks(scene: &Scene) -> Result<ArmLooks, ArmMeshError> {
+pub fn arm_looks(scene: &Scene) -> Result<ArmMeshes, ArmMeshError> {
     let loaded = arm_meshes::load(&scene.arm)?;
     let geometry = geometry(scene);
     let mut links = vec![Vec::new(); geometry.joints() + 1];
@@ -40,7 +40,7 @@ pub fn arm_looks(scene: &Scene) -> Result<ArmLooks, ArmMeshError> {
         }));
     }
     let meshed = links.iter().zip(0..).filter(|(triangles, _)| !triangles.is_empty());
-    Ok(ArmLooks {
+    Ok(ArmMeshes {
         meshes: meshed.map(|(triangles, frame)| link_mesh(frame, triangles)).collect(),
         notes: arm_meshes::undrawn(&scene.arm),
     })

@@ -7,8 +7,8 @@ use ipc_types::scene::Scene;
 use serde_json::{Value, json};
 use simulation::{CtView, Simulation};
 use viewer_proc::ViewerError;
-use viewer_proc::plan::{self, Planned, Planner, Saved};
-use viewer_proc::server::Door;
+use viewer_proc::plan::{self, Planner, SaveOutcome, ScenePreview};
+use viewer_proc::server::ListeningPort;
 use viewer_proc::services::Places;
 use voxel_grid::{Ct, Volume};
 
@@ -51,7 +51,7 @@ impl OpenedScene {
     /// The simulation rejects the scene (2); the server cannot be started (1).
     pub fn view(
         &self,
-        door: &Door,
+        door: &ListeningPort,
         ready: impl FnOnce(),
         end: &EndRequest,
     ) -> Result<Option<StartedRun>, Failure> {
@@ -90,7 +90,7 @@ struct Editor<'a> {
 }
 
 impl Editor<'_> {
-    fn take(&mut self, places: Places) -> Result<Planned, String> {
+    fn take(&mut self, places: Places) -> Result<ScenePreview, String> {
         let OpenedScene { file, text, scene, ct, .. } = self.opened;
         let volume = ct.as_ref().map(|ct| &ct.volume);
         let text = moved(text, scene, &places).map_err(|cause| format!("{}: {cause}", file.display()))?;
@@ -104,7 +104,7 @@ impl Editor<'_> {
 }
 
 impl Planner for Editor<'_> {
-    fn move_places(&mut self, places: &Places) -> Result<Planned, String> {
+    fn move_places(&mut self, places: &Places) -> Result<ScenePreview, String> {
         self.take(Places {
             burr_start_mm: places.burr_start_mm.or(self.places.burr_start_mm),
             target_mm: places.target_mm.or(self.places.target_mm),
@@ -112,11 +112,11 @@ impl Planner for Editor<'_> {
         })
     }
 
-    fn restore(&mut self) -> Result<Planned, String> {
+    fn restore(&mut self) -> Result<ScenePreview, String> {
         self.take(Places::default())
     }
 
-    fn save(&mut self, name: &str, replace: bool) -> Result<Saved, String> {
+    fn save(&mut self, name: &str, replace: bool) -> Result<SaveOutcome, String> {
         let name = SceneName::parse(name).map_err(|cause| cause.to_string())?;
         let original = &self.opened.file;
         let file = name.within(output_file::folder_of(original));
@@ -132,7 +132,7 @@ impl Planner for Editor<'_> {
             ));
         }
         if is_there && !replace {
-            return Ok(Saved::Exists(file));
+            return Ok(SaveOutcome::Exists(file));
         }
         let written = match is_there {
             true => replaced(&file, &self.text),
@@ -140,7 +140,7 @@ impl Planner for Editor<'_> {
         };
         written?;
         self.saved = (file.clone(), self.text.clone());
-        Ok(Saved::As(file))
+        Ok(SaveOutcome::As(file))
     }
 
     fn run(&mut self) -> Result<(), String> {
@@ -182,7 +182,7 @@ fn measure(
     scene: &Scene,
     volume: Option<&Volume>,
     surroundings: Option<&Surroundings<'_>>,
-) -> Result<Planned, Failure> {
+) -> Result<ScenePreview, Failure> {
     let shapes = Shapes::of(scene)?;
     let simulation = Simulation::new(scene, volume.map(CtView::from)).map_err(Failure::bad_input)?;
     let (state, predrilled) = (*simulation.state(), simulation.gone());
@@ -190,7 +190,7 @@ fn measure(
     let facts = volume.zip(surroundings).map(|(volume, map)| Facts::of(scene, volume, map, &shapes));
     let facts = facts.transpose()?;
     let plan = plan(scene, &shapes, facts.as_ref())?;
-    Ok(Planned {
+    Ok(ScenePreview {
         tool: tool_shape(scene),
         state,
         predrilled,

@@ -10,7 +10,7 @@ use super::log::{json, judged};
 use crate::failure::Failure;
 use crate::launcher::volume_source::{VolumeChoice, VolumeFiles};
 use crate::output::refuse_existing;
-use crate::replay::{Gone, OpenedLog, Overrides};
+use crate::replay::{OpenedLog, Overrides, RemovedBone};
 use crate::say::Figures;
 
 /// Arguments of `volume`.
@@ -130,7 +130,7 @@ fn write_drilled(arguments: &DrilledArguments) -> Result<(), Failure> {
         ..Overrides::default()
     };
     let mut log = OpenedLog::open(&arguments.log, &overrides)?;
-    let gone = Gone::of(&log, arguments.tick)?;
+    let gone = RemovedBone::of(&log, arguments.tick)?;
     let Some(Ct { mut volume, .. }) = log.ct.take() else {
         return Err(Failure::bad_input(format!("{}: this run has no volume", log.path.display())));
     };

@@ -27,16 +27,16 @@ pub struct Deviation {
 
 /// The burr's path, sampled at a minimum distance; the first and last positions are always included.
 #[derive(Debug)]
-pub struct Travelled {
+pub struct PathRecorder {
     step_mm: f64,
     places: Vec<Place>,
     last: Option<Place>,
 }
 
-impl Travelled {
+impl PathRecorder {
     /// Creates an empty path.
-    pub fn new(step_mm: f64) -> Travelled {
-        Travelled { step_mm, places: Vec::new(), last: None }
+    pub fn new(step_mm: f64) -> PathRecorder {
+        PathRecorder { step_mm, places: Vec::new(), last: None }
     }
 
     /// Adds the next state.
@@ -120,7 +120,7 @@ mod tests {
 
     #[test]
     fn a_travelled_path_keeps_a_place_a_step_and_both_ends() {
-        let mut path = Travelled::new(0.1);
+        let mut path = PathRecorder::new(0.1);
         for tick in 0..=100_u64 {
             let mut state = State::zeroed();
             (state.tick, state.t_world_burr.position_m[0]) = (tick, tick as f64 * 1.3e-5);

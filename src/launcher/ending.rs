@@ -60,7 +60,7 @@ impl Wait<'_> {
 
 /// When a part receives SIGTERM.
 #[derive(Clone, Copy, PartialEq, Eq)]
-enum Ask {
+enum TerminationTiming {
     AtOnce,
     /// After it has had its own time to end, or at once if nothing depends on it.
     WhenDue,
@@ -85,10 +85,18 @@ impl Ending<'_> {
             (false, Outcome::Completed | Outcome::Stopped | Outcome::Interrupted) => END_LIMIT,
             (false, _) => FAILED_LIMIT,
         };
-        self.end_physics(limit, if stops { Ask::AtOnce } else { Ask::WhenDue }, parts);
+        self.end_physics(
+            limit,
+            if stops { TerminationTiming::AtOnce } else { TerminationTiming::WhenDue },
+            parts,
+        );
         let over = Instant::now();
         let untold = stops && outcome != Outcome::Interrupted;
-        self.end_others(limit, if untold { Ask::AtOnce } else { Ask::WhenDue }, parts);
+        self.end_others(
+            limit,
+            if untold { TerminationTiming::AtOnce } else { TerminationTiming::WhenDue },
+            parts,
+        );
         if outcome.is_regular() && self.end.is_set() {
             outcome = Outcome::Interrupted;
         }
@@ -112,7 +120,7 @@ impl Ending<'_> {
 
     /// Ends the physics. It waits until the DRR process and the recorder have received everything; if one of
     /// them dies, or after a signal, it is asked to stop waiting.
-    fn end_physics(&self, limit: Duration, ask: Ask, parts: &mut [Part]) {
+    fn end_physics(&self, limit: Duration, ask: TerminationTiming, parts: &mut [Part]) {
         let (mut wait, mut asked) = (self.wait(), false);
         loop {
             let mut has_died = |name: &str| {
@@ -124,7 +132,7 @@ impl Ending<'_> {
             if physics.ended().is_some() {
                 return;
             }
-            if !asked && (ask == Ask::AtOnce || nobody_comes || self.end.is_set()) {
+            if !asked && (ask == TerminationTiming::AtOnce || nobody_comes || self.end.is_set()) {
                 physics.ask_to_end();
                 asked = true;
             }
@@ -138,9 +146,9 @@ impl Ending<'_> {
         }
     }
 
-    /// Ends the DRR process and the controllers in parallel. With [`Ask::AtOnce`], they have not been
-    /// notified that the run is over.
-    fn end_others(&self, limit: Duration, ask: Ask, parts: &mut [Part]) {
+    /// Ends the DRR process and the controllers in parallel. With [`TerminationTiming::AtOnce`], they have
+    /// not been notified that the run is over.
+    fn end_others(&self, limit: Duration, ask: TerminationTiming, parts: &mut [Part]) {
         let mut others: Vec<(&mut Part, bool)> = parts
             .iter_mut()
             .filter(|part| part.name != PHYSICS && part.name != RECORDER)
@@ -157,7 +165,8 @@ impl Ending<'_> {
                 // The physics notifies the DRR process and the controllers when it ends, but some controllers
                 // ignore it.
                 let own_time = if part.name == DRR { END_LIMIT } else { CONTROLLER_END_TIME };
-                if !*asked && (ask == Ask::AtOnce || wait.is_over(own_time, HURRIED_LIMIT / 2)) {
+                if !*asked && (ask == TerminationTiming::AtOnce || wait.is_over(own_time, HURRIED_LIMIT / 2))
+                {
                     part.ask_to_end();
                     *asked = true;
                 }

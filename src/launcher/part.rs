@@ -16,8 +16,8 @@ use rustix::process::{
     set_child_subreaper, waitid, waitpid,
 };
 
-use crate::keeper::{END_AT_ONCE, Started};
-use crate::printer::Echo;
+use crate::keeper::{END_AT_ONCE, StartReport};
+use crate::printer::ForwardedOutput;
 
 /// Number of a part's last output lines to keep.
 const LAST_WORDS: usize = 20;
@@ -182,9 +182,9 @@ impl Part {
         let mut part = Part::start_with(name, keeper, Some(Arc::clone(&leash)), output)?;
         // Drop the command's copy, so that our side of the socket closes when the keeper ends.
         keeper.stdin(Stdio::null());
-        match Started::read(&leash)? {
-            Started::As(process) => part.process = process,
-            Started::Not(code) => return Err(Error::from_raw_os_error(code)),
+        match StartReport::read(&leash)? {
+            StartReport::As(process) => part.process = process,
+            StartReport::Not(code) => return Err(Error::from_raw_os_error(code)),
         }
         Ok(part)
     }
@@ -333,7 +333,7 @@ fn listen(
             let line = String::from_utf8_lossy(&bytes).trim_end_matches(['\n', '\r']).to_owned();
             bytes.clear();
             if let Some(name) = &shown_as {
-                crate::say::line(&mut Echo, &format!("[{name}] {line}"));
+                crate::say::line(&mut ForwardedOutput, &format!("[{name}] {line}"));
             }
             let mut words = words.lock().unwrap_or_else(PoisonError::into_inner);
             if words.len() == LAST_WORDS {

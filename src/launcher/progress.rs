@@ -8,7 +8,7 @@ use ipc_types::messages::Phase;
 
 use super::run::RunSnapshot;
 use crate::failure::Failure;
-use crate::printer::{self, Echo};
+use crate::printer::{self, ForwardedOutput};
 use crate::report::{History, LiveSnapshot, LiveStats, json_line, progress_line};
 
 const TERMINAL_PERIOD: Duration = Duration::from_millis(250);
@@ -151,7 +151,7 @@ impl Display {
         } else {
             lines.iter().for_each(|line| text += &format!("{line}\n"));
         }
-        let _ = Echo.write_all(text.as_bytes());
+        let _ = ForwardedOutput.write_all(text.as_bytes());
         self.drawn = lines.len();
     }
 

@@ -6,7 +6,7 @@ use run_log::Verdict;
 
 /// The voxels removed by a tick, including pilot holes.
 #[derive(Debug)]
-pub struct Gone {
+pub struct RemovedBone {
     /// The requested tick, or the log's last.
     pub tick: u64,
     /// The voxels.
@@ -15,15 +15,15 @@ pub struct Gone {
     pub verdict: Verdict,
 }
 
-impl Gone {
+impl RemovedBone {
     /// Reads the removed voxels from a log, up to a tick.
     ///
     /// # Errors
     /// The log ends before the tick (2), or cannot be read that far.
-    pub fn of(log: &OpenedLog, tick: Option<u64>) -> Result<Gone, Failure> {
+    pub fn of(log: &OpenedLog, tick: Option<u64>) -> Result<RemovedBone, Failure> {
         let mut reader = log.reader()?;
         let wanted = tick.unwrap_or(u64::MAX);
-        let mut gone = Gone {
+        let mut gone = RemovedBone {
             tick: reader.initial().tick,
             voxels: reader.predrilled().to_vec(),
             verdict: Verdict::default(),

@@ -8,8 +8,8 @@ mod replies;
 mod step;
 
 pub use frames::{ComparedFrames, FrameReplay, compare, verify_frames};
-pub use gone::Gone;
+pub use gone::RemovedBone;
 pub use inputs::log::{OpenedLog, Overrides};
 pub use live::{LivePlan, run as run_live};
-pub use recording::{Recorded, record};
+pub use recording::{ReplayRecording, record};
 pub use step::{step, timed_verification};

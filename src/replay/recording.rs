@@ -24,7 +24,7 @@ use crate::failure::Failure;
 use crate::output::refuse_existing;
 
 /// The result of recording a replay.
-pub struct Recorded {
+pub struct ReplayRecording {
     /// The new `run.mcap`.
     pub path: PathBuf,
     /// Number of ticks stepped.
@@ -47,7 +47,11 @@ pub struct Recorded {
 /// # Errors
 /// The first difference; a log that cannot be read to its end; a folder that cannot be written. On error no
 /// file remains.
-pub fn record(log: &OpenedLog, folder: &Path, frame_threads: Option<usize>) -> Result<Recorded, Failure> {
+pub fn record(
+    log: &OpenedLog,
+    folder: &Path,
+    frame_threads: Option<usize>,
+) -> Result<ReplayRecording, Failure> {
     let path = folder.join("run.mcap");
     refuse_existing(&[&path])?;
     let mut stream = MessageStream::open(&LogFile::at(&log.path), log.options())?;
@@ -95,7 +99,7 @@ pub fn record(log: &OpenedLog, folder: &Path, frame_threads: Option<usize>) -> R
     let remark = (!stream.ending().is_complete()).then(|| stream.ending().describe());
     let sha256 = [sha256(&log.path)?, sha256(&recorded.draft())?];
     recorded.keep()?;
-    Ok(Recorded { path, ticks, frames, sha256, remark })
+    Ok(ReplayRecording { path, ticks, frames, sha256, remark })
 }
 
 /// The replay being written.

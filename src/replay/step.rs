@@ -4,7 +4,7 @@ use std::path::Path;
 use std::time::Instant;
 
 use ipc_types::messages::Tick;
-use run_log::segments::{Passed, SegmentOptions, SegmentReport, step_segments, verify_segments};
+use run_log::segments::{SegmentOptions, SegmentReport, SkippedGap, step_segments, verify_segments};
 use run_log::verify::ReplayReport;
 use run_log::{LogError, SavedState, Verdict};
 
@@ -37,7 +37,7 @@ fn in_one_pass(
     let mut simulation = log.simulation().map_err(Failure::failed)?;
     let mut gaps = Vec::new();
     if let Some(beginning) = reader.beginning() {
-        gaps.push(Passed { after: None, resumed: Some(beginning.tick) });
+        gaps.push(SkippedGap { after: None, resumed: Some(beginning.tick) });
     }
     if let Some(start) = start.or(reader.beginning()) {
         simulation.restore_keyframe(&start.bytes).map_err(Failure::failed)?;
@@ -52,7 +52,7 @@ fn in_one_pass(
                 let resumed = behind.as_ref().map(|behind| Tick(behind.state.tick));
                 // A gap before the start is skipped silently.
                 if read >= first {
-                    gaps.push(Passed { after: Some(after), resumed });
+                    gaps.push(SkippedGap { after: Some(after), resumed });
                 }
                 let Some(behind) = behind else { break };
                 if Tick(behind.state.tick) >= first {

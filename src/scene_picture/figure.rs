@@ -32,7 +32,7 @@ const PROFILE_HEIGHT: f64 = 230.0;
 const PATH: RGBColor = RGBColor(204, 121, 167);
 
 /// Contents of a picture.
-pub struct Pictured<'a> {
+pub struct PictureInput<'a> {
     pub scene: &'a Scene,
     pub volume: &'a Volume,
     pub shapes: &'a Shapes,
@@ -40,7 +40,7 @@ pub struct Pictured<'a> {
 }
 
 /// Draws the picture.
-pub fn draw(of: &Pictured<'_>) -> Result<Figure, FigureError> {
+pub fn draw(of: &PictureInput<'_>) -> Result<Figure, FigureError> {
     let lines = words(of);
     let places = places(of.facts);
     let side = (WIDTH - 2.0 * MARGIN - 2.0 * GAP) / 3.0;
@@ -140,7 +140,7 @@ fn along_plane(shapes: &Shapes, area: &Rect) -> Plane {
 
 /// A slice and its position in the figure.
 struct Slice<'a> {
-    of: &'a Pictured<'a>,
+    of: &'a PictureInput<'a>,
     plane: Plane,
     area: Rect,
 }
@@ -271,7 +271,7 @@ fn draw_legend(figure: &mut Figure, y: f64, is_planned: bool) {
     }
 }
 
-fn draw_profile(figure: &mut Figure, outer: Rect, of: &Pictured<'_>, places: &[(&str, Sample)]) {
+fn draw_profile(figure: &mut Figure, outer: Rect, of: &PictureInput<'_>, places: &[(&str, Sample)]) {
     let profile = &of.facts.profile;
     let values: Vec<Point> =
         profile.iter().filter_map(|sample| Some((sample.along_mm, sample.hu?))).collect();
@@ -294,7 +294,7 @@ fn draw_profile(figure: &mut Figure, outer: Rect, of: &Pictured<'_>, places: &[(
 }
 
 /// Formats the measurements in lines that fit the picture.
-fn words(of: &Pictured<'_>) -> Vec<String> {
+fn words(of: &PictureInput<'_>) -> Vec<String> {
     let (shapes, facts) = (of.shapes, of.facts);
     let place = |sample: &Sample| {
         let [x, y, z] = [sample.place_mm.x, sample.place_mm.y, sample.place_mm.z];

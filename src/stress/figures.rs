@@ -6,9 +6,9 @@ use figures::{
 };
 use run_log::misses::Cause;
 
-use super::measure::{Curves, DRAWN_MISSES, Measured};
+use super::measure::{Curves, DRAWN_MISSES, RunMeasurements};
 use super::plan::{Combination, policy_name, wait_name};
-use super::report::Tested;
+use super::report::CombinationResult;
 use crate::report::timing_figure::draw_histogram;
 
 const HEIGHT: f64 = 640.0;
@@ -37,7 +37,7 @@ fn colour(cause: Cause) -> RGBColor {
 /// Figure of a combination: distributions, and the run with its misses.
 pub fn combination(
     tested: &Combination,
-    measured: &Measured,
+    measured: &RunMeasurements,
     curves: &Curves,
 ) -> Result<Figure, FigureError> {
     let title = format!("{tested}: {} of {} ticks missed", measured.missed, measured.ticks);
@@ -57,7 +57,7 @@ pub fn combination(
     Ok(figure)
 }
 
-fn time_line(figure: &mut Figure, outer: Rect, measured: &Measured, curves: &Curves) {
+fn time_line(figure: &mut Figure, outer: Rect, measured: &RunMeasurements, curves: &Curves) {
     let latest = curves.latest.iter().filter_map(|(time_s, bin)| Some((time_s, bin.range()?[2])));
     let points: Vec<Point> = latest.map(|(time_s, late_us)| (time_s, late_us.max(SHORTEST_US))).collect();
     let marks = curves.misses.iter().map(|miss| miss.late_us);
@@ -100,8 +100,8 @@ fn time_line(figure: &mut Figure, outer: Rect, measured: &Measured, curves: &Cur
 }
 
 /// p99 of the lateness over cores and loads: a colour table for each policy and wait strategy.
-pub fn map(all: &[Tested]) -> Result<Figure, FigureError> {
-    let mut groups: Vec<(String, Vec<&Tested>)> = Vec::new();
+pub fn map(all: &[CombinationResult]) -> Result<Figure, FigureError> {
+    let mut groups: Vec<(String, Vec<&CombinationResult>)> = Vec::new();
     for tested in all {
         let of = &tested.combination;
         let name = format!("{}, {}", policy_name(of.policy), wait_name(of.wait));
@@ -184,9 +184,9 @@ mod tests {
                 for cores in [1, 2] {
                     let load = Load::try_from(load.to_owned()).unwrap();
                     let combination = Combination { cores, load, policy, wait: Wait::Hybrid };
-                    all.push(Tested {
+                    all.push(CombinationResult {
                         combination,
-                        measured: Measured::default(),
+                        measured: RunMeasurements::default(),
                         busy_percent: 0.0,
                         stolen_percent: 0.0,
                         failure: None,

@@ -47,7 +47,7 @@ pub struct Curves {
 
 /// Measurements of a run. Times in µs unless the name says otherwise.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
-pub struct Measured {
+pub struct RunMeasurements {
     /// Number of ticks in the log.
     pub ticks: u64,
     pub lateness_us: Option<Quantiles>,
@@ -81,10 +81,10 @@ pub struct Measured {
 ///
 /// # Errors
 /// A histogram cannot be created. Faults of the logs become remarks.
-pub fn measure(folder: &Path, expected_ticks: u64) -> Result<(Measured, Curves), Failure> {
+pub fn measure(folder: &Path, expected_ticks: u64) -> Result<(RunMeasurements, Curves), Failure> {
     let duration = Distribution::new(3)?;
     let mut reader = Reader {
-        measured: Measured::default(),
+        measured: RunMeasurements::default(),
         curves: Curves {
             lateness: duration.clone(),
             step: duration.clone(),
@@ -120,7 +120,7 @@ pub fn measure(folder: &Path, expected_ticks: u64) -> Result<(Measured, Curves),
 }
 
 /// Adds the launcher's data.
-fn add_summary(measured: &mut Measured, folder: &Path) {
+fn add_summary(measured: &mut RunMeasurements, folder: &Path) {
     let text = std::fs::read_to_string(folder.join("summary.json")).unwrap_or_default();
     let Ok(summary) = serde_json::from_str::<Summary>(&text) else {
         measured.remarks.push("no summary.json".to_owned());
@@ -134,7 +134,7 @@ fn add_summary(measured: &mut Measured, folder: &Path) {
 }
 
 struct Reader {
-    measured: Measured,
+    measured: RunMeasurements,
     curves: Curves,
     misses: Misses,
     all_misses: Vec<Miss>,
@@ -201,7 +201,7 @@ impl Reader {
         }
     }
 
-    fn finish(mut self) -> (Measured, Curves) {
+    fn finish(mut self) -> (RunMeasurements, Curves) {
         let us = |distribution: &Distribution| distribution.quantiles(1e3);
         let (curves, misses) = (&mut self.curves, &self.misses);
         self.all_misses.sort_by(|a, b| b.late_us.total_cmp(&a.late_us));
@@ -210,7 +210,7 @@ impl Reader {
         curves.misses = self.all_misses;
         curves.period_us = self.dt_ns as f64 * 1e-3;
         let counted = misses.ticks + misses.not_recorded() - (misses.missed() - misses.not_stolen());
-        let measured = Measured {
+        let measured = RunMeasurements {
             lateness_us: us(&curves.lateness),
             step_us: us(&curves.step),
             latch_age_us: us(&curves.latch_age),

@@ -30,7 +30,7 @@ use crate::report::ReportError;
 use crate::scenes::SceneSource;
 use load::Loads;
 use plan::{Combination, policy_name, wait_name};
-use report::{StressReport, Tested};
+use report::{CombinationResult, StressReport};
 
 const POLL_PERIOD: Duration = Duration::from_millis(20);
 /// Timeout for a run that is asked to end; its recorder always finishes.
@@ -79,7 +79,7 @@ pub fn run(plan: &StressPlan, end: &EndRequest) -> Result<(StressReport, bool), 
         planned: plan.combinations.len(),
         tested: Vec::new(),
     };
-    let mut written = Written::create(&plan.output)?;
+    let mut written = ReportFiles::create(&plan.output)?;
     let (began, total) = (Instant::now(), plan.combinations.len());
     for (index, combination) in plan.combinations.iter().enumerate() {
         let left = estimate(began.elapsed(), index, total, plan.seconds);
@@ -95,18 +95,18 @@ pub fn run(plan: &StressPlan, end: &EndRequest) -> Result<(StressReport, bool), 
 }
 
 /// The report's files, rewritten after every combination.
-struct Written {
+struct ReportFiles {
     map: SavedFile,
     json: SavedFile,
     csv: SavedFile,
     page: SavedFile,
 }
 
-impl Written {
-    fn create(folder: &Path) -> Result<Written, Failure> {
+impl ReportFiles {
+    fn create(folder: &Path) -> Result<ReportFiles, Failure> {
         let file = |name: &str| SavedFile::create(&folder.join(name));
         let (map, json) = (file("map.svg")?, file("stress.json")?);
-        Ok(Written { map, json, csv: file("stress.csv")?, page: file("index.html")? })
+        Ok(ReportFiles { map, json, csv: file("stress.csv")?, page: file("index.html")? })
     }
 
     fn save(&mut self, report: &StressReport, plan: &StressPlan) -> Result<(), Failure> {
@@ -134,7 +134,7 @@ fn test(
     combination: &Combination,
     index: usize,
     end: &EndRequest,
-) -> Result<Option<Tested>, Failure> {
+) -> Result<Option<CombinationResult>, Failure> {
     let io = |cause: std::io::Error| Failure::failed(format!("{combination}: {cause}"));
     let logs = plan.output.join(format!("run-{:02}", index + 1));
     output_file::create_folder(&logs).map_err(io)?;
@@ -177,7 +177,7 @@ fn test(
     let figure = figures::combination(combination, &measured, &curves).and_then(|figure| figure.svg(&path));
     output_file::write(&path, figure.map_err(ReportError::from)?)?;
     remove(&logs, plan.keeps_logs);
-    Ok(Some(Tested {
+    Ok(Some(CombinationResult {
         combination: *combination,
         measured,
         busy_percent,

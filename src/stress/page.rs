@@ -6,7 +6,7 @@ use askama::Template;
 use figures::duration_label;
 use run_log::misses::Cause;
 
-use super::report::{COLUMNS, StressReport, Tested, causes, comparison, yes_or_no};
+use super::report::{COLUMNS, CombinationResult, StressReport, causes, comparison, yes_or_no};
 use crate::machine::Grade;
 use crate::report::distribution::Quantiles;
 
@@ -29,7 +29,7 @@ struct Page<'a> {
 
 /// The section of a combination.
 struct Section<'a> {
-    tested: &'a Tested,
+    tested: &'a CombinationResult,
     processor: String,
     remarks: Vec<&'a str>,
     figure: String,
@@ -61,8 +61,8 @@ pub fn html(
     page.render()
 }
 
-fn result(tested: &Tested) -> (&'static str, [String; 16]) {
-    let Tested { combination, measured: m, stolen_percent, failure, .. } = tested;
+fn result(tested: &CombinationResult) -> (&'static str, [String; 16]) {
+    let CombinationResult { combination, measured: m, stolen_percent, failure, .. } = tested;
     let none = || "–".to_owned();
     let late = |of: fn(&Quantiles) -> f64| m.lateness_us.map_or_else(none, |q| duration_label(of(&q)));
     let number = |value: Option<f64>| value.map_or_else(none, |value| format!("{value:.2}"));
@@ -88,7 +88,7 @@ fn result(tested: &Tested) -> (&'static str, [String; 16]) {
     (if failure.is_some() || !m.replays || !m.log_complete { "bad" } else { "" }, cells)
 }
 
-fn distributions(tested: &Tested) -> impl Iterator<Item = [String; 8]> {
+fn distributions(tested: &CombinationResult) -> impl Iterator<Item = [String; 8]> {
     COLUMNS.into_iter().filter_map(|(name, of)| {
         let q = of(&tested.measured)?;
         let [p50, p90, p99, p99_9, max] = q.values().map(duration_label);
@@ -97,7 +97,7 @@ fn distributions(tested: &Tested) -> impl Iterator<Item = [String; 8]> {
     })
 }
 
-fn section<'a>(tested: &'a Tested, folder: &Path) -> Section<'a> {
+fn section<'a>(tested: &'a CombinationResult, folder: &Path) -> Section<'a> {
     let shares = tested.measured.processor_share.iter();
     let shares: Vec<String> = shares.map(|(name, share)| format!("{name} {:.1} %", 100.0 * share)).collect();
     let remarks = tested.not_permitted.iter().chain(&tested.measured.remarks).chain(&tested.failure);

@@ -7,7 +7,7 @@ use figures::duration_label;
 use run_log::misses::Cause;
 use serde::{Deserialize, Serialize};
 
-use super::measure::Measured;
+use super::measure::RunMeasurements;
 use super::plan::{Combination, policy_name, wait_name};
 use crate::failure::Failure;
 use crate::machine::MachineFacts;
@@ -15,11 +15,11 @@ use crate::report::distribution::Quantiles;
 
 /// A combination that was run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Tested {
+pub struct CombinationResult {
     /// What was run.
     pub combination: Combination,
     /// Its measurements.
-    pub measured: Measured,
+    pub measured: RunMeasurements,
     /// Share of the machine's core time that was busy during the run, percent.
     pub busy_percent: f64,
     /// Share of the machine's core time stolen by the hypervisor during the run, percent.
@@ -52,11 +52,11 @@ pub struct StressReport {
     /// Number of combinations planned.
     pub planned: usize,
     /// The combinations run so far, in order.
-    pub tested: Vec<Tested>,
+    pub tested: Vec<CombinationResult>,
 }
 
 /// A column of distributions: its name and its accessor.
-type Column = (&'static str, fn(&Measured) -> Option<Quantiles>);
+type Column = (&'static str, fn(&RunMeasurements) -> Option<Quantiles>);
 
 /// The distributions of a combination, µs.
 pub const COLUMNS: [Column; 5] = [
@@ -123,7 +123,7 @@ impl StressReport {
         }
         text.push('\n');
         let or_empty = |value: Option<f64>| value.map_or(String::new(), |value| format!("{value:.4}"));
-        for Tested { combination, measured: m, busy_percent, stolen_percent, .. } in &self.tested {
+        for CombinationResult { combination, measured: m, busy_percent, stolen_percent, .. } in &self.tested {
             let Combination { cores, load, policy, wait } = combination;
             text += &format!(
                 "{cores},{load},{},{},{},{},{:.6},{},{},{},{},{},{},{busy_percent:.2},{stolen_percent:.2}",
@@ -167,7 +167,7 @@ impl StressReport {
     }
 
     /// Returns the result for a combination.
-    pub fn find(&self, combination: &Combination) -> Option<&Tested> {
+    pub fn find(&self, combination: &Combination) -> Option<&CombinationResult> {
         self.tested.iter().find(|tested| tested.combination == *combination)
     }
 }
@@ -178,7 +178,7 @@ pub fn yes_or_no(value: bool) -> &'static str {
 }
 
 /// `8 run queue, 4 stolen`, or a dash.
-pub fn causes(measured: &Measured) -> String {
+pub fn causes(measured: &RunMeasurements) -> String {
     let each = measured.misses.by_cause.iter().map(|(name, count)| format!("{count} {name}"));
     let text = each.collect::<Vec<_>>().join(", ");
     if text.is_empty() { "–".to_owned() } else { text }
@@ -200,7 +200,7 @@ pub fn table(report: &StressReport) -> String {
         "replays",
         "late due to"
     );
-    for Tested { combination, measured: m, failure, .. } in &report.tested {
+    for CombinationResult { combination, measured: m, failure, .. } in &report.tested {
         let late =
             |of: fn(&Quantiles) -> f64| m.lateness_us.map_or("-".to_owned(), |q| duration_label(of(&q)));
         let number = |value: Option<f64>| value.map_or("-".to_owned(), |value| format!("{value:.2}"));

@@ -15,7 +15,7 @@ use crate::report::course::Course;
 const LOOK_TICKS: u64 = 64;
 
 /// Result of running a point.
-pub enum Ran {
+pub enum PointOutcome {
     /// The run has ended and has a row.
     Ended(Box<Row>),
     /// The sweep was asked to end.
@@ -32,11 +32,11 @@ pub fn run(
     mut row: Row,
     recorded: Option<PathBuf>,
     is_to_end: &dyn Fn() -> bool,
-) -> Result<Ran, Failure> {
+) -> Result<PointOutcome, Failure> {
     let mut course = Course::of(shared.scene());
     match follow(shared, &mut course, recorded, is_to_end) {
         Ok(true) => row.outcome = Ending::Completed,
-        Ok(false) => return Ok(Ran::Interrupted),
+        Ok(false) => return Ok(PointOutcome::Interrupted),
         Err(error) if error.is_of_the_machine() => {
             return Err(Failure::failed(format!("point {}: {error}", row.point)));
         }
@@ -52,7 +52,7 @@ pub fn run(
     row.simulated_s = (course.ticks * shared.scene().dt_ns()) as f64 * 1e-9;
     row.final_hash = course.last.as_ref().map(|state| hash_text(state.hash));
     (row.tool, row.drilling) = (course.tool(), course.drilling());
-    Ok(Ran::Ended(Box::new(row)))
+    Ok(PointOutcome::Ended(Box::new(row)))
 }
 
 /// Steps the run; returns whether it reached its end.

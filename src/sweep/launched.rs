@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use rustix::process::{Pid, Signal, kill_process};
 
-use super::in_process::Ran;
+use super::in_process::PointOutcome;
 use super::row::{Ending, Row};
 use crate::failure::Failure;
 use crate::report::Summary;
@@ -26,7 +26,7 @@ pub fn run(
     mut row: Row,
     folder: &Path,
     is_to_end: &dyn Fn() -> bool,
-) -> Result<Ran, Failure> {
+) -> Result<PointOutcome, Failure> {
     let own = std::env::current_exe().map_err(Failure::failed)?;
     let mut command = Command::new(own);
     command.arg("run").args(arguments).args(["--quiet", "--output"]).arg(folder);
@@ -34,7 +34,7 @@ pub fn run(
     command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped());
     let child =
         command.spawn().map_err(|cause| Failure::failed(format!("a run cannot be started: {cause}")))?;
-    let Some((status, said)) = end_of(child, is_to_end)? else { return Ok(Ran::Interrupted) };
+    let Some((status, said)) = end_of(child, is_to_end)? else { return Ok(PointOutcome::Interrupted) };
     let last_line = said.trim().lines().last().map(str::to_owned);
     row.outcome = match (status.success(), status.code()) {
         (true, _) => Ending::Completed,
@@ -52,7 +52,7 @@ pub fn run(
     } else {
         row.log = None;
     }
-    Ok(Ran::Ended(Box::new(row)))
+    Ok(PointOutcome::Ended(Box::new(row)))
 }
 
 /// Returns a process's exit status and error output, or `None` if the sweep, and so the process, was ended.

@@ -10,7 +10,7 @@ use sim::{SharedScene, SimError};
 use sweep::{Point, Record};
 
 use super::folder::{Folder, OpenedStudy};
-use super::in_process::{self, Ran};
+use super::in_process::{self, PointOutcome};
 use super::launched;
 use super::row::{Ending, Row};
 use crate::failure::Failure;
@@ -87,7 +87,9 @@ pub fn run(
             if has_failed || is_to_end() {
                 return Ok(());
             }
-            let Ran::Ended(row) = one(study, folder, index, &mut volumes, is_to_end)? else { return Ok(()) };
+            let PointOutcome::Ended(row) = one(study, folder, index, &mut volumes, is_to_end)? else {
+                return Ok(());
+            };
             folder.keep(&row)?;
             let mut progress = progress.lock().unwrap_or_else(PoisonError::into_inner);
             progress.done += 1;
@@ -143,7 +145,7 @@ fn one(
     index: u64,
     volumes: &mut Volumes,
     is_to_end: &dyn Fn() -> bool,
-) -> Result<Ran, Failure> {
+) -> Result<PointOutcome, Failure> {
     let point = study.study.point(index);
     let mut row = empty_row(study, &point)?;
     let settings = study.settings(&point);
@@ -152,7 +154,7 @@ fn one(
         Err(SimError::Input(failure)) if failure.code == EXIT_BAD_INPUT => {
             row.outcome = Ending::Refused;
             row.reason = Some(failure.message);
-            return Ok(Ran::Ended(Box::new(row)));
+            return Ok(PointOutcome::Ended(Box::new(row)));
         }
         Err(other) => return Err(Failure::failed(other)),
     };

@@ -13,7 +13,7 @@ use xxhash_rust::xxh3::xxh3_128;
 use zerocopy::IntoBytes;
 
 use super::files::{Picture, failed};
-use super::poses::Placed;
+use super::poses::ResolvedPose;
 use crate::failure::Failure;
 
 /// X-Ray Angiographic Image Storage, and Explicit VR Little Endian.
@@ -46,7 +46,7 @@ pub struct Series {
 
 impl Series {
     /// Creates the series of these poses of a volume; the same call gives the same identifiers.
-    pub fn new(volume_sha256: [u8; 32], poses: &[Placed], tube_kv: Option<f64>) -> Series {
+    pub fn new(volume_sha256: [u8; 32], poses: &[ResolvedPose], tube_kv: Option<f64>) -> Series {
         let text = format!("{volume_sha256:?} {poses:?} {tube_kv:?}");
         Series { key: xxh3_128(text.as_bytes()), tube_kv }
     }

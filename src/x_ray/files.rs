@@ -9,8 +9,8 @@ use output_file::OutputFile;
 use xray::WindowLimits;
 use zerocopy::IntoBytes;
 
-use super::poses::Placed;
-use super::series::Look;
+use super::poses::ResolvedPose;
+use super::series::RenderStyle;
 use crate::failure::Failure;
 
 /// Display time of each frame of an animation, in milliseconds.
@@ -19,8 +19,8 @@ const FRAME_MS: u16 = 66;
 /// A rendered frame.
 #[derive(Debug, Clone)]
 pub struct Picture {
-    pub placed: Placed,
-    pub look: Look,
+    pub placed: ResolvedPose,
+    pub look: RenderStyle,
     /// Attenuations (-ln of the fraction of photons) at the ends of the grey scale; unused if linear.
     pub window: WindowLimits,
     /// Row by row, one per detector pixel.

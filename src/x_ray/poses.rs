@@ -55,7 +55,7 @@ struct PoseList {
 
 /// A C-arm and the isocentre that its angles refer to.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Placed {
+pub struct ResolvedPose {
     pub c_arm: CArm,
     pub isocentre_m: [f64; 3],
 }
@@ -96,7 +96,7 @@ impl Pose {
     }
 
     /// Returns the C-arm; angles rotate about `centre_m` unless the pose has an isocentre.
-    pub fn place(&self, centre_m: [f64; 3]) -> Result<Placed, String> {
+    pub fn place(&self, centre_m: [f64; 3]) -> Result<ResolvedPose, String> {
         self.check_ranges()?;
         let isocentre_mm = self.isocentre_mm.unwrap_or(centre_m.map(|x| x * 1e3));
         let carm = self.is_given().then_some(CameraOrPoints {
@@ -150,7 +150,7 @@ impl Pose {
             threads: 1,
         };
         let c_arm = scene_c_arm(&drr).map_err(in_millimetres)?;
-        Ok(Placed { c_arm, isocentre_m: isocentre_mm.map(|x| x * 1e-3) })
+        Ok(ResolvedPose { c_arm, isocentre_m: isocentre_mm.map(|x| x * 1e-3) })
     }
 }
 

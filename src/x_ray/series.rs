@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use xray::{DrrRenderer, FrameSeed, Machine, Output, Shot, Tool, VolumeView, WindowLimits};
 
 use super::files::Picture;
-use super::poses::Placed;
+use super::poses::ResolvedPose;
 use crate::failure::Failure;
 
 /// Approximate limit of pixel bytes in memory.
@@ -14,7 +14,7 @@ const GROUP_BYTES: usize = 64 << 20;
 
 /// How a picture is rendered.
 #[derive(Debug, Clone, Copy)]
-pub struct Look {
+pub struct RenderStyle {
     /// Whether to output values before windowing and rounding instead of greys.
     pub as_values: bool,
     /// Whether greys are proportional to the detector's readout; otherwise to its logarithm.
@@ -25,8 +25,8 @@ pub struct Look {
     pub seed: u64,
 }
 
-impl Look {
-    fn empty(&self, placed: &Placed) -> Picture {
+impl RenderStyle {
+    fn empty(&self, placed: &ResolvedPose) -> Picture {
         let pixels = placed.c_arm.pixels();
         let (greys, values) = if self.as_values { (0, pixels) } else { (pixels, 0) };
         Picture {
@@ -43,8 +43,8 @@ impl Look {
 pub fn render_and_write(
     renderer: &mut DrrRenderer,
     view: &VolumeView<'_>,
-    poses: &[Placed],
-    look: Look,
+    poses: &[ResolvedPose],
+    look: RenderStyle,
     write: impl Fn(usize, Picture) -> Result<(), Failure> + Sync,
 ) -> Result<f64, Failure> {
     let threads = renderer.parameters().threads;
@@ -65,8 +65,8 @@ pub fn render_and_write(
 fn render(
     renderer: &mut DrrRenderer,
     view: &VolumeView<'_>,
-    poses: &[Placed],
-    look: Look,
+    poses: &[ResolvedPose],
+    look: RenderStyle,
 ) -> Result<Vec<Picture>, Failure> {
     let mut pictures: Vec<Picture> = poses.iter().map(|placed| look.empty(placed)).collect();
     let (tool, seed) = (Tool::default(), FrameSeed { seed: look.seed, frame: 0 });

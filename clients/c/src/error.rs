@@ -3,7 +3,7 @@ use std::time::Duration;
 
 use ipc_types::ports::PortError;
 use ipc_types::scene::SceneError;
-use ipc_types::session::{Searched, SessionError, host_is_alive};
+use ipc_types::session::{SearchedPlaces, SessionError, host_is_alive};
 use thiserror::Error;
 
 /// Why a client call fails.
@@ -22,7 +22,7 @@ pub enum ClientError {
     #[error("{searched}")]
     NoSession {
         /// The places searched.
-        searched: Searched,
+        searched: SearchedPlaces,
     },
     /// The program's declaration of a message differs from this library's.
     #[error(
@@ -117,7 +117,7 @@ impl ClientError {
     pub(crate) fn of(self, folder: &Path) -> ClientError {
         match self {
             ClientError::Session(SessionError::Transported { .. }) if !host_is_alive(folder) => {
-                ClientError::NoSession { searched: Searched::folder(folder) }
+                ClientError::NoSession { searched: SearchedPlaces::folder(folder) }
             }
             ClientError::WhichController { .. }
             | ClientError::Session(

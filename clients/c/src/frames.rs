@@ -7,7 +7,7 @@ use ipc_types::messages::services;
 use ipc_types::messages::{
     CArmGeometry, DrrRequest, DrrStatus, Frame, GeometryChoice, ImagePrefix, Pose, Volume,
 };
-use ipc_types::ports::{Received, Subscriber};
+use ipc_types::ports::{ReceivedMessage, Subscriber};
 use ipc_types::scene::Drr;
 use ipc_types::session::Reader;
 use zerocopy::FromBytes;
@@ -185,7 +185,7 @@ impl Client {
 }
 
 /// Returns a frame's pixels in place, or `None` if the image is invalid: its writer is another process.
-pub(crate) fn frame_view(received: &Received<Frame>) -> Option<FrameView<'_>> {
+pub(crate) fn frame_view(received: &ReceivedMessage<Frame>) -> Option<FrameView<'_>> {
     let frame = received.message();
     let data = received.tail().get(ImagePrefix::DESCRIPTION.size..)?;
     let pixels = <[u16]>::ref_from_bytes(data).ok()?;

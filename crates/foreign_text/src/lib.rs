@@ -5,8 +5,8 @@
 //! forge an output line, or characters that reverse or hide their neighbours. All of these are shown as
 //! escapes like `\u001b`: harmless, visible, and the same character in JSON.
 //!
-//! [`foreign`] formats a single value within a line. [`Plain`] is the last filter before the terminal:
-//! everything that a command prints goes through it.
+//! [`foreign`] formats a single value within a line. [`EscapingWriter`] is the last filter before the
+//! terminal: everything that a command prints goes through it.
 //!
 //! **Boundary:** text only; opens nothing and prints nothing. **Invariant:** the output holds no control
 //! characters except our own line ends and tabs, no zero-width characters and no direction marks; a value has
@@ -29,8 +29,8 @@ pub const MOST_CHARACTERS: usize = 200;
 pub const MOST_OF_A_LINE: usize = 4096;
 
 /// Formats an untrusted value for use within a line: no line ends, at most [`MOST_CHARACTERS`].
-pub fn foreign(text: &str) -> Foreign<'_> {
-    Foreign { text, most: MOST_CHARACTERS }
+pub fn foreign(text: &str) -> EscapedText<'_> {
+    EscapedText { text, most: MOST_CHARACTERS }
 }
 
 /// Formats a path that may contain untrusted names, in full.
@@ -39,8 +39,8 @@ pub fn foreign_path(path: &Path) -> String {
 }
 
 /// Formats a line from an untrusted program: at most [`MOST_OF_A_LINE`] characters.
-pub fn foreign_line(text: &str) -> Foreign<'_> {
-    Foreign { text, most: MOST_OF_A_LINE }
+pub fn foreign_line(text: &str) -> EscapedText<'_> {
+    EscapedText { text, most: MOST_OF_A_LINE }
 }
 
 /// Formats a number from a file: in scientific notation if it would be very long (1e300).
@@ -51,12 +51,12 @@ pub fn number(value: f64) -> String {
 
 /// An untrusted text; its `Display` is safe to show.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Foreign<'a> {
+pub struct EscapedText<'a> {
     text: &'a str,
     most: usize,
 }
 
-impl Display for Foreign<'_> {
+impl Display for EscapedText<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let mut shown = String::with_capacity(self.text.len().min(self.most));
         let mut rest = self.text.chars();
@@ -104,20 +104,20 @@ fn is_plain(c: char) -> bool {
 
 /// A writer that passes text through [`plain`].
 #[derive(Debug)]
-pub struct Plain<W> {
+pub struct EscapingWriter<W> {
     out: W,
     /// The first bytes of an incomplete character.
     begun: Vec<u8>,
 }
 
-impl<W: Write> Plain<W> {
+impl<W: Write> EscapingWriter<W> {
     /// Wraps a writer.
-    pub fn new(out: W) -> Plain<W> {
-        Plain { out, begun: Vec::new() }
+    pub fn new(out: W) -> EscapingWriter<W> {
+        EscapingWriter { out, begun: Vec::new() }
     }
 }
 
-impl<W: Write> Write for Plain<W> {
+impl<W: Write> Write for EscapingWriter<W> {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         self.begun.extend_from_slice(bytes);
         let mut shown = String::with_capacity(self.begun.len());
@@ -201,10 +201,10 @@ mod tests {
     #[test]
     fn characters_and_bytes_that_come_in_pieces_are_shown_whole() {
         let text = "ä\u{9b}患\x1b👍\u{e0041}";
-        let mut out = Plain::new(Vec::new());
+        let mut out = EscapingWriter::new(Vec::new());
         text.bytes().for_each(|byte| out.write_all(&[byte]).unwrap());
         assert_eq!(String::from_utf8(out.out).unwrap(), plain(text));
-        let mut out = Plain::new(Vec::new());
+        let mut out = EscapingWriter::new(Vec::new());
         out.write_all(b"a\xff\x9b\xc3b\x1b").unwrap();
         assert_eq!(String::from_utf8(out.out).unwrap(), "a\u{fffd}\u{fffd}\u{fffd}b\\u001b");
     }

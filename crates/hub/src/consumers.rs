@@ -24,7 +24,7 @@ struct Consumer {
 
 /// Which consumers the hub waits for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Whom {
+pub(crate) enum ConsumerSet {
     Everybody,
     Recorder,
 }
@@ -60,9 +60,11 @@ impl Consumers {
     }
 
     /// Returns the first of these consumers that has not taken the state of `tick`.
-    pub(crate) fn behind(&self, tick: Tick, whom: Whom) -> Option<Part> {
-        let mut these =
-            self.list.iter().filter(|consumer| whom == Whom::Everybody || consumer.part == Part::Recorder);
+    pub(crate) fn behind(&self, tick: Tick, whom: ConsumerSet) -> Option<Part> {
+        let mut these = self
+            .list
+            .iter()
+            .filter(|consumer| whom == ConsumerSet::Everybody || consumer.part == Part::Recorder);
         these.find(|consumer| consumer.tick.is_none_or(|taken| taken < tick)).map(|consumer| consumer.part)
     }
 
@@ -71,7 +73,7 @@ impl Consumers {
         &mut self,
         env: &mut E,
         tick: Tick,
-        whom: Whom,
+        whom: ConsumerSet,
     ) -> Result<Option<Part>, E::Error> {
         if self.behind(tick, whom).is_none() {
             return Ok(None);

@@ -46,7 +46,7 @@ pub trait Outputs {
 
 /// A received message.
 #[derive(Debug, Clone, PartialEq)]
-pub enum Incoming<M> {
+pub enum IncomingMessage<M> {
     /// A copy of the message and its sender. A copy, because the sender could change shared memory between
     /// the check and the use.
     Message(M, Connection),
@@ -91,13 +91,13 @@ pub trait Environment: Outputs {
     fn receive_command(
         &mut self,
         controller: ControllerIndex,
-    ) -> Result<Option<Incoming<Command>>, Self::Error>;
+    ) -> Result<Option<IncomingMessage<Command>>, Self::Error>;
 
     /// Takes the oldest run-control request in the queue.
     ///
     /// # Errors
     /// As [`Environment::receive_command`].
-    fn receive_control(&mut self) -> Result<Option<Incoming<RunControl>>, Self::Error>;
+    fn receive_control(&mut self) -> Result<Option<IncomingMessage<RunControl>>, Self::Error>;
 
     /// Takes the oldest consumer report in the queue.
     ///

@@ -92,6 +92,6 @@ pub mod patience;
 pub mod rate_limit;
 pub mod run_lane;
 
-pub use environment::{Environment, Incoming, Note, Outputs, Report};
-pub use machine::{Awaited, ControllerFault, Hub, HubError, Next, Settings, Wait};
+pub use environment::{Environment, IncomingMessage, Note, Outputs, Report};
+pub use machine::{ControllerFault, Hub, HubError, Next, Settings, Wait, WakeCondition};
 pub use pacing::Start;

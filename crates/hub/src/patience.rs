@@ -13,27 +13,27 @@ const _: () =
 
 /// A timeout.
 #[derive(Debug, Clone)]
-pub struct Patience {
+pub struct ProcessTimeout {
     limit_ns: u64,
     left_ns: u64,
     looked_ns: u64,
 }
 
-impl Patience {
+impl ProcessTimeout {
     /// Creates a timeout that starts now.
-    pub fn new(limit_ns: u64, now_ns: u64) -> Patience {
-        Patience { limit_ns, left_ns: limit_ns, looked_ns: now_ns }
+    pub fn new(limit_ns: u64, now_ns: u64) -> ProcessTimeout {
+        ProcessTimeout { limit_ns, left_ns: limit_ns, looked_ns: now_ns }
     }
 
     /// Returns whether the timeout has expired. Call it again before
-    /// [`next_look_ns`](Patience::next_look_ns).
+    /// [`next_look_ns`](ProcessTimeout::next_look_ns).
     pub fn is_over(&mut self, now_ns: u64) -> bool {
         let passed_ns = now_ns.saturating_sub(std::mem::replace(&mut self.looked_ns, now_ns));
         self.left_ns = self.left_ns.saturating_sub(passed_ns.min(LONGEST_LOOK_NS).min(self.limit_ns / 2));
         self.left_ns == 0
     }
 
-    /// Returns the latest time of the next call to [`is_over`](Patience::is_over).
+    /// Returns the latest time of the next call to [`is_over`](ProcessTimeout::is_over).
     pub fn next_look_ns(&self, now_ns: u64) -> u64 {
         now_ns + LOOK_NS.min(self.limit_ns / 4).min(self.left_ns)
     }
@@ -58,7 +58,7 @@ mod tests {
     fn time_spent_stopped_does_not_count() {
         for limit_ns in [500 * MS, 60_000 * MS] {
             let mut now_ns = 7;
-            let mut patience = Patience::new(limit_ns, now_ns);
+            let mut patience = ProcessTimeout::new(limit_ns, now_ns);
             now_ns += 3_600_000 * MS;
             assert!(!patience.is_over(now_ns), "{limit_ns}");
             for _ in 0..limit_ns / LOOK_NS.min(limit_ns / 4) {

@@ -9,8 +9,8 @@ use crate::suspicions;
 use foreign_text::foreign_path;
 use ipc_types::scene::{Label as SceneLabel, Phantom, Resample, Scene, Volume as SceneVolume};
 use volume_io::{
-    DataFiles, Label, MaskModel, ReadOptions, Slices, VolumeError, grid_of, identified, mask_to_hu, phantom,
-    resample,
+    DataFiles, Label, MaskModel, ReadOptions, SliceHandling, VolumeError, grid_of, identified, mask_to_hu,
+    phantom, resample,
 };
 use voxel_grid::{Ct, Volume, density};
 
@@ -48,7 +48,7 @@ pub struct VolumeChoice {
 impl VolumeChoice {
     /// In the form that the volume readers expect.
     pub fn options(&self) -> ReadOptions {
-        let slices = if self.rectify { Slices::Rectify } else { Slices::AsTheyLie };
+        let slices = if self.rectify { SliceHandling::Rectify } else { SliceHandling::AsTheyLie };
         ReadOptions { data_files: self.files.allowed(), series: self.series.clone(), slices, label: None }
     }
 }
@@ -59,8 +59,8 @@ fn options(source: &SceneVolume, files: VolumeFiles) -> ReadOptions {
         data_files: files.allowed(),
         series: source.series.clone(),
         slices: match source.resample {
-            Some(Resample::Rectify) => Slices::Rectify,
-            None => Slices::AsTheyLie,
+            Some(Resample::Rectify) => SliceHandling::Rectify,
+            None => SliceHandling::AsTheyLie,
         },
         label: source.label.as_ref().map(|label| match label {
             SceneLabel::Value(value) => Label::Value(*value),
@@ -96,17 +96,17 @@ pub fn load(scene: &Scene, files: VolumeFiles) -> Result<Option<Ct>, VolumeError
 
 /// A CT, and notes about it.
 #[derive(Debug, Clone)]
-pub struct Loaded {
+pub struct VolumeWithNotes {
     /// The CT.
     pub ct: Ct,
     /// Assumptions and changes of its reader, and what looks wrong about it for a scene.
     pub notes: Vec<String>,
 }
 
-impl Loaded {
+impl VolumeWithNotes {
     /// Adds the hash of the volume.
-    pub(crate) fn of(volume: Volume, notes: Vec<String>) -> Loaded {
-        Loaded { ct: identified(volume), notes }
+    pub(crate) fn of(volume: Volume, notes: Vec<String>) -> VolumeWithNotes {
+        VolumeWithNotes { ct: identified(volume), notes }
     }
 }
 
@@ -115,11 +115,11 @@ impl Loaded {
 ///
 /// # Errors
 /// As [`load`].
-pub fn load_with_notes(scene: &Scene, files: VolumeFiles) -> Result<Option<Loaded>, VolumeError> {
+pub fn load_with_notes(scene: &Scene, files: VolumeFiles) -> Result<Option<VolumeWithNotes>, VolumeError> {
     let Some(source) = &scene.volume else { return Ok(None) };
     let loaded = match (&source.path, source.phantom) {
         (Some(path), _) => of_file(path, source, files)?,
-        (None, Some(Phantom::Block)) => Loaded::of(block(source)?, Vec::new()),
+        (None, Some(Phantom::Block)) => VolumeWithNotes::of(block(source)?, Vec::new()),
         (None, _) => {
             let spacing_m = source.spacing_mm * 1e-3;
             let spec = phantom::FemurSpec { spacing_m, ..phantom::FemurSpec::default() };
@@ -134,16 +134,16 @@ pub fn load_with_notes(scene: &Scene, files: VolumeFiles) -> Result<Option<Loade
 }
 
 /// Moves the bone to its true pose, if `[truth]` gives one that differs from the plan.
-fn moved(loaded: Loaded, scene: &Scene) -> Result<Loaded, VolumeError> {
-    let Loaded { ct: Ct { volume: Volume { grid, hu }, .. }, notes } = loaded;
+fn moved(loaded: VolumeWithNotes, scene: &Scene) -> Result<VolumeWithNotes, VolumeError> {
+    let VolumeWithNotes { ct: Ct { volume: Volume { grid, hu }, .. }, notes } = loaded;
     let origin_m = scene.in_bone_mm(grid.origin_m().map(|x| x * 1e3)).map(|x| x * 1e-3);
     let axes = grid.axes().map(|axis| scene.turned_with_bone(axis));
     let grid = grid_of(Path::new("volume"), grid.dims(), grid.spacing_m(), origin_m, axes)?;
-    Ok(Loaded::of(Volume { grid, hu }, notes))
+    Ok(VolumeWithNotes::of(Volume { grid, hu }, notes))
 }
 
 /// The volume of a file with the scene's options: from the cache if it takes long to decode.
-fn of_file(path: &Path, source: &SceneVolume, files: VolumeFiles) -> Result<Loaded, VolumeError> {
+fn of_file(path: &Path, source: &SceneVolume, files: VolumeFiles) -> Result<VolumeWithNotes, VolumeError> {
     let options = options(source, files);
     let treatment = match (source.mask, source.resample_mm) {
         (false, None) => String::new(),

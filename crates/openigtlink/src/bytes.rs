@@ -87,7 +87,7 @@ impl<'a> Fields<'a> {
 }
 
 /// Writes fields to the end of a body.
-pub(crate) trait Put {
+pub(crate) trait FieldWriter {
     fn put(&mut self, bytes: &[u8]);
 
     fn put_u8(&mut self, value: u8) {
@@ -124,7 +124,7 @@ pub(crate) trait Put {
     }
 }
 
-impl Put for Vec<u8> {
+impl FieldWriter for Vec<u8> {
     fn put(&mut self, bytes: &[u8]) {
         self.extend_from_slice(bytes);
     }

@@ -1,7 +1,7 @@
 //! The extended header and the metadata of header version 2.
 
 use crate::Error;
-use crate::bytes::{Fields, Put};
+use crate::bytes::{FieldWriter, Fields};
 
 const KIND: &str = "extended header";
 /// Size of the extended header that this crate writes, in bytes; a longer one is skipped.

@@ -1,7 +1,7 @@
 //! TRANSFORM: a pose.
 
 use crate::Error;
-use crate::bytes::{Fields, Put};
+use crate::bytes::{FieldWriter, Fields};
 
 pub(crate) const TRANSFORM: &str = "TRANSFORM";
 

@@ -3,7 +3,7 @@
 use crc::{CRC_64_ECMA_182, Crc};
 
 use crate::Error;
-use crate::bytes::{Fields, Put};
+use crate::bytes::{FieldWriter, Fields};
 
 /// Size of a header in bytes.
 pub const HEADER_BYTES: usize = 58;

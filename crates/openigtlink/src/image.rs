@@ -1,7 +1,7 @@
 //! IMAGE: a picture or volume of 16-bit samples in space.
 
 use crate::Error;
-use crate::bytes::{Fields, Put};
+use crate::bytes::{FieldWriter, Fields};
 use crate::geometry::{columns, put_columns};
 
 pub(crate) const IMAGE: &str = "IMAGE";

@@ -1,7 +1,7 @@
 //! POINT: named fiducials.
 
 use crate::Error;
-use crate::bytes::{Fields, Put};
+use crate::bytes::{FieldWriter, Fields};
 
 pub(crate) const POINT: &str = "POINT";
 

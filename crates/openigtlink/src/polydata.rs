@@ -1,7 +1,7 @@
 //! POLYDATA: a surface or lines, as VTK's polygonal data.
 
 use crate::Error;
-use crate::bytes::{Fields, Put, u32_of};
+use crate::bytes::{FieldWriter, Fields, u32_of};
 
 pub(crate) const POLYDATA: &str = "POLYDATA";
 

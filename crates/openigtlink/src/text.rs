@@ -1,7 +1,7 @@
 //! STRING and STATUS.
 
 use crate::Error;
-use crate::bytes::{Fields, Put, check_text, u16_of};
+use crate::bytes::{FieldWriter, Fields, check_text, u16_of};
 
 pub(crate) const STRING: &str = "STRING";
 pub(crate) const STATUS: &str = "STATUS";

@@ -6,7 +6,7 @@ use simulation::pose;
 
 use crate::msg::{CameraInfo, Header, Image, RegionOfInterest, TfMessage, Time};
 use crate::outgoing::{Outgoing, push, transform};
-use crate::robot::{Placed, WORLD};
+use crate::robot::{FrameInParent, WORLD};
 use crate::topics::Output;
 
 /// The C-arm's optical frame: +z from the source to the detector.
@@ -62,7 +62,8 @@ pub fn of_frame(frame: &Frame, pixels: &[u16], form: ImageForm) -> Vec<Outgoing>
     let mut out = Vec::new();
     push(&mut out, Output::CArmImage, &image);
     push(&mut out, Output::CArmInfo, &camera(frame, header, width, height, side));
-    let placed = Placed { parent: WORLD.into(), child: C_ARM_FRAME.into(), pose: t_world_camera(frame) };
+    let placed =
+        FrameInParent { parent: WORLD.into(), child: C_ARM_FRAME.into(), pose: t_world_camera(frame) };
     push(&mut out, Output::Tf, &TfMessage { transforms: vec![transform(placed, stamp)] });
     out
 }

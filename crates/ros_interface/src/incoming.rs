@@ -68,7 +68,7 @@ pub const STATE_COMMANDS: [(StateCommand, &str, &str); 5] = [
 
 /// Why a message was rejected.
 #[derive(Debug, Clone, PartialEq, Error)]
-pub enum Refused {
+pub enum RequestError {
     /// The bytes are not a message of the topic's type.
     #[error("not a message of the topic's type ({0})")]
     Malformed(String),
@@ -124,7 +124,7 @@ pub enum Refused {
 
 /// The joints that messages can command.
 #[derive(Debug, Clone, Copy)]
-pub struct Commanded<'a> {
+pub struct CommandedJoints<'a> {
     /// Names of the arm's joints, from base to flange.
     pub arm: &'a [String],
     /// Number of the tool's tendons.
@@ -135,10 +135,15 @@ pub struct Commanded<'a> {
 ///
 /// # Errors
 /// Why the message is rejected.
-pub fn read(topic: Input, bytes: &[u8], order: Order, commanded: Commanded) -> Result<Request, Refused> {
-    let Commanded { arm, tendons } = commanded;
+pub fn read(
+    topic: Input,
+    bytes: &[u8],
+    order: Order,
+    commanded: CommandedJoints,
+) -> Result<Request, RequestError> {
+    let CommandedJoints { arm, tendons } = commanded;
     if bytes.len() > MAX_MESSAGE_BYTES {
-        return Err(Refused::TooLong(bytes.len()));
+        return Err(RequestError::TooLong(bytes.len()));
     }
     let joints = || decode::<JointState>(bytes, order);
     let pose = || decode::<PoseStamped>(bytes, order).and_then(|message| pose_of(&message));
@@ -169,7 +174,7 @@ pub fn read(topic: Input, bytes: &[u8], order: Order, commanded: Commanded) -> R
             let ([deployed, _], [lowest, highest]) = (goal, [0.0, MAX_DEPLOYED_M]);
             if !(lowest..=highest).contains(&deployed) {
                 let field = "position of `deployed`".to_owned();
-                return Err(Refused::Range { field, value: deployed, lowest, highest });
+                return Err(RequestError::Range { field, value: deployed, lowest, highest });
             }
             Motion::TubeMoveJp(goal)
         }
@@ -178,14 +183,14 @@ pub fn read(topic: Input, bytes: &[u8], order: Order, commanded: Commanded) -> R
     Ok(Request::Move(motion))
 }
 
-fn decode<T: serde::de::DeserializeOwned>(bytes: &[u8], order: Order) -> Result<T, Refused> {
-    cdr::decode(bytes, order).map_err(|error| Refused::Malformed(error.to_string()))
+fn decode<T: serde::de::DeserializeOwned>(bytes: &[u8], order: Order) -> Result<T, RequestError> {
+    cdr::decode(bytes, order).map_err(|error| RequestError::Malformed(error.to_string()))
 }
 
-fn state_command(message: &StringStamped) -> Result<Request, Refused> {
+fn state_command(message: &StringStamped) -> Result<Request, RequestError> {
     let asked = message.string.trim();
     let found = STATE_COMMANDS.iter().find(|(_, word, _)| *word == asked);
-    let (command, ..) = found.ok_or_else(|| Refused::Word(foreign_text::foreign(asked).to_string()))?;
+    let (command, ..) = found.ok_or_else(|| RequestError::Word(foreign_text::foreign(asked).to_string()))?;
     Ok(Request::State(*command))
 }
 
@@ -214,10 +219,10 @@ fn values<const N: usize>(
     names: &[String],
     lowest: f64,
     highest: f64,
-) -> Result<[f64; N], Refused> {
+) -> Result<[f64; N], RequestError> {
     let (label, given) = field.of(message);
     let expected = names.len().min(N);
-    let wrong = |field, given| Refused::Length { field, given, expected };
+    let wrong = |field, given| RequestError::Length { field, given, expected };
     if given.len() != expected {
         return Err(wrong(label, given.len()));
     }
@@ -233,27 +238,27 @@ fn values<const N: usize>(
         };
         let place = place.filter(|&place| !seen[place]).ok_or_else(|| {
             let given = message.name.get(index).map_or("", String::as_str);
-            Refused::Name { given: foreign_text::foreign(given).to_string(), expected: names.join(", ") }
+            RequestError::Name { given: foreign_text::foreign(given).to_string(), expected: names.join(", ") }
         })?;
         // Written so that NaN fails.
         if !(lowest..=highest).contains(&value) {
-            return Err(Refused::Range { field: format!("{label}[{index}]"), value, lowest, highest });
+            return Err(RequestError::Range { field: format!("{label}[{index}]"), value, lowest, highest });
         }
         (sorted[place], seen[place]) = (value, true);
     }
     Ok(sorted)
 }
 
-fn pose_of(message: &PoseStamped) -> Result<Pose, Refused> {
+fn pose_of(message: &PoseStamped) -> Result<Pose, RequestError> {
     let frame = message.header.frame_id.trim_start_matches('/');
     if !frame.is_empty() && frame != WORLD {
-        return Err(Refused::Frame(foreign_text::foreign(frame).to_string()));
+        return Err(RequestError::Frame(foreign_text::foreign(frame).to_string()));
     }
     let position_m: [f64; 3] = message.pose.position.into();
     for (axis, value) in ["x", "y", "z"].into_iter().zip(position_m) {
         let (lowest, highest) = (-MAX_POSITION_M, MAX_POSITION_M);
         if !(lowest..=highest).contains(&value) {
-            return Err(Refused::Range { field: format!("position.{axis}"), value, lowest, highest });
+            return Err(RequestError::Range { field: format!("position.{axis}"), value, lowest, highest });
         }
     }
     let turn = message.pose.orientation;
@@ -262,7 +267,7 @@ fn pose_of(message: &PoseStamped) -> Result<Pose, Refused> {
     // Written so that NaN fails.
     let is_rotation = (length - 1.0).abs() <= QUATERNION_TOLERANCE;
     if !is_rotation {
-        return Err(Refused::Quaternion(length));
+        return Err(RequestError::Quaternion(length));
     }
     Ok(Pose { position_m, orientation_xyzw: given.map(|part| part / length) })
 }
@@ -275,9 +280,9 @@ mod tests {
     use crate::msg::{Header, Quaternion, RosPose, Vector3};
     use crate::topics::ARM_JOINT_NAMES;
 
-    fn ask<T: serde::Serialize>(topic: Input, message: &T) -> Result<Request, Refused> {
+    fn ask<T: serde::Serialize>(topic: Input, message: &T) -> Result<Request, RequestError> {
         let arm = ARM_JOINT_NAMES.map(str::to_owned);
-        read(topic, &cdr::encode(message).unwrap(), Order::Little, Commanded { arm: &arm, tendons: 1 })
+        read(topic, &cdr::encode(message).unwrap(), Order::Little, CommandedJoints { arm: &arm, tendons: 1 })
     }
 
     fn joints(name: &[&str], position: &[f64]) -> JointState {
@@ -335,10 +340,10 @@ mod tests {
         let Ok(Request::Move(Motion::ArmServoCp(pose))) = ask(Input::ArmServoCp, &message) else { panic!() };
         assert_eq!(pose.orientation_xyzw, [0.0, 0.0, 0.0, 1.0]);
         message.pose.orientation.w = 0.0;
-        assert_eq!(ask(Input::ArmMoveCp, &message), Err(Refused::Quaternion(0.0)));
+        assert_eq!(ask(Input::ArmMoveCp, &message), Err(RequestError::Quaternion(0.0)));
         message.pose.orientation.w = 1.0;
         message.header.frame_id = "UR5/base".into();
-        assert_eq!(ask(Input::ArmMoveCp, &message), Err(Refused::Frame("UR5/base".into())));
+        assert_eq!(ask(Input::ArmMoveCp, &message), Err(RequestError::Frame("UR5/base".into())));
     }
 
     #[test]
@@ -359,7 +364,7 @@ mod tests {
             let topic = crate::topics::INPUTS[topic].topic;
             let order = if big { Order::Big } else { Order::Little };
             let names = ARM_JOINT_NAMES.map(str::to_owned);
-            if let Ok(Request::Move(Motion::ArmServoJp(values))) = read(topic, &bytes, order, Commanded { arm: &names, tendons: 2 }) {
+            if let Ok(Request::Move(Motion::ArmServoJp(values))) = read(topic, &bytes, order, CommandedJoints { arm: &names, tendons: 2 }) {
                 prop_assert!(values.iter().all(|value| value.is_finite()));
             }
         }

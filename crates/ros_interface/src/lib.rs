@@ -13,13 +13,13 @@
 //! ```
 //! use ros_interface::cdr::{self, Order};
 //! use ros_interface::commander::Motion;
-//! use ros_interface::incoming::{self, Commanded, Request};
+//! use ros_interface::incoming::{self, CommandedJoints, Request};
 //! use ros_interface::msg::JointState;
 //! use ros_interface::topics::Input;
 //!
 //! let pull = JointState { effort: vec![5.0], ..JointState::default() };
 //! let bytes = cdr::encode(&pull).unwrap();
-//! let asked = incoming::read(Input::TendonServoJf, &bytes, Order::Little, Commanded { arm: &[], tendons: 1 }).unwrap();
+//! let asked = incoming::read(Input::TendonServoJf, &bytes, Order::Little, CommandedJoints { arm: &[], tendons: 1 }).unwrap();
 //! assert_eq!(asked, Request::Move(Motion::TendonServoJf([5.0, 0.0, 0.0, 0.0])));
 //! ```
 //!

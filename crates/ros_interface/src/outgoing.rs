@@ -10,7 +10,7 @@ use crate::msg::{
     Clock, Float64, Header, JointState, OperatingStateMessage, PoseStamped, Text, TfMessage, Time,
     TransformStamped, TwistStamped, UInt64, WrenchStamped,
 };
-use crate::robot::{Placed, Robot, WORLD, isometry};
+use crate::robot::{FrameInParent, Robot, WORLD, isometry};
 use crate::topics::{Output, TUBE_JOINT_NAMES, joint_names};
 
 /// An outgoing message.
@@ -119,7 +119,7 @@ fn tool(out: &mut Vec<Outgoing>, robot: &Robot, state: &State, stamp: Time) {
     push(out, Output::RemovedVoxels, &UInt64 { data: state.removed_total });
 }
 
-pub(crate) fn transform(placed: Placed, stamp: Time) -> TransformStamped {
+pub(crate) fn transform(placed: FrameInParent, stamp: Time) -> TransformStamped {
     TransformStamped {
         header: Header { stamp, frame_id: placed.parent },
         child_frame_id: placed.child,

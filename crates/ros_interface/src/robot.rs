@@ -13,7 +13,7 @@ pub const WORLD: &str = "world";
 
 /// A frame with its parent and its pose in it.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Placed {
+pub struct FrameInParent {
     /// Parent frame.
     pub parent: String,
     /// The frame.
@@ -143,31 +143,31 @@ impl Robot {
     }
 
     /// Returns the arm's base in the world, which does not move.
-    pub fn fixed(&self) -> Placed {
-        Placed { parent: WORLD.into(), child: self.arm_frame(0), pose: pose(&self.t_world_arm_base) }
+    pub fn fixed(&self) -> FrameInParent {
+        FrameInParent { parent: WORLD.into(), child: self.arm_frame(0), pose: pose(&self.t_world_arm_base) }
     }
 
     /// Returns every frame that moves, parents first.
-    pub fn moving(&self, state: &State) -> Vec<Placed> {
+    pub fn moving(&self, state: &State) -> Vec<FrameInParent> {
         let mut placed = Vec::with_capacity(MAX_ARM_JOINTS + self.flexures + 6);
         let joints = self.arm_joints.len();
         for (index, angle_rad) in state.arm_joint_position_rad.into_iter().take(joints).enumerate() {
             let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), angle_rad);
             let t_parent_child = self.fixed_parts[index] * turn;
             let (parent, child) = (self.arm_frame(index), self.arm_frame(index + 1));
-            placed.push(Placed { parent, child, pose: pose(&t_parent_child) });
+            placed.push(FrameInParent { parent, child, pose: pose(&t_parent_child) });
         }
         let t_last_flange = match self.flange_floats() {
             true => self.t_world_arm_base.inverse() * isometry(&state.t_world_flange),
             false => self.fixed_parts[joints],
         };
         let (parent, child) = (self.arm_frame(joints), self.flange());
-        placed.push(Placed { parent, child, pose: pose(&t_last_flange) });
+        placed.push(FrameInParent { parent, child, pose: pose(&t_last_flange) });
         let mut last = (self.flange(), isometry(&state.t_world_flange));
         let mut hang = |child: String, t_world_child: &Pose, stays: bool| {
             let t_world_child = isometry(t_world_child);
             let pose = pose(&(last.1.inverse() * t_world_child));
-            placed.push(Placed { parent: last.0.clone(), child: child.clone(), pose });
+            placed.push(FrameInParent { parent: last.0.clone(), child: child.clone(), pose });
             if !stays {
                 last = (child, t_world_child);
             }

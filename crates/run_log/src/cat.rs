@@ -8,7 +8,7 @@ use serde_json::{Map, Value, json};
 
 use crate::Topic;
 use crate::error::LogError;
-use crate::fields::{Place, Scalar, element_size, find};
+use crate::fields::{FieldLocation, Scalar, element_size, find};
 use crate::source::LogSource;
 use crate::stream::{LogMessage, MessageStream, ReadOptions};
 use crate::verdict::Verdict;
@@ -44,7 +44,7 @@ impl CatOptions {
 
 /// Result of [`cat`].
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Written {
+pub struct CatSummary {
     /// How many messages of the selected topics are in the range.
     pub messages: u64,
     /// Tick of the last message of the selected topics, written or not; `None` if there is none.
@@ -59,7 +59,7 @@ pub struct Written {
 /// # Errors
 /// [`LogError::NoSuchField`]; [`LogError::NoSuchTopic`], after the messages of the other topics; a log that
 /// cannot be read.
-pub fn cat(log: &dyn LogSource, options: &CatOptions, out: &mut dyn Write) -> Result<Written, LogError> {
+pub fn cat(log: &dyn LogSource, options: &CatOptions, out: &mut dyn Write) -> Result<CatSummary, LogError> {
     check_fields(&options.fields, &options.topics)?;
     let mut stream = match options.topics.as_slice() {
         [] => MessageStream::open(log, options.read)?,
@@ -88,7 +88,7 @@ pub fn cat(log: &dyn LogSource, options: &CatOptions, out: &mut dyn Write) -> Re
     let topics = stream.topics();
     match options.topics.iter().find(|topic| !topics.contains(topic.as_str())) {
         Some(unknown) => Err(stream.no_such_topic(unknown)),
-        None => Ok(Written { messages, last_tick, verdict: stream.verdict() }),
+        None => Ok(CatSummary { messages, last_tick, verdict: stream.verdict() }),
     }
 }
 
@@ -135,7 +135,7 @@ pub fn whole(description: &'static Description, body: &[u8]) -> Value {
 fn object(description: &'static Description, bytes: &[u8]) -> Map<String, Value> {
     let mut map = Map::new();
     for field in description.fields {
-        let place = Place {
+        let place = FieldLocation {
             path: String::new(),
             element: field.element,
             array_length: field.array_length,
@@ -148,7 +148,7 @@ fn object(description: &'static Description, bytes: &[u8]) -> Map<String, Value>
     map
 }
 
-fn place_value(place: &Place, bytes: &[u8]) -> Value {
+fn place_value(place: &FieldLocation, bytes: &[u8]) -> Value {
     let bytes = bytes.get(place.offset..place.offset + place.size).unwrap_or_default();
     match place.array_length {
         None => element_value(place.element, bytes),

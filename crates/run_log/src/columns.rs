@@ -4,7 +4,7 @@ use messages::layout::{Description, Element};
 use messages::{Tick, TickRange};
 
 use crate::error::LogError;
-use crate::fields::{Place, Scalar, element_size, find};
+use crate::fields::{FieldLocation, Scalar, element_size, find};
 use crate::source::LogSource;
 use crate::stream::{MessageStream, ReadOptions};
 use crate::topics::{self, Topic};
@@ -58,7 +58,7 @@ pub fn columns(description: &'static Description, fields: &[String]) -> Result<V
 fn message(description: &'static Description, prefix: &str, offset: usize, out: &mut Vec<Column>) {
     for field in description.fields {
         let name = format!("{prefix}{}", field.name);
-        let place = Place {
+        let place = FieldLocation {
             path: name.clone(),
             element: field.element,
             array_length: field.array_length,
@@ -70,7 +70,7 @@ fn message(description: &'static Description, prefix: &str, offset: usize, out: 
     }
 }
 
-fn of_place(place: &Place, name: &str, out: &mut Vec<Column>) {
+fn of_place(place: &FieldLocation, name: &str, out: &mut Vec<Column>) {
     let count = place.array_length.unwrap_or(1).max(1);
     let size = place.size / count;
     for i in 0..count {

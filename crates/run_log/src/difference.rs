@@ -78,7 +78,7 @@ pub fn compare(
         return None;
     }
     // Keep a few more than are listed, so that the chained hash can be moved to the end.
-    let mut found = Found { most: MAX_LISTED + 2, ..Found::default() };
+    let mut found = DifferenceList { most: MAX_LISTED + 2, ..DifferenceList::default() };
     found.message(description, "", recorded, replayed);
     if let Some(tail) = description.tail {
         let (a, b) = (recorded.get(description.size..), replayed.get(description.size..));
@@ -97,7 +97,7 @@ pub fn compare_removed(tick: Tick, recorded: &[u32], replayed: &[u32]) -> Option
         return None;
     }
     let bytes = |list: &[u32]| -> Vec<u8> { list.iter().flat_map(|index| index.to_le_bytes()).collect() };
-    let mut found = Found { most: MAX_LISTED, ..Found::default() };
+    let mut found = DifferenceList { most: MAX_LISTED, ..DifferenceList::default() };
     if recorded.len() != replayed.len() {
         let length = |list: &[u32]| Some(Scalar::Unsigned(list.len() as u64));
         found.push("voxel_index_length".to_string(), length(recorded), length(replayed));
@@ -110,20 +110,20 @@ pub fn compare_removed(tick: Tick, recorded: &[u32], replayed: &[u32]) -> Option
 /// Returns all differing scalars, in field order, of two messages without tails and with the same
 /// description.
 pub fn all_differences(description: &'static Description, a: &[u8], b: &[u8]) -> Vec<FieldDifference> {
-    let mut found = Found { most: usize::MAX, ..Found::default() };
+    let mut found = DifferenceList { most: usize::MAX, ..DifferenceList::default() };
     found.message(description, "", a, b);
     found.list
 }
 
 #[derive(Default)]
-struct Found {
+struct DifferenceList {
     list: Vec<FieldDifference>,
     /// Maximum number to keep.
     most: usize,
     total: usize,
 }
 
-impl Found {
+impl DifferenceList {
     fn push(&mut self, path: String, recorded: Option<Scalar>, replayed: Option<Scalar>) {
         self.total += 1;
         if self.list.len() < self.most {

@@ -190,12 +190,12 @@ pub struct Ending {
     /// The marker of a clean finish, if there is one.
     pub marker: Option<EndMarker>,
     /// Set if the file stops before the end that MCAP requires.
-    pub cut: Option<Cut>,
+    pub cut: Option<TruncationPoint>,
 }
 
 /// Where a file stops.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Cut {
+pub struct TruncationPoint {
     /// End of the last complete record; everything before it was read.
     pub offset: u64,
     /// Bytes of the incomplete record that follows.
@@ -219,7 +219,7 @@ impl Ending {
         match self.cut {
             None => marker,
             Some(cut) => {
-                let Cut { offset, incomplete_bytes } = cut;
+                let TruncationPoint { offset, incomplete_bytes } = cut;
                 format!(
                     "{marker}; truncated after byte {offset}, {incomplete_bytes} bytes of an incomplete \
                      record skipped"

@@ -122,7 +122,7 @@ pub fn element_size(field: &Field) -> usize {
 
 /// Where a field path such as `t_world_link[7].position_m[2]` points.
 #[derive(Debug, Clone)]
-pub struct Place {
+pub struct FieldLocation {
     /// The path as given.
     pub path: String,
     /// Type of one element.
@@ -149,7 +149,7 @@ fn no_field(description: &Description, name: &str) -> String {
 const NEAR_ENOUGH: f64 = 0.7;
 
 /// Finds a field by its path. The error says where the path stops matching.
-pub fn find(description: &'static Description, path: &str) -> Result<Place, String> {
+pub fn find(description: &'static Description, path: &str) -> Result<FieldLocation, String> {
     let mut current = description;
     let mut offset = 0;
     let mut segments = path.split('.').peekable();
@@ -157,7 +157,7 @@ pub fn find(description: &'static Description, path: &str) -> Result<Place, Stri
         let (name, index) = split_index(segment)?;
         let field = current.fields.iter().find(|field| field.name == name);
         let field = field.ok_or_else(|| no_field(current, name))?;
-        let mut place = Place {
+        let mut place = FieldLocation {
             path: path.to_string(),
             element: field.element,
             array_length: field.array_length,

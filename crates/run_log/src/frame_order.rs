@@ -27,7 +27,7 @@ pub fn frame_lag_ticks(header: &LogHeader) -> u64 {
 
 /// Which held messages to write now.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Due {
+pub(crate) enum WriteScope {
     /// Everything that belongs to a tick already written.
     AtItsTick,
     /// Everything held.
@@ -101,22 +101,22 @@ impl FrameOrder {
     }
 
     /// The next reply that is due.
-    pub fn next_reply(&mut self, due: Due) -> Option<PlacedReply> {
+    pub fn next_reply(&mut self, due: WriteScope) -> Option<PlacedReply> {
         take_due(&mut self.replies, self.tick, due)
     }
 
     /// The next frame that is due, or the oldest one while the held images exceed the limit.
-    pub fn next_frame(&mut self, due: Due) -> Option<FrameWithImage> {
-        let due = if self.held_bytes > MAX_HELD_BYTES { Due::All } else { due };
+    pub fn next_frame(&mut self, due: WriteScope) -> Option<FrameWithImage> {
+        let due = if self.held_bytes > MAX_HELD_BYTES { WriteScope::All } else { due };
         let frame = take_due(&mut self.frames, self.tick, due)?;
         self.held_bytes -= frame.image.as_ref().map_or(0, Vec::len);
         Some(frame)
     }
 }
 
-fn take_due<T>(held: &mut VecDeque<Held<T>>, tick: Option<Tick>, due: Due) -> Option<T> {
+fn take_due<T>(held: &mut VecDeque<Held<T>>, tick: Option<Tick>, due: WriteScope) -> Option<T> {
     let first = held.front()?;
-    let is_due = due == Due::All || tick.is_some_and(|tick| first.due <= tick);
+    let is_due = due == WriteScope::All || tick.is_some_and(|tick| first.due <= tick);
     if is_due { held.pop_front().map(|held| held.message) } else { None }
 }
 
@@ -124,7 +124,7 @@ fn take_due<T>(held: &mut VecDeque<Held<T>>, tick: Option<Tick>, due: Due) -> Op
 mod tests {
     use messages::{DrrReply, DrrStatus, Tick};
 
-    use super::{Due, FrameOrder};
+    use super::{FrameOrder, WriteScope};
 
     fn order() -> FrameOrder {
         FrameOrder {
@@ -147,7 +147,7 @@ mod tests {
         let mut written = Vec::new();
         for tick in 101..120 {
             order.tick(Tick(tick));
-            while let Some(placed) = order.next_reply(Due::AtItsTick) {
+            while let Some(placed) = order.next_reply(WriteScope::AtItsTick) {
                 written.push((tick, placed.tick.0, placed.reply.tick));
             }
         }

@@ -9,7 +9,7 @@ use mcap::MAGIC;
 use mcap::records::{Channel, Record, SchemaHeader, op};
 
 use crate::lengths::parse_record;
-use crate::limits::{Declared, MAX_DECLARATION_BYTES, MAX_INDEX_BYTES};
+use crate::limits::{DeclarationCount, MAX_DECLARATION_BYTES, MAX_INDEX_BYTES};
 use crate::records::{RECORD_HEADER, chunk_record};
 use crate::topics;
 
@@ -38,7 +38,7 @@ impl Summary {
     pub fn read<R: Read + Seek>(source: &mut R, data_end: Option<u64>) -> Option<Summary> {
         let records = records(source, data_end)?;
         let (mut summary, mut rest) = (Summary::default(), records.as_slice());
-        let mut declared = Declared::default();
+        let mut declared = DeclarationCount::default();
         while !rest.is_empty() {
             let (opcode, body, length) = chunk_record(rest)?;
             let is_declaration = matches!(opcode, op::SCHEMA | op::CHANNEL);

@@ -11,27 +11,27 @@ use crate::end::END_RECORD;
 use crate::error::LogError;
 use crate::header::{HEADER_RECORD, RUNS_RECORD};
 use crate::library;
-use crate::limits::Declared;
+use crate::limits::DeclarationCount;
 use crate::rewrite::{Packing, Rewriter};
 use crate::source::LogSource;
 use crate::stream::ReadOptions;
 use crate::verdict::{Fault, verdict};
-use crate::walk::{Piece, walk};
+use crate::walk::{WalkItem, walk};
 
 /// Calls `visit` for every piece of a log, which must be complete and written by Trabecula.
 fn walk_whole(
     log: &dyn LogSource,
-    visit: &mut dyn FnMut(Piece<'_>) -> Result<(), LogError>,
+    visit: &mut dyn FnMut(WalkItem<'_>) -> Result<(), LogError>,
 ) -> Result<(), LogError> {
     let not_whole = |cause: &str| not_whole(log, cause);
     let (mut marked, mut headed) = (false, false);
     walk(log.open()?, log.path(), &mut |piece| match piece {
-        Piece::Lost(lost) => Err(not_whole(&format!("damaged at byte {}: {}", lost.offset, lost.cause))),
-        Piece::Cut { offset, .. } => Err(not_whole(&format!("truncated after byte {offset}"))),
-        Piece::Metadata { name, entries } => {
+        WalkItem::Lost(lost) => Err(not_whole(&format!("damaged at byte {}: {}", lost.offset, lost.cause))),
+        WalkItem::Cut { offset, .. } => Err(not_whole(&format!("truncated after byte {offset}"))),
+        WalkItem::Metadata { name, entries } => {
             marked |= name == END_RECORD || name == RUNS_RECORD;
             headed |= name == HEADER_RECORD;
-            visit(Piece::Metadata { name, entries })
+            visit(WalkItem::Metadata { name, entries })
         }
         other => visit(other),
     })?;
@@ -60,10 +60,10 @@ fn digest(log: &dyn LogSource) -> Result<[u8; 32], LogError> {
     let (mut hasher, mut topics) = (Sha256::new(), BTreeMap::new());
     walk_whole(log, &mut |piece| {
         match piece {
-            Piece::Channel(channel) => {
+            WalkItem::Channel(channel) => {
                 topics.insert(channel.id, channel.topic);
             }
-            Piece::Message { header, data } => {
+            WalkItem::Message { header, data } => {
                 hasher.update(topics.get(&header.channel_id).map(String::as_str).unwrap_or_default());
                 hasher.update(header.sequence.to_le_bytes());
                 hasher.update(header.log_time.to_le_bytes());
@@ -127,14 +127,14 @@ pub fn cat_files<W: Write>(inputs: &[&dyn LogSource], out: W, path: &Path) -> Re
         let prefix = prefix(index + 1);
         out.begin_source(&format!("/{}", prefix.trim_end_matches('/')));
         walk_whole(*input, &mut |piece| match piece {
-            Piece::Metadata { name, entries } if name == RUNS_RECORD => {
+            WalkItem::Metadata { name, entries } if name == RUNS_RECORD => {
                 let runs = entries.get("count").cloned().unwrap_or_default();
                 Err(LogError::SeveralRuns { path: input.path().into(), runs })
             }
-            Piece::Metadata { name, entries } => out.metadata(format!("{prefix}{name}"), entries),
-            Piece::Attachment(mut found) => {
+            WalkItem::Metadata { name, entries } => out.metadata(format!("{prefix}{name}"), entries),
+            WalkItem::Attachment(mut found) => {
                 found.name = format!("{prefix}{}", found.name);
-                out.piece(Piece::Attachment(found))
+                out.piece(WalkItem::Attachment(found))
             }
             other => out.piece(other),
         })?;
@@ -173,7 +173,7 @@ pub trait RunOutputs {
 pub fn check_holds_runs(input: &dyn LogSource) -> Result<(), LogError> {
     let mut marked = false;
     walk_whole(input, &mut |piece| {
-        marked |= matches!(piece, Piece::Metadata { name, .. } if name == RUNS_RECORD);
+        marked |= matches!(piece, WalkItem::Metadata { name, .. } if name == RUNS_RECORD);
         Ok(())
     })?;
     if marked { Ok(()) } else { Err(LogError::OneRun { path: input.path().into() }) }
@@ -210,7 +210,7 @@ struct Split<'o, O: RunOutputs> {
     /// Schemas are declared once for all runs; each output declares them again with the first channel that
     /// needs them.
     schemas: BTreeMap<u16, (SchemaHeader, Vec<u8>)>,
-    kept: Declared,
+    kept: DeclarationCount,
     chunk_is_ours: bool,
 }
 
@@ -222,40 +222,40 @@ struct InRun<'a, W: Write> {
 
 impl<'o, O: RunOutputs> Split<'o, O> {
     fn of(outputs: &'o mut O, library: &'static str) -> Split<'o, O> {
-        let (schemas, kept) = (BTreeMap::new(), Declared::default());
+        let (schemas, kept) = (BTreeMap::new(), DeclarationCount::default());
         Split { outputs, library, whole: 0, out: None, schemas, kept, chunk_is_ours: false }
     }
 
-    fn take(&mut self, piece: Piece<'_>) -> Result<(), LogError> {
+    fn take(&mut self, piece: WalkItem<'_>) -> Result<(), LogError> {
         match piece {
-            Piece::Metadata { name, entries } => match self.run_of(&name)? {
+            WalkItem::Metadata { name, entries } => match self.run_of(&name)? {
                 Some(InRun { out, name }) => out.metadata(name, entries),
                 None => Ok(()),
             },
-            Piece::Attachment(mut found) => match self.run_of(&found.name)? {
+            WalkItem::Attachment(mut found) => match self.run_of(&found.name)? {
                 Some(InRun { out, name }) => {
                     found.name = name;
                     out.attachment(&found)
                 }
                 None => Ok(()),
             },
-            Piece::Schema { header, data } => {
+            WalkItem::Schema { header, data } => {
                 if !self.schemas.contains_key(&header.id) {
                     self.kept.schema(self.outputs.path(), &header, data.len())?;
                     self.schemas.insert(header.id, (header, data.to_vec()));
                 }
                 Ok(())
             }
-            Piece::Channel(channel) => self.channel(channel),
-            Piece::Message { header, data } => match &mut self.out {
+            WalkItem::Channel(channel) => self.channel(channel),
+            WalkItem::Message { header, data } => match &mut self.out {
                 Some(out) if out.knows(header.channel_id) => {
                     self.chunk_is_ours = true;
-                    out.piece(Piece::Message { header, data })
+                    out.piece(WalkItem::Message { header, data })
                 }
                 _ => Ok(()),
             },
-            Piece::ChunkEnd => match &mut self.out {
-                Some(out) if std::mem::take(&mut self.chunk_is_ours) => out.piece(Piece::ChunkEnd),
+            WalkItem::ChunkEnd => match &mut self.out {
+                Some(out) if std::mem::take(&mut self.chunk_is_ours) => out.piece(WalkItem::ChunkEnd),
                 _ => Ok(()),
             },
             _ => Ok(()),
@@ -268,9 +268,9 @@ impl<'o, O: RunOutputs> Split<'o, O> {
         let Some(InRun { out, name: topic }) = self.run_of(name)? else { return Ok(()) };
         channel.topic = format!("/{topic}");
         if let Some((header, data)) = schema {
-            out.piece(Piece::Schema { header, data: &data })?;
+            out.piece(WalkItem::Schema { header, data: &data })?;
         }
-        out.piece(Piece::Channel(channel))
+        out.piece(WalkItem::Channel(channel))
     }
 
     /// Returns the run that a name of the joined log belongs to, or `None` if it belongs to no run. The first

@@ -110,7 +110,7 @@ pub mod verify;
 mod walk;
 
 pub use continuity::{Gap, Stretch};
-pub use end::{Cut, END_RECORD, EndMarker, EndReason, Ending, hash_text};
+pub use end::{END_RECORD, EndMarker, EndReason, Ending, TruncationPoint, hash_text};
 pub use error::LogError;
 pub use frames::{FrameReader, FrameRecord, frames};
 pub use header::{BuildInfo, CALIBRATION_ATTACHMENT, LogHeader, RunMode, layout_hashes};

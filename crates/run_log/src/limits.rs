@@ -36,13 +36,13 @@ const _: () =
 
 /// Counts the declarations that a reader has kept.
 #[derive(Debug, Default)]
-pub(crate) struct Declared {
+pub(crate) struct DeclarationCount {
     schemas: usize,
     channels: usize,
     bytes: usize,
 }
 
-impl Declared {
+impl DeclarationCount {
     /// Counts a schema to be kept, with this many bytes of text.
     pub fn schema(&mut self, path: &Path, header: &SchemaHeader, text: usize) -> Result<(), LogError> {
         self.schemas += 1;

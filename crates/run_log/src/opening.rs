@@ -9,8 +9,8 @@ use crate::end::END_RECORD;
 use crate::error::LogError;
 use crate::header::{CALIBRATION_ATTACHMENT, HEADER_RECORD, LogHeader, RUNS_RECORD, SCENE_ATTACHMENT};
 use crate::limits::MAX_SCENE_BYTES;
-use crate::records::{Attached, FileRecord, Records, Source};
-use crate::walk::{Piece, walk};
+use crate::records::{AttachmentRecord, FileRecord, Records, Source};
+use crate::walk::{WalkItem, walk};
 
 /// Which copy of the header.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -32,7 +32,7 @@ impl HeaderCopy {
 }
 
 /// A header with its record's entries.
-pub(crate) struct Opened {
+pub(crate) struct OpenedHeader {
     pub header: LogHeader,
     pub metadata: BTreeMap<String, String>,
     /// The records that follow the header.
@@ -52,7 +52,7 @@ pub(crate) struct Parts {
 
 impl Parts {
     /// Keeps an attachment that belongs to a header.
-    pub fn take(&mut self, found: &Attached) {
+    pub fn take(&mut self, found: &AttachmentRecord) {
         let text = || {
             let kept = found.data.get(..MAX_SCENE_BYTES).unwrap_or(&found.data);
             Some(String::from_utf8_lossy(kept).into_owned())
@@ -75,7 +75,7 @@ impl Parts {
 ///
 /// # Errors
 /// Neither header can be read; describes what is wrong with the first.
-pub(crate) fn open(source: Source, path: &Path) -> Result<Opened, LogError> {
+pub(crate) fn open(source: Source, path: &Path) -> Result<OpenedHeader, LogError> {
     let mut records = Records::new(source, path)?;
     let mut parts = Parts::default();
     // Other programs that rewrite logs put metadata and attachments after the messages; that is not damage.
@@ -86,7 +86,7 @@ pub(crate) fn open(source: Source, path: &Path) -> Result<Opened, LogError> {
             Ok(FileRecord::Metadata { name, entries }) if name == HEADER_RECORD => {
                 match parts.header(path, &entries) {
                     Ok(header) => {
-                        return Ok(Opened {
+                        return Ok(OpenedHeader {
                             header,
                             metadata: entries,
                             records,
@@ -114,7 +114,7 @@ pub(crate) fn open(source: Source, path: &Path) -> Result<Opened, LogError> {
         Found { header: Some((header, metadata)), first_chunk: Some(at) } => {
             let records = Records::at(source, path, at, bare)?;
             let first_is_bad = (!is_moved).then(|| cause(&error));
-            Ok(Opened { header, metadata, records, first_is_bad, is_behind: true })
+            Ok(OpenedHeader { header, metadata, records, first_is_bad, is_behind: true })
         }
         _ => Err(error),
     }
@@ -142,12 +142,12 @@ fn second<R: Read + Seek>(source: &mut R, path: &Path) -> Found {
     let (mut found, mut parts) = (Found::default(), Parts::default());
     let walked = walk(source, path, &mut |piece| {
         match piece {
-            Piece::ChunkBegin(at) => _ = found.first_chunk.get_or_insert(at),
-            Piece::Attachment(attached) if found.first_chunk.is_some() => parts.take(&attached),
-            Piece::Metadata { name, entries } if name == HEADER_RECORD && found.first_chunk.is_some() => {
+            WalkItem::ChunkBegin(at) => _ = found.first_chunk.get_or_insert(at),
+            WalkItem::Attachment(attached) if found.first_chunk.is_some() => parts.take(&attached),
+            WalkItem::Metadata { name, entries } if name == HEADER_RECORD && found.first_chunk.is_some() => {
                 found.header = parts.header(path, &entries).ok().map(|header| (header, entries));
             }
-            Piece::Metadata { name, .. } if name == END_RECORD => return Err(enough(path)),
+            WalkItem::Metadata { name, .. } if name == END_RECORD => return Err(enough(path)),
             _ => {}
         }
         if found.header.is_some() { Err(enough(path)) } else { Ok(()) }

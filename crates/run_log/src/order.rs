@@ -31,7 +31,7 @@ enum Beginning {
 
 /// One message in the order of the log.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) enum Ordered {
+pub(crate) enum OrderedMessage {
     Latched(Box<Latched>),
     Removed(Vec<u8>),
     State(Box<State>),
@@ -67,7 +67,7 @@ impl TickOrder {
     }
 
     /// Returns the next messages in order; empty if the next tick is incomplete and more messages can arrive.
-    pub fn next(&mut self, supply: Supply) -> Vec<Ordered> {
+    pub fn next(&mut self, supply: Supply) -> Vec<OrderedMessage> {
         let has_ended = supply == Supply::Ended;
         match (self.latched.front(), self.states.front()) {
             (_, Some(state)) if !self.begun && state.tick == 0 => self.tick(Beginning::State, supply),
@@ -81,26 +81,29 @@ impl TickOrder {
             (None, Some(_)) if has_ended || self.states.len() > MAX_WAITING => {
                 self.tick(Beginning::State, supply)
             }
-            (None, None) if has_ended => {
-                self.removed.pop_front().map(|(_, bytes)| Ordered::Removed(bytes)).into_iter().collect()
-            }
+            (None, None) if has_ended => self
+                .removed
+                .pop_front()
+                .map(|(_, bytes)| OrderedMessage::Removed(bytes))
+                .into_iter()
+                .collect(),
             _ => Vec::new(),
         }
     }
 
     /// Returns the first waiting state with its removals, preceded by the first waiting command if it belongs
     /// to the state.
-    fn tick(&mut self, beginning: Beginning, supply: Supply) -> Vec<Ordered> {
+    fn tick(&mut self, beginning: Beginning, supply: Supply) -> Vec<OrderedMessage> {
         let with_latched = beginning == Beginning::Latched;
         let latched = self.latched.front().filter(|_| with_latched);
         let reset = latched.map_or(Reset::No, |latched| latched.reset());
         let Some(count) = self.removals_of_front_state(reset, supply) else { return Vec::new() };
         let latched = if with_latched { self.latched.pop_front() } else { None };
-        let mut out: Vec<Ordered> = latched.map(Ordered::Latched).into_iter().collect();
-        out.extend(self.removed.drain(..count).map(|(_, bytes)| Ordered::Removed(bytes)));
+        let mut out: Vec<OrderedMessage> = latched.map(OrderedMessage::Latched).into_iter().collect();
+        out.extend(self.removed.drain(..count).map(|(_, bytes)| OrderedMessage::Removed(bytes)));
         if let Some(state) = self.states.pop_front() {
             self.removed_total = state.removed_total;
-            out.push(Ordered::State(state));
+            out.push(OrderedMessage::State(state));
         }
         self.begun = true;
         out
@@ -108,15 +111,15 @@ impl TickOrder {
 
     /// Returns the command after the last state. Commands of later ticks, whose states never arrived, are
     /// dropped so that the log does not end in a gap.
-    fn last_latched(&mut self) -> Vec<Ordered> {
+    fn last_latched(&mut self) -> Vec<OrderedMessage> {
         let first = self.lone_latched();
         self.latched.clear();
         first
     }
 
-    fn lone_latched(&mut self) -> Vec<Ordered> {
+    fn lone_latched(&mut self) -> Vec<OrderedMessage> {
         self.begun = true;
-        self.latched.pop_front().map(Ordered::Latched).into_iter().collect()
+        self.latched.pop_front().map(OrderedMessage::Latched).into_iter().collect()
     }
 
     /// Returns the number of waiting removals that belong before the first waiting state, or `None` if more
@@ -156,10 +159,10 @@ mod tests {
             }
             out.extend(next);
         }
-        let tick = |ordered: &Ordered| match ordered {
-            Ordered::Latched(latched) => ("latched", latched.tick),
-            Ordered::State(state) => ("state", state.tick),
-            Ordered::Removed(_) => ("removed", 0),
+        let tick = |ordered: &OrderedMessage| match ordered {
+            OrderedMessage::Latched(latched) => ("latched", latched.tick),
+            OrderedMessage::State(state) => ("state", state.tick),
+            OrderedMessage::Removed(_) => ("removed", 0),
         };
         let ticks: Vec<_> = out.iter().map(tick).collect();
         assert_eq!(ticks, [("state", 0), ("latched", 0), ("state", 1), ("latched", 1)]);
@@ -177,7 +180,7 @@ mod tests {
         for tick in 0..ticks {
             order.latched(&Latched { tick, ..Latched::zeroed() });
             let next = order.next(Supply::Open);
-            let pair = matches!(&next[..], [Ordered::Latched(l), Ordered::State(s)] if l.tick == tick && s.tick == tick + 1);
+            let pair = matches!(&next[..], [OrderedMessage::Latched(l), OrderedMessage::State(s)] if l.tick == tick && s.tick == tick + 1);
             assert!(pair, "tick {tick}: {} messages", next.len());
         }
     }

@@ -12,7 +12,7 @@ use mcap::MAGIC;
 use mcap::records::{Record, op};
 
 use crate::bare::{BareRecords, is_bare};
-use crate::end::Cut;
+use crate::end::TruncationPoint;
 use crate::error::LogError;
 use crate::lengths::parse_record;
 use crate::limits::{MAX_METADATA_BYTES, MAX_NAME_BYTES};
@@ -38,15 +38,15 @@ pub(crate) enum FileRecord {
     /// A metadata record.
     Metadata { name: String, entries: BTreeMap<String, String> },
     /// An attachment.
-    Attachment(Attached),
+    Attachment(AttachmentRecord),
     /// The file is complete.
     End,
     /// The file is truncated.
-    Cut(Cut),
+    Cut(TruncationPoint),
 }
 
 /// An attachment whose checksum matched.
-pub(crate) struct Attached {
+pub(crate) struct AttachmentRecord {
     pub log_time: u64,
     pub create_time: u64,
     pub name: String,
@@ -181,7 +181,7 @@ impl Records {
                 Loaded::Skipped => continue,
                 Loaded::Incomplete(incomplete_bytes) => {
                     self.finished = true;
-                    return Ok(FileRecord::Cut(Cut { offset: start, incomplete_bytes }));
+                    return Ok(FileRecord::Cut(TruncationPoint { offset: start, incomplete_bytes }));
                 }
             };
             self.opcode = opcode;
@@ -346,7 +346,7 @@ impl Records {
         if magic == MAGIC {
             Ok(FileRecord::End)
         } else if MAGIC.starts_with(&magic) {
-            Ok(FileRecord::Cut(Cut { offset: self.offset, incomplete_bytes: magic.len() as u64 }))
+            Ok(FileRecord::Cut(TruncationPoint { offset: self.offset, incomplete_bytes: magic.len() as u64 }))
         } else {
             let cause = "the bytes after the footer are not the end of an MCAP file".to_string();
             Err(LogError::Damaged { path: self.path.clone(), offset: self.offset, cause })
@@ -382,8 +382,8 @@ pub(crate) fn metadata(record: &[u8]) -> Result<(String, BTreeMap<String, String
 
 /// Parses an attachment. Layout: log time, create time (8 bytes each), name, media type (4 bytes of length
 /// each), 8 bytes of data length, data, CRC of all before it.
-pub(crate) fn attachment(record: &[u8]) -> Result<Attached, String> {
-    let parse = || -> Option<(Attached, u32)> {
+pub(crate) fn attachment(record: &[u8]) -> Result<AttachmentRecord, String> {
+    let parse = || -> Option<(AttachmentRecord, u32)> {
         let (body, crc) = record.split_at_checked(record.len().checked_sub(4)?)?;
         let word = |at: usize| Some(u64::from_le_bytes(body.get(at..at + 8)?.try_into().ok()?));
         let (name, rest) = string(body.get(16..)?)?;
@@ -394,7 +394,7 @@ pub(crate) fn attachment(record: &[u8]) -> Result<Attached, String> {
         let (length, data) = rest.split_at_checked(8)?;
         let length = u64::from_le_bytes(length.try_into().ok()?);
         let text = |bytes| String::from_utf8_lossy(bytes).into_owned();
-        let attached = Attached {
+        let attached = AttachmentRecord {
             log_time: word(0)?,
             create_time: word(8)?,
             name: text(name),

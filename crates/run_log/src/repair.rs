@@ -15,21 +15,21 @@ use messages::layout::{CDR_LITTLE_ENDIAN, Message};
 use messages::{State, Tick};
 use zerocopy::FromBytes;
 
-use crate::end::{Cut, END_RECORD, EndMarker, EndReason, REPAIR_RECORD};
+use crate::end::{END_RECORD, EndMarker, EndReason, REPAIR_RECORD, TruncationPoint};
 use crate::error::LogError;
 use crate::header::{CALIBRATION_ATTACHMENT, HEADER_RECORD, SCENE_ATTACHMENT, other_layout};
 use crate::index::Summary;
 use crate::library;
-use crate::limits::{Declared, MAX_REPORTED};
+use crate::limits::{DeclarationCount, MAX_REPORTED};
 use crate::opening::Parts;
 use crate::reader::LogReader;
-use crate::records::Attached;
+use crate::records::AttachmentRecord;
 use crate::rewrite::{Packing, Rewriter};
 use crate::source::LogSource;
 use crate::stream::ReadOptions;
 use crate::topics::Topic;
 use crate::verdict::{Fault, Verdict, verdict};
-use crate::walk::{Lost, Piece, walk};
+use crate::walk::{DamagedPiece, WalkItem, walk};
 
 /// Messages of a topic found and lost.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -51,7 +51,7 @@ pub struct RepairReport {
     /// The verdict on the result.
     pub after: Verdict,
     /// The first pieces of the file that were skipped.
-    pub pieces: Vec<Lost>,
+    pub pieces: Vec<DamagedPiece>,
     /// Number of pieces beyond those listed.
     pub more_pieces: u64,
     /// Total size of the skipped pieces in bytes.
@@ -59,7 +59,7 @@ pub struct RepairReport {
     /// Messages skipped because their topic cannot be determined.
     pub undeclared: u64,
     /// Where the file is truncated, if it is.
-    pub cut: Option<Cut>,
+    pub cut: Option<TruncationPoint>,
     /// The input's end marker.
     pub marker: Option<EndMarker>,
     /// Last tick up to which every tick is complete and can be replayed; `None` in the timing lane and
@@ -77,7 +77,7 @@ impl RepairReport {
 
     /// Writes the report as text.
     pub fn write(&self, out: &mut dyn Write) -> Result<(), LogError> {
-        for Lost { offset, bytes, cause } in &self.pieces {
+        for DamagedPiece { offset, bytes, cause } in &self.pieces {
             writeln!(out, "skipped     {bytes} bytes from byte {offset}: {}", foreign_line(cause))?;
         }
         if self.more_pieces > 0 {
@@ -87,7 +87,7 @@ impl RepairReport {
         if self.undeclared > 0 {
             writeln!(out, "skipped     {} messages of undeclared topics", self.undeclared)?;
         }
-        if let Some(Cut { offset, incomplete_bytes }) = self.cut {
+        if let Some(TruncationPoint { offset, incomplete_bytes }) = self.cut {
             writeln!(
                 out,
                 "truncated   after byte {offset}, {incomplete_bytes} bytes of an incomplete record skipped"
@@ -213,10 +213,10 @@ struct Survey {
     is_our_run_lane: bool,
     last_state: Option<Box<State>>,
     /// A readable copy of the header, with its attachments.
-    header: Option<(Vec<Attached>, BTreeMap<String, String>)>,
+    header: Option<(Vec<AttachmentRecord>, BTreeMap<String, String>)>,
     /// Attachments of the next header copy.
-    attached: Vec<Attached>,
-    kept: Declared,
+    attached: Vec<AttachmentRecord>,
+    kept: DeclarationCount,
 }
 
 impl Survey {
@@ -250,9 +250,9 @@ impl Survey {
         self.declared = declared;
     }
 
-    fn see(&mut self, path: &Path, piece: Piece<'_>) -> Result<(), LogError> {
+    fn see(&mut self, path: &Path, piece: WalkItem<'_>) -> Result<(), LogError> {
         match piece {
-            Piece::Metadata { name, entries } if name == HEADER_RECORD => {
+            WalkItem::Metadata { name, entries } if name == HEADER_RECORD => {
                 let attached = std::mem::take(&mut self.attached);
                 let mut parts = Parts::default();
                 attached.iter().for_each(|found| parts.take(found));
@@ -263,19 +263,19 @@ impl Survey {
                 self.is_our_run_lane = lane == Some("run") && other_layout(&entries).is_none();
                 self.header = Some((attached, entries));
             }
-            Piece::Metadata { name, entries } if name == END_RECORD => {
+            WalkItem::Metadata { name, entries } if name == END_RECORD => {
                 // An unreadable marker is treated as missing.
                 self.report.marker = EndMarker::from_metadata(path, &entries).ok();
             }
             // A repaired log may declare its topics in another order.
-            Piece::Metadata { name, .. } if name == REPAIR_RECORD => self.is_our_run_lane = false,
-            Piece::Attachment(found) if is_of_header(&found) && self.attached.len() < 2 => {
+            WalkItem::Metadata { name, .. } if name == REPAIR_RECORD => self.is_our_run_lane = false,
+            WalkItem::Attachment(found) if is_of_header(&found) && self.attached.len() < 2 => {
                 self.attached.push(found);
             }
-            Piece::Schema { header, .. } if self.schemas.insert(header.id) => {
+            WalkItem::Schema { header, .. } if self.schemas.insert(header.id) => {
                 self.kept.schema(path, &header, 0)?;
             }
-            Piece::Channel(channel) => {
+            WalkItem::Channel(channel) => {
                 self.lacks_schema |= !self.schemas.contains(&channel.schema_id);
                 if self.topics.get(&channel.id).is_none_or(|topic| *topic != channel.topic) {
                     self.kept.channel(path, &channel)?;
@@ -283,17 +283,17 @@ impl Survey {
                 self.report.topics.entry(channel.topic.clone()).or_default();
                 self.topics.insert(channel.id, channel.topic);
             }
-            Piece::Message { header, data } => self.message(header.channel_id, header.sequence, data),
-            Piece::DataEnd(offset) => self.data_end = Some(offset),
-            Piece::Lost(lost) => {
+            WalkItem::Message { header, data } => self.message(header.channel_id, header.sequence, data),
+            WalkItem::DataEnd(offset) => self.data_end = Some(offset),
+            WalkItem::Lost(lost) => {
                 self.report.left_out_bytes += lost.bytes;
                 match self.report.pieces.len() < MAX_REPORTED {
                     true => self.report.pieces.push(lost),
                     false => self.report.more_pieces += 1,
                 }
             }
-            Piece::Cut { offset, incomplete_bytes } => {
-                self.report.cut = Some(Cut { offset, incomplete_bytes })
+            WalkItem::Cut { offset, incomplete_bytes } => {
+                self.report.cut = Some(TruncationPoint { offset, incomplete_bytes })
             }
             _ => {}
         }
@@ -361,10 +361,10 @@ fn write_repaired<R: Read + Seek, W: Write>(
     let mut first = true;
     let is_rewritten = |name: &str| [HEADER_RECORD, END_RECORD, REPAIR_RECORD].contains(&name);
     walk(source, path, &mut |piece| match piece {
-        Piece::Metadata { name, .. } if is_rewritten(&name) => Ok(()),
-        Piece::Attachment(found) if is_of_header(&found) => Ok(()),
-        Piece::ChunkEnd => {
-            out.piece(Piece::ChunkEnd)?;
+        WalkItem::Metadata { name, .. } if is_rewritten(&name) => Ok(()),
+        WalkItem::Attachment(found) if is_of_header(&found) => Ok(()),
+        WalkItem::ChunkEnd => {
+            out.piece(WalkItem::ChunkEnd)?;
             if std::mem::take(&mut first) { write_header(survey, out) } else { Ok(()) }
         }
         other => out.piece(other),
@@ -382,7 +382,7 @@ fn write_header<W: Write>(survey: &Survey, out: &mut Rewriter<W>) -> Result<(), 
     out.metadata(HEADER_RECORD.to_string(), entries.clone())
 }
 
-fn is_of_header(found: &Attached) -> bool {
+fn is_of_header(found: &AttachmentRecord) -> bool {
     [SCENE_ATTACHMENT, CALIBRATION_ATTACHMENT].contains(&found.name.as_str())
 }
 

@@ -11,10 +11,10 @@ use mcap::{Attachment, Compression, McapError, WriteOptions, Writer};
 
 use crate::error::LogError;
 use crate::index::Summary;
-use crate::limits::Declared;
-use crate::records::Attached;
+use crate::limits::DeclarationCount;
+use crate::records::AttachmentRecord;
 use crate::sink::PROFILE;
-use crate::walk::Piece;
+use crate::walk::WalkItem;
 
 /// How chunks are compressed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -53,7 +53,7 @@ pub(crate) struct Rewriter<W: Write> {
     declared: Summary,
     /// Schemas and channels of the new log, and their memory use.
     written: BTreeSet<(u8, u16)>,
-    counted: Declared,
+    counted: DeclarationCount,
 }
 
 impl<W: Write> Rewriter<W> {
@@ -76,7 +76,7 @@ impl<W: Write> Rewriter<W> {
             prefix: String::new(),
             declared: Summary::default(),
             written: BTreeSet::new(),
-            counted: Declared::default(),
+            counted: DeclarationCount::default(),
         })
     }
 
@@ -106,19 +106,21 @@ impl<W: Write> Rewriter<W> {
     }
 
     /// Copies a record; the caller handles damage and the end of the source.
-    pub fn piece(&mut self, piece: Piece<'_>) -> Result<(), LogError> {
+    pub fn piece(&mut self, piece: WalkItem<'_>) -> Result<(), LogError> {
         match piece {
-            Piece::Attachment(found) => self.attachment(&found),
-            Piece::Metadata { name, entries } => self.metadata(name, entries),
-            Piece::Schema { header, data } => self.schema(&header, data),
-            Piece::Channel(channel) => self.channel(channel),
-            Piece::Message { header, data } => self.message(header, data),
-            Piece::ChunkEnd => self.with(Writer::flush),
-            Piece::ChunkBegin(_) | Piece::DataEnd(_) | Piece::Lost(_) | Piece::Cut { .. } => Ok(()),
+            WalkItem::Attachment(found) => self.attachment(&found),
+            WalkItem::Metadata { name, entries } => self.metadata(name, entries),
+            WalkItem::Schema { header, data } => self.schema(&header, data),
+            WalkItem::Channel(channel) => self.channel(channel),
+            WalkItem::Message { header, data } => self.message(header, data),
+            WalkItem::ChunkEnd => self.with(Writer::flush),
+            WalkItem::ChunkBegin(_) | WalkItem::DataEnd(_) | WalkItem::Lost(_) | WalkItem::Cut { .. } => {
+                Ok(())
+            }
         }
     }
 
-    pub fn attachment(&mut self, found: &Attached) -> Result<(), LogError> {
+    pub fn attachment(&mut self, found: &AttachmentRecord) -> Result<(), LogError> {
         self.with(|writer| {
             writer.attach(&Attachment {
                 log_time: found.log_time,

@@ -10,10 +10,10 @@ use zerocopy::{FromBytes, IntoBytes};
 
 use crate::end::{EndMarker, EndReason};
 use crate::error::LogError;
-use crate::frame_order::{Due, FrameOrder, FrameWithImage, PlacedReply};
+use crate::frame_order::{FrameOrder, FrameWithImage, PlacedReply, WriteScope};
 use crate::header::LogHeader;
 use crate::mcap_writer::IndexStore;
-use crate::order::{Ordered, Supply, TickOrder};
+use crate::order::{OrderedMessage, Supply, TickOrder};
 use crate::sink::Sink;
 use crate::topics::{self, Topic};
 
@@ -35,7 +35,7 @@ pub struct RunLog<W: Write> {
     keyframes: VecDeque<(Tick, Vec<u8>)>,
     /// Readings of states that are not written yet.
     readings: VecDeque<SensorReading>,
-    places: Places,
+    places: WriteOrder,
     channels: Channels,
     last: Option<State>,
     expected: Expected,
@@ -44,18 +44,18 @@ pub struct RunLog<W: Write> {
 
 /// Decides where replies, frames and keyframes go, and where chunks end.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Places {
+enum WriteOrder {
     /// They go by the tick that they belong to.
     ByTick,
     /// The caller decides, when copying a log.
     AsGiven,
 }
 
-impl Places {
-    fn due(self) -> Due {
+impl WriteOrder {
+    fn due(self) -> WriteScope {
         match self {
-            Places::ByTick => Due::AtItsTick,
-            Places::AsGiven => Due::All,
+            WriteOrder::ByTick => WriteScope::AtItsTick,
+            WriteOrder::AsGiven => WriteScope::All,
         }
     }
 }
@@ -112,7 +112,7 @@ impl<W: Write> RunLog<W> {
             frames: FrameOrder::new(header),
             keyframes: VecDeque::new(),
             readings: VecDeque::new(),
-            places: Places::ByTick,
+            places: WriteOrder::ByTick,
             channels,
             last: None,
             expected: Expected {
@@ -129,7 +129,7 @@ impl<W: Write> RunLog<W> {
     /// From now on writes replies, frames and keyframes in call order and closes chunks only on
     /// [`RunLog::close_chunk`]. Used to copy a log message by message.
     pub fn keep_places(&mut self) {
-        self.places = Places::AsGiven;
+        self.places = WriteOrder::AsGiven;
     }
 
     /// Closes the open chunk.
@@ -176,7 +176,11 @@ impl<W: Write> RunLog<W> {
         match Keyframe::read_from_prefix(message) {
             Ok((head, data)) if data.len() == head.data_length as usize => {
                 self.keyframes.push_back((Tick(head.tick), message.to_vec()));
-                if self.places == Places::AsGiven { self.write_keyframes(Tick(head.tick)) } else { Ok(()) }
+                if self.places == WriteOrder::AsGiven {
+                    self.write_keyframes(Tick(head.tick))
+                } else {
+                    Ok(())
+                }
             }
             Ok((head, _)) => {
                 let expected = size + head.data_length as usize;
@@ -239,7 +243,7 @@ impl<W: Write> RunLog<W> {
     ) -> Result<(EndMarker, W), LogError> {
         self.write_ticks(Supply::Ended)?;
         self.write_keyframes(Tick(u64::MAX))?;
-        self.write_frames(Due::All)?;
+        self.write_frames(WriteScope::All)?;
         let mut all: BTreeMap<String, u64> = self.lost.iter().map(|(k, n)| (k.to_string(), *n)).collect();
         for (topic, &count) in lost.iter().filter(|(_, count)| **count > 0) {
             let entry = all.entry(topic.clone()).or_default();
@@ -267,9 +271,9 @@ impl<W: Write> RunLog<W> {
             }
             for message in messages {
                 match message {
-                    Ordered::Latched(latched) => self.write_latched(&latched)?,
-                    Ordered::Removed(bytes) => self.write_removed(&bytes)?,
-                    Ordered::State(state) => self.write_state(&state)?,
+                    OrderedMessage::Latched(latched) => self.write_latched(&latched)?,
+                    OrderedMessage::Removed(bytes) => self.write_removed(&bytes)?,
+                    OrderedMessage::State(state) => self.write_state(&state)?,
                 }
             }
         }
@@ -282,7 +286,7 @@ impl<W: Write> RunLog<W> {
             return Ok(());
         }
         // A copy ends its chunks where the original does.
-        if self.places == Places::ByTick {
+        if self.places == WriteOrder::ByTick {
             self.sink.close_chunk()?;
         }
         while self.keyframes.front().is_some_and(|(of, _)| *of <= tick)
@@ -295,7 +299,7 @@ impl<W: Write> RunLog<W> {
             }
             self.sink.message(self.channels.keyframe, of, &[&message])?;
         }
-        if self.places == Places::ByTick { self.sink.close_chunk() } else { Ok(()) }
+        if self.places == WriteOrder::ByTick { self.sink.close_chunk() } else { Ok(()) }
     }
 
     fn write_latched(&mut self, latched: &Latched) -> Result<(), LogError> {
@@ -325,12 +329,12 @@ impl<W: Write> RunLog<W> {
         let is_first = self.last.is_none();
         self.last = Some(*state);
         self.frames.tick(tick);
-        self.write_frames(Due::AtItsTick)?;
+        self.write_frames(WriteScope::AtItsTick)?;
         // Closing the chunk here puts the initial state on disk even if the run starts paused.
         match self.places {
-            Places::AsGiven => Ok(()),
-            Places::ByTick if is_first => self.sink.close_chunk(),
-            Places::ByTick => self.sink.end_tick(tick),
+            WriteOrder::AsGiven => Ok(()),
+            WriteOrder::ByTick if is_first => self.sink.close_chunk(),
+            WriteOrder::ByTick => self.sink.end_tick(tick),
         }
     }
 
@@ -349,7 +353,7 @@ impl<W: Write> RunLog<W> {
         Ok(())
     }
 
-    fn write_frames(&mut self, due: Due) -> Result<(), LogError> {
+    fn write_frames(&mut self, due: WriteScope) -> Result<(), LogError> {
         while let Some(PlacedReply { tick, reply }) = self.frames.next_reply(due) {
             self.sink.message(self.channels.reply, tick, &[reply.as_bytes()])?;
         }

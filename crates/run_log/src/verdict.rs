@@ -4,7 +4,7 @@ use std::fmt;
 use std::io::Write;
 
 use crate::continuity::Gap;
-use crate::end::{Cut, Ending};
+use crate::end::{Ending, TruncationPoint};
 use crate::error::LogError;
 use crate::opening::HeaderCopy;
 use crate::source::LogSource;
@@ -32,7 +32,7 @@ pub enum Fault {
     /// The file is truncated.
     Cut {
         /// Where it stops.
-        cut: Cut,
+        cut: TruncationPoint,
         /// Whether the end marker survives, in which case no message is missing.
         ended: bool,
     },
@@ -62,7 +62,7 @@ impl fmt::Display for Fault {
             Fault::Damaged { offset, cause } => {
                 write!(f, "damaged at byte {offset}: {cause}; `trabecula log repair` recovers what follows")
             }
-            Fault::Cut { cut: Cut { offset, incomplete_bytes }, ended } => {
+            Fault::Cut { cut: TruncationPoint { offset, incomplete_bytes }, ended } => {
                 let lost = if *ended { "no message is missing" } else { "what followed is unknown" };
                 write!(
                     f,

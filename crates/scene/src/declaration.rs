@@ -23,7 +23,7 @@ pub(crate) struct Key {
     pub(crate) name: String,
     pub(crate) doc: String,
     pub(crate) kind: Kind,
-    pub(crate) absent: Absent,
+    pub(crate) absent: AbsentValue,
 }
 
 /// Type of a key's value.
@@ -63,7 +63,7 @@ pub(crate) struct Pattern {
 
 /// What applies if a key is absent.
 #[derive(Debug, PartialEq)]
-pub(crate) enum Absent {
+pub(crate) enum AbsentValue {
     /// The scene is refused.
     Refused,
     Default(Value),
@@ -134,9 +134,9 @@ impl Reader<'_> {
             doc: doc(schema),
             kind: self.kind(schema),
             absent: match &schema["default"] {
-                _ if required.contains(&name) => Absent::Refused,
-                Value::Null => Absent::Word(schema["x-absent"].as_str().unwrap_or(word).to_owned()),
-                default => Absent::Default(default.clone()),
+                _ if required.contains(&name) => AbsentValue::Refused,
+                Value::Null => AbsentValue::Word(schema["x-absent"].as_str().unwrap_or(word).to_owned()),
+                default => AbsentValue::Default(default.clone()),
             },
         };
         let in_order = texts(&written["required"]);
@@ -278,7 +278,9 @@ mod tests {
     #[test]
     fn every_default_is_within_its_range() {
         each_key(&SCENE, "", &mut |path, key| {
-            let (Absent::Default(default), Some(range)) = (&key.absent, key.kind.range()) else { return };
+            let (AbsentValue::Default(default), Some(range)) = (&key.absent, key.kind.range()) else {
+                return;
+            };
             let values: Vec<f64> = match default {
                 Value::Array(values) => values.iter().map(|value| value.as_f64().unwrap()).collect(),
                 value => vec![value.as_f64().unwrap()],

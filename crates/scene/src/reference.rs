@@ -4,7 +4,7 @@ use std::fmt::Write;
 
 use serde_json::Value;
 
-use crate::declaration::{Absent, Key, Kind, Range, SCENE, Table};
+use crate::declaration::{AbsentValue, Key, Kind, Range, SCENE, Table};
 
 const INTRODUCTION: &str = "\
 # Scene files
@@ -144,12 +144,12 @@ fn symbol(word: &str) -> Option<&'static str> {
 
 fn absent(key: &Key) -> String {
     match (&key.absent, &key.kind) {
-        (Absent::Refused, _) => "**required**".to_owned(),
-        (Absent::Word(word), _) => word.clone(),
-        (Absent::Default(_), Kind::Table(_)) => "its defaults".to_owned(),
-        (Absent::Default(Value::Array(values)), _) if values.is_empty() => "none".to_owned(),
+        (AbsentValue::Refused, _) => "**required**".to_owned(),
+        (AbsentValue::Word(word), _) => word.clone(),
+        (AbsentValue::Default(_), Kind::Table(_)) => "its defaults".to_owned(),
+        (AbsentValue::Default(Value::Array(values)), _) if values.is_empty() => "none".to_owned(),
         // As written in a scene.
-        (Absent::Default(value), _) => {
+        (AbsentValue::Default(value), _) => {
             toml::Value::try_from(value).map_or(String::new(), |value| format!("`{value}`"))
         }
     }

@@ -37,14 +37,14 @@ pub(crate) struct DeviceState {
     drift: Vec<f64>,
     /// Output of the low-pass filter; `None` before the first state.
     filtered: Option<Vec<f64>>,
-    underway: VecDeque<Underway>,
+    underway: VecDeque<PendingReading>,
     /// Tick at which the last sample arrives.
     last_arrival: u64,
 }
 
 /// A sample that had not arrived by the previous state.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-struct Underway {
+struct PendingReading {
     arrival: u64,
     sample_tick: u64,
     is_valid: bool,
@@ -134,7 +134,7 @@ impl Device {
         let arrival = self.timing.arrival(tick, now.uniform(JITTER)).max(self.state.last_arrival);
         self.state.last_arrival = arrival;
         let value = if is_valid { sample.value } else { [0.0; MAX_SENSOR_VALUES] };
-        let underway = Underway { arrival, sample_tick: tick, is_valid, count: sample.count, value };
+        let underway = PendingReading { arrival, sample_tick: tick, is_valid, count: sample.count, value };
         self.state.underway.push_back(underway);
     }
 

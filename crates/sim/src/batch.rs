@@ -13,7 +13,7 @@ use crate::shared::SharedScene;
 use crate::simulator::{Drive, Sim, Snapshot};
 
 /// Creates a simulation on the thread that will hold it.
-pub type Maker = Box<dyn FnOnce() -> Result<Sim, SimError> + Send>;
+pub type SimFactory = Box<dyn FnOnce() -> Result<Sim, SimError> + Send>;
 
 type Job = Box<dyn FnOnce(&mut [Held]) + Send>;
 
@@ -45,7 +45,7 @@ impl Batch {
     /// # Errors
     /// As [`Sim::new`]; also if the threads cannot be started.
     pub fn new(scenes: &[Arc<SharedScene>], drive: &Drive, threads: usize) -> Result<Batch, SimError> {
-        let maker = |scene: &Arc<SharedScene>| -> Maker {
+        let maker = |scene: &Arc<SharedScene>| -> SimFactory {
             let (scene, drive) = (Arc::clone(scene), drive.clone());
             Box::new(move || Sim::new(&scene, &drive))
         };
@@ -56,7 +56,7 @@ impl Batch {
     ///
     /// # Errors
     /// As [`Batch::new`].
-    pub fn of(makers: Vec<Maker>, threads: usize) -> Result<Batch, SimError> {
+    pub fn of(makers: Vec<SimFactory>, threads: usize) -> Result<Batch, SimError> {
         Batch::of_watched(makers, threads, &mut || ())
     }
 
@@ -64,11 +64,15 @@ impl Batch {
     ///
     /// # Errors
     /// As [`Batch::of`].
-    pub fn of_watched(makers: Vec<Maker>, threads: usize, look: &mut dyn FnMut()) -> Result<Batch, SimError> {
+    pub fn of_watched(
+        makers: Vec<SimFactory>,
+        threads: usize,
+        look: &mut dyn FnMut(),
+    ) -> Result<Batch, SimError> {
         let count = makers.len();
         let cores = || std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
         let threads = if threads == 0 { cores() } else { threads };
-        let mut parts: Vec<Vec<(usize, Maker)>> = Vec::new();
+        let mut parts: Vec<Vec<(usize, SimFactory)>> = Vec::new();
         parts.resize_with(threads.min(count).max(1), Vec::new);
         let workers = parts.len();
         for (index, maker) in makers.into_iter().enumerate() {
@@ -308,12 +312,12 @@ impl Drop for Batch {
 impl Worker {
     fn start(
         number: usize,
-        part: Vec<(usize, Maker)>,
+        part: Vec<(usize, SimFactory)>,
         made: Sender<Result<(), SimError>>,
     ) -> std::io::Result<Worker> {
         let (jobs, to_do) = channel::<Job>();
         let work = move || {
-            let make = |(index, make): (usize, Maker)| make().map(|sim| Held { index, sim });
+            let make = |(index, make): (usize, SimFactory)| make().map(|sim| Held { index, sim });
             let sims: Result<Vec<Held>, SimError> = part.into_iter().map(make).collect();
             let (told, sims) = match sims {
                 Ok(sims) => (Ok(()), sims),

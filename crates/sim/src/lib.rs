@@ -48,7 +48,7 @@ mod shared;
 mod simulator;
 mod x_ray;
 
-pub use batch::{Batch, Maker};
+pub use batch::{Batch, SimFactory};
 pub use error::SimError;
 pub use shared::SharedScene;
 pub use simulator::{Drive, Sim, Snapshot};

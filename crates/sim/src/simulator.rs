@@ -10,9 +10,9 @@ use hub::in_process::{Answer, Commands, InProcess, InProcessError};
 use messages::{Command, ControllerIndex, SensorReading, State, Tick};
 use simulation::{Simulation, SimulationSnapshot};
 use xray::Labels;
-use xray::frame::Rendered;
+use xray::frame::RenderedFrame;
 
-use crate::batch::Maker;
+use crate::batch::SimFactory;
 use crate::error::SimError;
 use crate::recording::{Lane, Recording};
 use crate::shared::SharedScene;
@@ -41,7 +41,7 @@ pub struct Sim {
     /// Voxels drilled since the start or the last reset, in the order of their removal.
     pub(crate) drilled: Vec<u32>,
     /// The newest scheduled frame, for the controllers that see frames.
-    frame: Option<Arc<Rendered>>,
+    frame: Option<Arc<RenderedFrame>>,
     frames_rendered: u64,
     /// Parts of commands that could not be followed in the last call of [`Sim::step`].
     refusals: Vec<String>,
@@ -75,7 +75,7 @@ struct Saved {
     commands: Commands,
     drivers: Vec<Driver>,
     drilled: Vec<u32>,
-    frame: Option<Arc<Rendered>>,
+    frame: Option<Arc<RenderedFrame>>,
     frames_rendered: u64,
 }
 
@@ -125,7 +125,7 @@ impl Sim {
     }
 
     /// Returns a maker that performs [`Sim::branch`] of the present state on any thread.
-    pub fn brancher(&self) -> Maker {
+    pub fn brancher(&self) -> SimFactory {
         let (here, start) = (self.snapshot(), self.start.clone());
         Box::new(move || {
             let mut branch = Sim::at_start(&here.0.shared, here.0.drivers.clone())?;
@@ -284,7 +284,7 @@ impl Sim {
     ///
     /// # Errors
     /// If the scene has no X-ray, or the C-arm is refused.
-    pub fn render(&mut self, from: View) -> Result<Rendered, SimError> {
+    pub fn render(&mut self, from: View) -> Result<RenderedFrame, SimError> {
         self.frames_rendered += 1;
         let sequence = self.frames_rendered;
         let Sim { shared, run, drilled, x_ray, .. } = self;
@@ -297,7 +297,7 @@ impl Sim {
     ///
     /// # Errors
     /// As [`Sim::render`]; nothing has been rendered then.
-    pub fn render_many(&mut self, from: &[View]) -> Result<Vec<Rendered>, SimError> {
+    pub fn render_many(&mut self, from: &[View]) -> Result<Vec<RenderedFrame>, SimError> {
         self.render_many_unless(from, &AtomicBool::new(false))
     }
 
@@ -309,7 +309,7 @@ impl Sim {
         &mut self,
         from: &[View],
         is_to_end: &AtomicBool,
-    ) -> Result<Vec<Rendered>, SimError> {
+    ) -> Result<Vec<RenderedFrame>, SimError> {
         let numbered = (from, self.frames_rendered + 1);
         self.frames_rendered += from.len() as u64;
         let Sim { shared, run, drilled, x_ray, .. } = self;
@@ -324,7 +324,11 @@ impl Sim {
     ///
     /// # Errors
     /// As [`Sim::render`].
-    pub fn labels(&mut self, from: View, bone_from_hu: Option<i16>) -> Result<(Rendered, Labels), SimError> {
+    pub fn labels(
+        &mut self,
+        from: View,
+        bone_from_hu: Option<i16>,
+    ) -> Result<(RenderedFrame, Labels), SimError> {
         self.frames_rendered += 1;
         let sequence = self.frames_rendered;
         let Sim { shared, run, drilled, x_ray, .. } = self;

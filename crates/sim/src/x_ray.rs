@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use drr_proc::{ThisMachine, arm_model};
 use messages::{CArmGeometry, Restores, State, Tick};
 use xray::arm_model::ArmModel;
-use xray::frame::{Cache, Job, Rendered, label_job, render_job, render_poses};
+use xray::frame::{Cache, Job, RenderedFrame, label_job, render_job, render_poses};
 use xray::from_scene::{renderer_parameters, scene_c_arm, scene_isocentre_m};
 use xray::message::c_arm_of;
 use xray::{CArm, DetectorFormat, DrrError, DrrRenderer, Labels, PositionerAngles, VolumeView};
@@ -66,7 +66,7 @@ impl XRay {
         drilled: &[u32],
         from: View,
         sequence: u64,
-    ) -> Result<Rendered, SimError> {
+    ) -> Result<RenderedFrame, SimError> {
         let job = self.job(shared, state, drilled, from, sequence)?;
         self.render_job(shared, &job, drilled.len())
     }
@@ -79,7 +79,7 @@ impl XRay {
         drilled: &[u32],
         (from, sequence): (&[View], u64),
         is_to_end: &AtomicBool,
-    ) -> Result<Vec<Rendered>, SimError> {
+    ) -> Result<Vec<RenderedFrame>, SimError> {
         let c_arm = |(frame, view): (usize, &View)| match view.c_arm(shared) {
             Ok(c_arm) => Ok(c_arm.unwrap_or(self.c_arm)),
             Err(SimError::XRay(cause)) => Err(DrrError::Frame { frame, cause: Box::new(cause) }.into()),
@@ -87,7 +87,7 @@ impl XRay {
         };
         let c_arms = from.iter().enumerate().map(c_arm).collect::<Result<Vec<CArm>, SimError>>()?;
         let mut job = self.job(shared, state, drilled, View::Scene, sequence)?;
-        let mut rendered: Vec<Rendered> = Vec::with_capacity(from.len());
+        let mut rendered: Vec<RenderedFrame> = Vec::with_capacity(from.len());
         for some in c_arms.chunks(POSES_AT_ONCE) {
             if is_to_end.load(Ordering::Relaxed) {
                 return Err(SimError::GivenUp { tick: Tick(state.tick) });
@@ -118,7 +118,7 @@ impl XRay {
         from: View,
         sequence: u64,
         bone_from_hu: Option<i16>,
-    ) -> Result<(Rendered, Labels), SimError> {
+    ) -> Result<(RenderedFrame, Labels), SimError> {
         let of_scene = shared.scene().labels_bone_from_hu().ok_or(SimError::NoXRay)?;
         let bone_from_hu = bone_from_hu.unwrap_or(of_scene);
         let mut job = self.job(shared, state, drilled, from, sequence)?;
@@ -129,7 +129,12 @@ impl XRay {
         Ok((rendered, labels))
     }
 
-    fn render_job(&mut self, shared: &SharedScene, job: &Job, drilled: usize) -> Result<Rendered, SimError> {
+    fn render_job(
+        &mut self,
+        shared: &SharedScene,
+        job: &Job,
+        drilled: usize,
+    ) -> Result<RenderedFrame, SimError> {
         // A frame that fails leaves the renderer between two states.
         self.told = None;
         let rendered = render_job(&mut self.renderer, &volume(shared)?, job)?;

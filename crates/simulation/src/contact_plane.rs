@@ -16,7 +16,7 @@ pub struct ContactPlane {
     /// Largest normal force that the obstacle supports before it yields, N; infinite if it never yields.
     pub strength_n: f64,
     /// How the obstacle recedes within the step under a cutting tool.
-    pub give: Give,
+    pub give: RecessionLaw,
 }
 
 /// Law by which an obstacle recedes within a step under a cutting tool: all its planes recede by `m_per_n`
@@ -25,7 +25,7 @@ pub struct ContactPlane {
 /// find nothing to press on in the next step. All planes that recede in a step belong to one link and share
 /// one law.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct Give {
+pub struct RecessionLaw {
     /// Force below which nothing is cut, N.
     pub from_n: f64,
     /// Recession per force, m/N; 0 if the obstacle does not recede.
@@ -48,7 +48,7 @@ impl ContactPlane {
             normal,
             gap_m,
             strength_n: f64::INFINITY,
-            give: Give::default(),
+            give: RecessionLaw::default(),
         }
     }
 

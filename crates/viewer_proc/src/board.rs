@@ -4,7 +4,7 @@
 use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use delivery::viewer::{self, Kept, Limits, Outgoing, Published, Wanted};
+use delivery::viewer::{self, ChannelMessage, Limits, OutgoingMessage, RetainedMessages, SubscribedChannels};
 use ipc_types::clock::now_ns;
 use ipc_types::messages::TickTiming;
 use ipc_types::messages::layout::CDR_LITTLE_ENDIAN;
@@ -34,7 +34,7 @@ pub struct Client {
 
 impl Client {
     /// Takes the next messages ([`viewer::Client::take`]).
-    pub fn take(&self, bytes: usize) -> Vec<Outgoing> {
+    pub fn take(&self, bytes: usize) -> Vec<OutgoingMessage> {
         lock(&self.state).take(bytes)
     }
 
@@ -61,8 +61,8 @@ pub struct Board {
     channels: Channels,
     clients: Mutex<Vec<Arc<Client>>>,
     /// For clients that subscribe later.
-    kept: Mutex<Kept>,
-    /// The bits of [`Wanted`].
+    kept: Mutex<RetainedMessages>,
+    /// The bits of [`SubscribedChannels`].
     wanted: AtomicU64,
     time_ns: AtomicU64,
     /// Number of the next notice.
@@ -113,8 +113,8 @@ impl Board {
     }
 
     /// The channels with at least one subscriber.
-    pub fn wanted(&self) -> Wanted {
-        Wanted(self.wanted.load(Ordering::Relaxed))
+    pub fn wanted(&self) -> SubscribedChannels {
+        SubscribedChannels(self.wanted.load(Ordering::Relaxed))
     }
 
     /// Publishes a log message: the CDR header, then the parts of its body.
@@ -133,7 +133,8 @@ impl Board {
     pub fn notice(&self, level: &str, text: &str) {
         let number = self.notices.fetch_add(1, Ordering::Relaxed);
         let value = serde_json::json!({"level": level, "text": text});
-        let keep = |kept: &mut Kept, message: &Published| kept.keep_last(message, NOTICES_KEPT);
+        let keep =
+            |kept: &mut RetainedMessages, message: &ChannelMessage| kept.keep_last(message, NOTICES_KEPT);
         self.hand_out(NOTICE, self.time_ns(), number, value.to_string().into_bytes(), keep);
     }
 
@@ -145,10 +146,11 @@ impl Board {
         {
             // Kept, so that a page opened later still shows it.
             let number = self.misses_told.fetch_add(1, Ordering::Relaxed);
-            let keep = |kept: &mut Kept, message: &Published| kept.keep_last(message, MISSES_KEPT);
+            let keep =
+                |kept: &mut RetainedMessages, message: &ChannelMessage| kept.keep_last(message, MISSES_KEPT);
             self.hand_out(MISS, time_ns, number, miss.to_string().into_bytes(), keep);
         }
-        self.hand_out(topic, time_ns, slot, bytes, Kept::keep);
+        self.hand_out(topic, time_ns, slot, bytes, RetainedMessages::keep);
     }
 
     /// Returns the main cause of a late tick, in the page's format, or `None` for a tick on time.
@@ -167,11 +169,12 @@ impl Board {
         time_ns: u64,
         slot: u32,
         bytes: Vec<u8>,
-        keep: impl Fn(&mut Kept, &Published),
+        keep: impl Fn(&mut RetainedMessages, &ChannelMessage),
     ) {
         let Some(id) = self.channels.id(topic) else { return };
         let Some(channel) = self.channels.get(id) else { return };
-        let message = Published { channel: id, slot, time_ns, policy: channel.policy, payload: bytes.into() };
+        let message =
+            ChannelMessage { channel: id, slot, time_ns, policy: channel.policy, payload: bytes.into() };
         // Clients subscribe under the same lock, so each gets this message exactly once, kept or sent.
         let mut kept = lock(&self.kept);
         keep(&mut kept, &message);
@@ -243,7 +246,7 @@ impl Board {
     fn count_wanted(&self) {
         let clients = lock(&self.clients);
         let channels = clients.iter().flat_map(|client| lock(&client.state).channels().collect::<Vec<_>>());
-        self.wanted.store(Wanted::of(channels).0, Ordering::Relaxed);
+        self.wanted.store(SubscribedChannels::of(channels).0, Ordering::Relaxed);
     }
 }
 

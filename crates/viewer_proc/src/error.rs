@@ -4,7 +4,7 @@ use std::net::SocketAddr;
 
 use ipc_types::ports::PortError;
 use ipc_types::scene::SceneError;
-use ipc_types::session::{Searched, SessionError};
+use ipc_types::session::{SearchedPlaces, SessionError};
 use run_log::LogError;
 use trabecula_client::ClientError;
 
@@ -32,7 +32,7 @@ pub enum ViewerError {
     Runtime(std::io::Error),
     /// No session to view.
     #[error("{0}; or give one with --session")]
-    NoSession(Searched),
+    NoSession(SearchedPlaces),
     /// The session cannot be joined.
     #[error(transparent)]
     Session(#[from] SessionError),

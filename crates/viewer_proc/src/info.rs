@@ -35,14 +35,14 @@ pub struct ToolShape {
 
 /// The arm's links that have a mesh; the others are drawn as tubes.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub struct ArmLooks {
+pub struct ArmMeshes {
     /// One mesh per link; its block is the frame it moves with, from 0 (the arm's base) to the flange.
     pub meshes: Vec<BlockMesh>,
     /// Notes for the user on links without a mesh.
     pub notes: Vec<String>,
 }
 
-impl ArmLooks {
+impl ArmMeshes {
     /// Publishes the meshes, also to clients that connect later.
     pub(crate) fn publish(&self, board: &Board) {
         for mesh in &self.meshes {

@@ -6,15 +6,15 @@ use std::time::{Duration, Instant};
 const LEFT_LIMIT: Duration = Duration::from_secs(5);
 
 /// Time at which a client was last connected.
-pub(crate) struct Left(Instant);
+pub(crate) struct IdleTimer(Instant);
 
-impl Default for Left {
-    fn default() -> Left {
-        Left(Instant::now())
+impl Default for IdleTimer {
+    fn default() -> IdleTimer {
+        IdleTimer(Instant::now())
     }
 }
 
-impl Left {
+impl IdleTimer {
     /// Returns whether there has been no client for `LEFT_LIMIT`.
     pub(crate) fn is_over(&mut self, clients: usize) -> bool {
         if clients > 0 {

@@ -49,5 +49,5 @@ pub mod slice;
 pub mod surface;
 
 pub use error::ViewerError;
-pub use info::{ArmLooks, ToolShape};
+pub use info::{ArmMeshes, ToolShape};
 pub use server::ServerOptions;

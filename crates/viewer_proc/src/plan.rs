@@ -22,9 +22,9 @@ use zerocopy::IntoBytes;
 use crate::board::Board;
 use crate::channels::{Channels, INFO};
 use crate::error::ViewerError;
-use crate::info::{ArmLooks, Origin, ToolShape, info};
+use crate::info::{ArmMeshes, Origin, ToolShape, info};
 use crate::live::CALL_QUEUE;
-use crate::server::{Door, Server};
+use crate::server::{ListeningPort, Server};
 use crate::services::{Call, Calls, Places, PlanRequest, Reply, Request};
 use crate::slice::{NO_VOLUME, Slicer};
 use crate::surface::Voxel;
@@ -39,7 +39,7 @@ const RUN_LOOK: Duration = Duration::from_millis(50);
 
 /// A scene ready for display.
 #[derive(Debug, Clone)]
-pub struct Planned {
+pub struct ScenePreview {
     /// The scene.
     pub scene: Scene,
     /// Its tool's shape.
@@ -56,7 +56,7 @@ pub struct Planned {
 
 /// Result of saving a scene.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Saved {
+pub enum SaveOutcome {
     /// Saved to this file.
     As(PathBuf),
     /// Not saved: a file of that name exists.
@@ -69,19 +69,19 @@ pub trait Planner: Send {
     ///
     /// # Errors
     /// The moved scene would be invalid.
-    fn move_places(&mut self, places: &Places) -> Result<Planned, String>;
+    fn move_places(&mut self, places: &Places) -> Result<ScenePreview, String>;
 
     /// Undoes all moves.
     ///
     /// # Errors
     /// The file is no longer a valid scene.
-    fn restore(&mut self) -> Result<Planned, String>;
+    fn restore(&mut self) -> Result<ScenePreview, String>;
 
     /// Writes the scene to the folder of the original file.
     ///
     /// # Errors
     /// Invalid file name, or the file cannot be written.
-    fn save(&mut self, name: &str, replace: bool) -> Result<Saved, String>;
+    fn save(&mut self, name: &str, replace: bool) -> Result<SaveOutcome, String>;
 
     /// Starts a run of the scene as last saved.
     ///
@@ -95,8 +95,8 @@ pub trait Planner: Send {
 }
 
 /// Messages from the planner's thread to the display.
-enum News {
-    Changed(Box<Planned>),
+enum PlannerMessage {
+    Changed(Box<ScenePreview>),
     Session(PathBuf),
     NoRun(String),
 }
@@ -108,9 +108,9 @@ enum News {
 /// The server cannot be started.
 pub fn view(
     path: &Path,
-    (first, looks, volume): (Planned, ArmLooks, Option<&Volume>),
+    (first, looks, volume): (ScenePreview, ArmMeshes, Option<&Volume>),
     mut planner: impl Planner,
-    door: &Door,
+    door: &ListeningPort,
     ready: impl FnOnce(),
     end: &EndRequest,
 ) -> Result<Option<PathBuf>, ViewerError> {
@@ -148,7 +148,7 @@ struct Shown<'a> {
 }
 
 impl Shown<'_> {
-    fn take(&mut self, planned: &Planned) {
+    fn take(&mut self, planned: &ScenePreview) {
         let grid = self.bone.as_ref().map(|(bone, _)| volume_box(bone.field().grid()));
         let mut told = info(&planned.scene, &self.origin, &planned.tool, grid.as_ref());
         told["plan"] = planned.plan.clone();
@@ -166,7 +166,7 @@ impl Shown<'_> {
         &mut self,
         called: &Calls,
         asked: &mpsc::SyncSender<Call>,
-        told: &mpsc::Receiver<News>,
+        told: &mpsc::Receiver<PlannerMessage>,
         end: &EndRequest,
     ) -> Option<PathBuf> {
         let mut slicer = Slicer::new(now_ns());
@@ -174,9 +174,9 @@ impl Shown<'_> {
             called.try_iter().for_each(|call| dispatch(call, &mut slicer, asked));
             for news in told.try_iter() {
                 match news {
-                    News::Changed(planned) => self.take(&planned),
-                    News::NoRun(why) => self.board.notice("error", &why),
-                    News::Session(session) => {
+                    PlannerMessage::Changed(planned) => self.take(&planned),
+                    PlannerMessage::NoRun(why) => self.board.notice("error", &why),
+                    PlannerMessage::Session(session) => {
                         self.board.go_on();
                         return Some(session);
                     }
@@ -216,13 +216,13 @@ fn dispatch(call: Call, slicer: &mut Slicer, asked: &mpsc::SyncSender<Call>) {
 fn plan(
     planner: &mut impl Planner,
     asking: &mpsc::Receiver<Call>,
-    tell: &mpsc::Sender<News>,
+    tell: &mpsc::Sender<PlannerMessage>,
     over: &AtomicBool,
 ) {
     while !over.load(Ordering::Relaxed) {
         let news = match planner.session() {
-            Some(Ok(session)) => Some(News::Session(session)),
-            Some(Err(why)) => Some(News::NoRun(why)),
+            Some(Ok(session)) => Some(PlannerMessage::Session(session)),
+            Some(Err(why)) => Some(PlannerMessage::NoRun(why)),
             None => None,
         };
         // The viewer may be ending.
@@ -243,7 +243,7 @@ fn plan(
             }
         };
         let outcome = changed.map(|planned| {
-            drop(tell.send(News::Changed(Box::new(planned))));
+            drop(tell.send(PlannerMessage::Changed(Box::new(planned))));
             Reply::Done
         });
         // The client may have disconnected.
@@ -251,10 +251,10 @@ fn plan(
     }
 }
 
-fn saved_json(saved: &Saved) -> String {
+fn saved_json(saved: &SaveOutcome) -> String {
     match saved {
-        Saved::As(path) => json!({"ok": true, "path": path}).to_string(),
-        Saved::Exists(path) => {
+        SaveOutcome::As(path) => json!({"ok": true, "path": path}).to_string(),
+        SaveOutcome::Exists(path) => {
             json!({"ok": false, "exists": true, "error": format!("{} exists", path.display())}).to_string()
         }
     }

@@ -46,7 +46,7 @@ pub enum SliceError {
 
 /// A `/slice` request as received.
 #[derive(Debug, Clone, Copy, Deserialize)]
-struct Asked {
+struct SliceParameters {
     centre_m: [f64; 3],
     right: [f64; 3],
     down: [f64; 3],
@@ -57,17 +57,17 @@ struct Asked {
 
 /// A `/slice` request: a rectangle and its pixels.
 #[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
-#[serde(try_from = "Asked")]
+#[serde(try_from = "SliceParameters")]
 pub struct Slice {
     plane: Plane,
     pixels: [usize; 2],
 }
 
-impl TryFrom<Asked> for Slice {
+impl TryFrom<SliceParameters> for Slice {
     type Error = SliceError;
 
-    fn try_from(asked: Asked) -> Result<Slice, SliceError> {
-        let Asked { centre_m, right, down, side_m, columns, rows } = asked;
+    fn try_from(asked: SliceParameters) -> Result<Slice, SliceError> {
+        let SliceParameters { centre_m, right, down, side_m, columns, rows } = asked;
         let allowed = 1..=MOST_PIXELS as u64;
         if !allowed.contains(&columns) || !allowed.contains(&rows) {
             return Err(SliceError::Pixels { columns, rows });

@@ -15,8 +15,8 @@ use ipc_types::session::{SessionHost, SessionPlan};
 use recorder_proc::log_file::{create_run, create_timing};
 use recorder_proc::process::OUTPUT_FILE;
 use run_log::{BuildInfo, EndReason, LogHeader, RunMode, Topic};
-use viewer_proc::server::Door;
-use viewer_proc::{ArmLooks, ServerOptions, ToolShape, live};
+use viewer_proc::server::ListeningPort;
+use viewer_proc::{ArmMeshes, ServerOptions, ToolShape, live};
 use zerocopy::IntoBytes;
 
 const SCENE: &str = r#"
@@ -43,7 +43,7 @@ fn plan() -> SessionPlan {
     }
 }
 
-fn shapes(scene: &Scene) -> (ToolShape, ArmLooks) {
+fn shapes(scene: &Scene) -> (ToolShape, ArmMeshes) {
     let radii = scene.manipulator.radii();
     let tool = ToolShape {
         joint_positions_m: Vec::new(),
@@ -54,7 +54,7 @@ fn shapes(scene: &Scene) -> (ToolShape, ArmLooks) {
         holder: scene.arm.holder(),
         arm_parts: None,
     };
-    (tool, ArmLooks::default())
+    (tool, ArmMeshes::default())
 }
 
 /// Writes the log of a run that ended for this reason.
@@ -94,7 +94,7 @@ fn after_silence(recorded: Option<&Path>) -> Option<PathBuf> {
         watch_by_anyone: false,
         page_folder: None,
     };
-    let door = Door::open(&options).unwrap();
+    let door = ListeningPort::open(&options).unwrap();
     let (ready, is_ready) = mpsc::channel();
     let (shown, is_shown) = mpsc::channel();
     std::thread::spawn(move || {

@@ -13,7 +13,7 @@ pub struct ReadOptions {
     /// formats.
     pub series: Option<String>,
     /// How to treat unevenly spaced or sheared slices.
-    pub slices: Slices,
+    pub slices: SliceHandling,
     /// Reads one label of a segmentation, as 1 inside and 0 outside.
     pub label: Option<Label>,
 }
@@ -36,7 +36,7 @@ impl ReadOptions {
 /// How to treat slices that are not on a rectangular grid: unevenly spaced, or stacked at an angle (tilted
 /// gantry).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Slices {
+pub enum SliceHandling {
     /// Refuses them, with their positions.
     #[default]
     AsTheyLie,

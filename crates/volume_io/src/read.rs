@@ -3,7 +3,7 @@
 
 use crate::error::VolumeError;
 use crate::input::{self, Codec, lower_name};
-use crate::options::{ReadOptions, Slices};
+use crate::options::{ReadOptions, SliceHandling};
 use crate::volume::VolumeInfo;
 use crate::{dicom, metaimage, nifti, nifti_header, nrrd};
 use std::path::Path;
@@ -97,7 +97,7 @@ fn on_a_grid(
     let (volume, mut info) = read?;
     let for_dicom = [
         (options.series.is_some(), "--series", "volume.series"),
-        (options.slices != Slices::AsTheyLie, "--rectify", "volume.resample"),
+        (options.slices != SliceHandling::AsTheyLie, "--rectify", "volume.resample"),
     ];
     for (_, flag, key) in for_dicom.iter().filter(|(is_given, ..)| *is_given) {
         info.notes

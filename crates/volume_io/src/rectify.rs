@@ -21,7 +21,7 @@ pub(crate) struct Slices<'a> {
 }
 
 /// A rectangular grid over the slices, with the same three directions.
-pub(crate) struct Rectified {
+pub(crate) struct RectifiedVolume {
     pub dims: [usize; 3],
     pub spacing_m: [f64; 3],
     /// Position of the first voxel, in the coordinates of [`Slices::places_m`].
@@ -40,7 +40,7 @@ pub(crate) struct Rectified {
 ///
 /// # Errors
 /// [`VolumeError::TooLarge`].
-pub(crate) fn rectify(path: &Path, slices: &Slices<'_>) -> Result<Rectified, VolumeError> {
+pub(crate) fn rectify(path: &Path, slices: &Slices<'_>) -> Result<RectifiedVolume, VolumeError> {
     let places = slices.places_m;
     let extreme =
         |axis: usize, pick: fn(f64, f64) -> f64| places.iter().map(|p| p[axis]).reduce(pick).unwrap_or(0.0);
@@ -93,7 +93,7 @@ pub(crate) fn rectify(path: &Path, slices: &Slices<'_>) -> Result<Rectified, Vol
         smallest * 1e3,
         largest * 1e3,
     );
-    Ok(Rectified { dims, spacing_m, first_m: low, hu, note })
+    Ok(RectifiedVolume { dims, spacing_m, first_m: low, hu, note })
 }
 
 /// Angle between the line through the first and last slice's corners and the normal.
@@ -182,7 +182,7 @@ mod tests {
     }
 
     /// Slices of a field that is linear in space.
-    fn linear(places_m: &[[f64; 3]], tilt: bool) -> Rectified {
+    fn linear(places_m: &[[f64; 3]], tilt: bool) -> RectifiedVolume {
         let (columns, rows, spacing_m) = (9, 7, [1e-3, 2e-3]);
         let mut hu = Vec::new();
         for place in places_m {
@@ -199,7 +199,7 @@ mod tests {
         out
     }
 
-    fn compare(out: &Rectified) -> usize {
+    fn compare(out: &RectifiedVolume) -> usize {
         let mut compared = 0;
         for (index, hu) in out.hu.iter().enumerate().filter(|(_, hu)| **hu != AIR_HU) {
             let [nx, ny, _] = out.dims;

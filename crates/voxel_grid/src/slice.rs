@@ -9,7 +9,7 @@ const AXES_TOLERANCE: f64 = 1e-3;
 
 /// A standard plane in radiological orientation. +x is the patient's left, +y posterior, +z the head.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Anatomical {
+pub struct AnatomicalPlane {
     /// Name of the plane.
     pub name: &'static str,
     /// Unit vector to the right of the image.
@@ -22,20 +22,20 @@ pub struct Anatomical {
 }
 
 /// Axial from the feet, coronal from the front, sagittal from the patient's left.
-pub const ANATOMICAL: [Anatomical; 3] = [
-    Anatomical {
+pub const ANATOMICAL: [AnatomicalPlane; 3] = [
+    AnatomicalPlane {
         name: "axial",
         right: [1.0, 0.0, 0.0],
         down: [0.0, 1.0, 0.0],
         letters: ["R", "L", "A", "P"],
     },
-    Anatomical {
+    AnatomicalPlane {
         name: "coronal",
         right: [1.0, 0.0, 0.0],
         down: [0.0, 0.0, -1.0],
         letters: ["R", "L", "H", "F"],
     },
-    Anatomical {
+    AnatomicalPlane {
         name: "sagittal",
         right: [0.0, 1.0, 0.0],
         down: [0.0, 0.0, -1.0],

@@ -57,7 +57,7 @@ pub struct Job {
 
 /// A finished frame.
 #[derive(Debug, Clone)]
-pub struct Rendered {
+pub struct RenderedFrame {
     /// The frame's metadata.
     pub frame: Frame,
     /// The image header.
@@ -68,7 +68,7 @@ pub struct Rendered {
     pub report: FrameReport,
 }
 
-impl Rendered {
+impl RenderedFrame {
     /// True if all of the anatomy was recomputed.
     pub fn is_full(&self) -> bool {
         self.report.kind == RenderKind::Full
@@ -88,7 +88,7 @@ pub fn render_job(
     renderer: &mut DrrRenderer,
     view: &VolumeView<'_>,
     job: &Job,
-) -> Result<Rendered, DrrError> {
+) -> Result<RenderedFrame, DrrError> {
     take_removals(renderer, view, job)?;
     let tool = tool_and_arm(job);
     let seed = FrameSeed { seed: job.noise_seed, frame: job.state.tick };
@@ -111,7 +111,7 @@ pub fn render_poses(
     view: &VolumeView<'_>,
     job: &Job,
     c_arms: &[CArm],
-) -> Result<Vec<Rendered>, DrrError> {
+) -> Result<Vec<RenderedFrame>, DrrError> {
     take_removals(renderer, view, job)?;
     let tool = tool_and_arm(job);
     let seed = FrameSeed { seed: job.noise_seed, frame: job.state.tick };
@@ -128,7 +128,12 @@ pub fn render_poses(
 }
 
 /// Assembles the message.
-fn rendered(job: &Job, (sequence, c_arm): (u64, &CArm), pixels: Vec<u16>, report: FrameReport) -> Rendered {
+fn rendered(
+    job: &Job,
+    (sequence, c_arm): (u64, &CArm),
+    pixels: Vec<u16>,
+    report: FrameReport,
+) -> RenderedFrame {
     let hash = xxh3_128(pixels.as_bytes());
     let frame = Frame {
         sequence,
@@ -143,7 +148,7 @@ fn rendered(job: &Job, (sequence, c_arm): (u64, &CArm), pixels: Vec<u16>, report
         projection: projection_message(c_arm, job.isocentre_m),
     };
     let prefix = ImagePrefix::mono16(c_arm.columns, c_arm.rows, job.state.sim_time_s);
-    Rendered { frame, prefix, pixels, report }
+    RenderedFrame { frame, prefix, pixels, report }
 }
 
 /// Computes the labels of a frame; voxels at or above `bone_from_hu` are bone. Can run before or after

@@ -125,7 +125,7 @@ impl PlacedTool {
 
     /// Computes the cells; returns the number of pixels that the tool covers. `anatomy` provides what is
     /// displaced.
-    pub(crate) fn draw(&mut self, fan: &RayFan, anatomy: &DisplacedBy<'_>) -> usize {
+    pub(crate) fn draw(&mut self, fan: &RayFan, anatomy: &DisplacedAnatomy<'_>) -> usize {
         self.segments.clear();
         for row in self.row_starts.windows(2) {
             let spans = &self.spans[row[0]..row[1]];
@@ -255,7 +255,7 @@ impl Outline {
 }
 
 /// The anatomy that the tool displaces.
-pub(crate) struct DisplacedBy<'a> {
+pub(crate) struct DisplacedAnatomy<'a> {
     pub(crate) projector: Projector,
     /// Integrand of `ToolCell::displaced`.
     pub(crate) tissue: &'a AttenuationField<'a>,
@@ -263,7 +263,7 @@ pub(crate) struct DisplacedBy<'a> {
     pub(crate) bone: Option<&'a AttenuationField<'a>>,
 }
 
-impl DisplacedBy<'_> {
+impl DisplacedAnatomy<'_> {
     /// Integral of a field between two parameters of a ray.
     fn integral(&self, field: &AttenuationField<'_>, ray: &IndexRay, range: (f64, f64)) -> f64 {
         if self.projector == Projector::Siddon {
@@ -279,7 +279,7 @@ impl DisplacedBy<'_> {
 struct Painter<'a> {
     tool: &'a PlacedTool,
     fan: &'a RayFan,
-    anatomy: &'a DisplacedBy<'a>,
+    anatomy: &'a DisplacedAnatomy<'a>,
     arch: Arch,
 }
 

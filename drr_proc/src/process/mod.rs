@@ -12,7 +12,7 @@ mod service;
 
 use std::path::Path;
 
-use delivery::x_ray::RemovedLost;
+use delivery::x_ray::RemovalLoss;
 use ipc_types::arm_meshes::ArmMeshError;
 use ipc_types::messages::Part;
 use ipc_types::messages::services;
@@ -50,7 +50,7 @@ pub enum DrrProcessError {
     NoDrr,
     /// Messages with removed voxels were lost, so frames would show bone that is gone.
     #[error(transparent)]
-    RemovedLost(#[from] RemovedLost),
+    RemovedLost(#[from] RemovalLoss),
     /// The rendering thread died.
     #[error("the rendering thread ended early")]
     WorkerGone,

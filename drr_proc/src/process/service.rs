@@ -5,7 +5,7 @@ use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, TrySendError, sync_cha
 use std::time::{Duration, Instant};
 
 use delivery::x_ray::{
-    Due, Refusal, Removals, RemovedBatch, RemovedSince, Renderer, Schedule, ScheduleSettings,
+    DueFrame, Refusal, RemovalDelta, Removals, RemovedBatch, Renderer, Schedule, ScheduleSettings,
 };
 use hub::rate_limit::{Connection, LOOKED_AT, RateLimit, WarningLimit};
 use ipc_types::clock::now_ns;
@@ -17,7 +17,7 @@ use ipc_types::ports::PortError;
 use ipc_types::process::EndRequest;
 use ipc_types::scene::{Holder, Notch, Scene, ToolRadii};
 use xray::arm_model::ArmModel;
-use xray::frame::{Cache, Job, Rendered, render_job};
+use xray::frame::{Cache, Job, RenderedFrame, render_job};
 use xray::from_scene::scene_isocentre_m;
 use xray::message::{c_arm_message, c_arm_of};
 use xray::{CArm, DrrError, DrrRenderer, VolumeView};
@@ -39,7 +39,7 @@ const PROGRESS_TICKS: u64 = 32;
 
 /// A finished frame with its rendering time (wall time).
 struct Finished {
-    rendered: Rendered,
+    rendered: RenderedFrame,
     render_ns: u64,
 }
 
@@ -331,22 +331,22 @@ impl Service {
     }
 
     /// Announces a frame of this state and queues it for the renderer.
-    fn start(&mut self, state: &State, due: Due) -> Result<(), DrrProcessError> {
+    fn start(&mut self, state: &State, due: DueFrame) -> Result<(), DrrProcessError> {
         let job = self.announce(state, due)?;
         self.queue(job)
     }
 
     /// Announces a frame of this state; the caller must queue it.
-    fn announce(&mut self, state: &State, due: Due) -> Result<Job, DrrProcessError> {
+    fn announce(&mut self, state: &State, due: DueFrame) -> Result<Job, DrrProcessError> {
         let (request, c_arm) = match due {
-            Due::Scheduled => (DrrRequest::zeroed(), self.c_arm),
-            Due::Requested(request) => (request, self.geometry_of(&request)?),
+            DueFrame::Scheduled => (DrrRequest::zeroed(), self.c_arm),
+            DueFrame::Requested(request) => (request, self.geometry_of(&request)?),
         };
         self.sequence += 1;
         let (frame_sequence, tick) = (self.sequence, Tick(state.tick));
         let answer = ReplyFacts { frame_sequence, tick, status: DrrStatus::Accepted };
         self.reply(&request, answer, &c_arm)?;
-        let RemovedSince { restores, voxels } = self.removals.take();
+        let RemovalDelta { restores, voxels } = self.removals.take();
         Ok(Job {
             state: Box::new(*state),
             restores,

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use serde::{Deserialize, Serialize};
 
 use super::folder::read_file;
-use super::places::Searched;
+use super::places::SearchedPlaces;
 use super::{ICEORYX2_VERSION, SessionError};
 use crate::messages::services;
 use crate::scene::{Policy, Wait};
@@ -54,7 +54,7 @@ pub(crate) fn await_announcement(
         match read_file(folder, ANNOUNCEMENT_FILE) {
             Ok(text) => return announcement_of(&text, path, &file),
             Err(_) if path.is_dir() && Instant::now() < end => std::thread::sleep(RETRY_TIME),
-            Err(_) => return Err(SessionError::NoSession { searched: Searched::folder(path) }),
+            Err(_) => return Err(SessionError::NoSession { searched: SearchedPlaces::folder(path) }),
         }
     }
 }

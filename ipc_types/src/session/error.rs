@@ -7,10 +7,10 @@ use foreign_text::foreign_path;
 use thiserror::Error;
 
 use super::id::SessionId;
-use super::places::{Searched, Unfit};
+use super::places::{PlaceError, SearchedPlaces};
 use super::{ICEORYX2_VERSION, SESSION_VARIABLE};
 use crate::messages::Part;
-use crate::shared_memory::{Short, refusal};
+use crate::shared_memory::{MemoryShortage, refusal};
 
 /// Why a session could not be created or joined.
 #[derive(Debug, Error)]
@@ -27,7 +27,7 @@ pub enum SessionError {
     #[error("{searched}")]
     NoSession {
         /// The places searched.
-        searched: Searched,
+        searched: SearchedPlaces,
     },
     /// Several sessions are running and none was named.
     #[error(
@@ -58,7 +58,7 @@ pub enum SessionError {
         /// The folder.
         path: PathBuf,
         /// The defect.
-        cause: Unfit,
+        cause: PlaceError,
     },
     /// No random numbers for an unguessable session name.
     #[error("cannot read random numbers from the system ({cause}); a session needs a random name")]
@@ -199,6 +199,10 @@ pub(crate) fn transported<E: core::fmt::Debug>(
     }
 }
 
-pub(crate) fn short_memory(service: &str) -> impl FnOnce(Short) -> SessionError + '_ {
-    move |Short { bytes, cause }| SessionError::SharedMemory { service: service.to_owned(), bytes, cause }
+pub(crate) fn short_memory(service: &str) -> impl FnOnce(MemoryShortage) -> SessionError + '_ {
+    move |MemoryShortage { bytes, cause }| SessionError::SharedMemory {
+        service: service.to_owned(),
+        bytes,
+        cause,
+    }
 }

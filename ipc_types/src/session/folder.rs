@@ -21,7 +21,7 @@ use rustix::fs::{
 use rustix::io::Errno;
 
 use super::id::{PREFIX_LENGTH, SessionId};
-use super::places::{Place, Unfit, open_private, places};
+use super::places::{Place, PlaceError, open_private, places};
 use super::{SessionError, file_error};
 use crate::messages::{Blame, EventCode};
 use crate::shared_memory::{Identity, SharedMemory};
@@ -69,7 +69,7 @@ impl HostFolder {
             }
             let handle = match open_private(&above, Path::new(&id.to_string())) {
                 // Another host saw it empty before it was locked and removed it.
-                Err(Unfit::Missing) => continue,
+                Err(PlaceError::Missing) => continue,
                 other => other.map_err(|cause| SessionError::Unfit { path: path.clone(), cause })?,
             };
             flock(&handle, FlockOperation::LockExclusive).map_err(system)?;
@@ -107,8 +107,8 @@ impl HostFolder {
 impl Drop for HostFolder {
     fn drop(&mut self) {
         remove(&self.above, &self.id, &self.handle);
-        // Closing the handle would not release the lock while a child that another thread has just forked holds a
-        // copy of it, until its `exec`.
+        // Closing the handle would not release the lock while a child that another thread has just forked
+        // holds a copy of it, until its `exec`.
         let _ = flock(&self.handle, FlockOperation::Unlock);
     }
 }
@@ -137,11 +137,11 @@ pub(crate) fn read_file(folder: impl AsFd, name: &str) -> io::Result<String> {
 /// Opens a session's folder by its path.
 ///
 /// # Errors
-/// [`SessionError::NoSession`] if it does not exist, [`SessionError::Unfit`] if others can change it.
+/// [`SessionError::NoSession`] if it does not exist, [`SessionError::PlaceError`] if others can change it.
 pub(crate) fn open(path: &Path) -> Result<OwnedFd, SessionError> {
     open_private(rustix::fs::CWD, path).map_err(|cause| match cause {
-        Unfit::Missing | Unfit::NotAFolder => {
-            SessionError::NoSession { searched: super::Searched::folder(path) }
+        PlaceError::Missing | PlaceError::NotAFolder => {
+            SessionError::NoSession { searched: super::SearchedPlaces::folder(path) }
         }
         cause => SessionError::Unfit { path: path.to_owned(), cause },
     })
@@ -264,7 +264,7 @@ fn has_its_memory_here(folder: &OwnedFd) -> bool {
 }
 
 /// Removes a folder that is empty or contains only an empty folder of nodes, as left by a killed client
-/// ([`Remains`]). The system refuses to remove a folder that is not empty.
+/// ([`ClientLeftovers`]). The system refuses to remove a folder that is not empty.
 fn remove_empty(sessions: &OwnedFd, id: &SessionId, folder: &OwnedFd) -> bool {
     let _ = unlinkat(folder, NODES, AtFlags::REMOVEDIR);
     let is_removed = unlinkat(sessions, id.to_string(), AtFlags::REMOVEDIR).is_ok();
@@ -316,20 +316,20 @@ fn remove(sessions: &OwnedFd, id: &SessionId, folder: &OwnedFd) {
 /// all nodes. Removed on drop, after the client's node, if the session is gone and no other client is left in
 /// it.
 #[derive(Debug)]
-pub(crate) struct Remains {
+pub(crate) struct ClientLeftovers {
     path: PathBuf,
     id: SessionId,
     /// Shows whether the session is gone.
     handle: OwnedFd,
 }
 
-impl Remains {
-    pub(crate) fn of(path: &Path, id: &SessionId, handle: &OwnedFd) -> io::Result<Remains> {
-        Ok(Remains { path: path.to_owned(), id: id.clone(), handle: handle.try_clone()? })
+impl ClientLeftovers {
+    pub(crate) fn of(path: &Path, id: &SessionId, handle: &OwnedFd) -> io::Result<ClientLeftovers> {
+        Ok(ClientLeftovers { path: path.to_owned(), id: id.clone(), handle: handle.try_clone()? })
     }
 }
 
-impl Drop for Remains {
+impl Drop for ClientLeftovers {
     fn drop(&mut self) {
         let is_gone = matches!(statat(&self.handle, MARKER, AtFlags::SYMLINK_NOFOLLOW), Err(Errno::NOENT));
         if !is_gone {
@@ -367,8 +367,8 @@ fn remove_content(folder: &OwnedFd, kept: Option<&str>) {
 mod tests {
     use super::*;
 
-    /// A client took a host that had ended for alive, and left the session's memory, while another thread of the
-    /// host's process was starting a program.
+    /// A client took a host that had ended for alive, and left the session's memory, while another thread of
+    /// the host's process was starting a program.
     #[test]
     fn the_lock_ends_with_its_host_though_a_forked_child_has_a_copy_of_the_handle() {
         let all = places();

@@ -9,15 +9,15 @@ use iceoryx2::service::attribute::AttributeSpecifier;
 
 use super::announcement::ANNOUNCEMENT_FILE;
 use super::folder::{self, HostFolder, wipe_dead_sessions};
-use super::places::{Searched, choose, places};
+use super::places::{SearchedPlaces, choose, places};
 use super::{
-    Announcement, ByteService, EventService, ICEORYX2_VERSION, PAGE_FILE, Reader, Remains, Session,
+    Announcement, ByteService, ClientLeftovers, EventService, ICEORYX2_VERSION, PAGE_FILE, Reader, Session,
     SessionError, create_node, file_error, transported,
 };
-use crate::half_made::HalfMadeSweeper;
+use crate::half_made::SegmentSweeper;
 use crate::messages::services::{self, SAMPLES_HELD, Service};
 use crate::messages::{ControllerIndex, Part};
-use crate::own::Own;
+use crate::own::ProcessOwned;
 use crate::scene::{Policy, Wait};
 use crate::shared_memory::SharedMemory;
 use crate::shared_page::SharedPage;
@@ -32,7 +32,7 @@ pub struct SessionHost {
     _byte_services: Vec<ByteService>,
     _event_services: Vec<EventService>,
     /// Dropped after everything above, because dropping those opens segments, which may be incomplete.
-    _sweeper: HalfMadeSweeper,
+    _sweeper: SegmentSweeper,
     /// Removed last.
     folder: HostFolder,
 }
@@ -64,11 +64,11 @@ impl SessionHost {
     /// Any [`SessionError`] except those of joining.
     pub fn create(plan: &SessionPlan) -> Result<SessionHost, SessionError> {
         let all = places();
-        let nowhere = || SessionError::NoSession { searched: Searched::places(None) };
+        let nowhere = || SessionError::NoSession { searched: SearchedPlaces::places(None) };
         let (place, _) = choose(&all).ok_or_else(nowhere)?;
         let folder = HostFolder::create(place)?;
         wipe_dead_sessions();
-        let sweeper = HalfMadeSweeper::start(folder.id.shared_memory_prefix())
+        let sweeper = SegmentSweeper::start(folder.id.shared_memory_prefix())
             .map_err(file_error(Path::new("/dev/shm")))?;
         let node = create_node(&folder.path, &folder.id)?;
         let memory = SharedMemory::open().map_err(file_error(Path::new("/dev/shm")))?;
@@ -102,14 +102,15 @@ impl SessionHost {
         };
         // A new handle: testing the lock through the handle that holds it would release it.
         let handle = folder::open(&folder.path)?;
-        let remains = Remains::of(&folder.path, &folder.id, &handle).map_err(file_error(&folder.path))?;
+        let remains =
+            ClientLeftovers::of(&folder.path, &folder.id, &handle).map_err(file_error(&folder.path))?;
         let session = Session {
             handle,
             folder: folder.path.clone(),
             id: folder.id.clone(),
             announcement,
-            node: Own::new(node),
-            _remains: Own::new(remains),
+            node: ProcessOwned::new(node),
+            _remains: ProcessOwned::new(remains),
             page,
         };
         session.claim(Part::Host)?;
@@ -180,7 +181,7 @@ fn create_byte_service(
         .max_subscribers(service.max_subscribers)
         .max_nodes(MAX_NODES)
         .create_with_attributes(&attributes)
-        .map(Own::new)
+        .map(ProcessOwned::new)
         .map_err(transported(name, "creating"))
 }
 
@@ -192,6 +193,6 @@ fn create_event_service(node: &Node<ipc::Service>, name: &str) -> Result<EventSe
         .max_listeners(2)
         .max_nodes(MAX_NODES)
         .create()
-        .map(Own::new)
+        .map(ProcessOwned::new)
         .map_err(transported(name, "creating"))
 }

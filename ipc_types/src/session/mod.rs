@@ -23,21 +23,23 @@ use iceoryx2::service::port_factory::{event, publish_subscribe};
 
 use crate::messages::services::CONNECTIONS_BYTES;
 use crate::messages::{ControllerIndex, MAX_CONTROLLERS, Part};
-use crate::own::Own;
+use crate::own::ProcessOwned;
 use crate::shared_memory::{refusal, require_free};
 use crate::shared_page::{FLAG_COUNT, SharedPage};
 
-pub use crate::half_made::HalfMadeSweeper;
+pub use crate::half_made::SegmentSweeper;
 pub use announcement::Announcement;
 pub(crate) use announcement::{ANNOUNCEMENT_FILE, await_announcement, check_layouts};
 pub use error::SessionError;
 pub(crate) use error::{file_error, short_memory, transported};
-pub(crate) use folder::{Remains, create_file, is_locked, open as open_folder, read_blame, write_blame};
+pub(crate) use folder::{
+    ClientLeftovers, create_file, is_locked, open as open_folder, read_blame, write_blame,
+};
 pub use folder::{announced_sessions, host_is_alive, only_session, running_sessions, wipe_dead_sessions};
 pub use host::{SessionHost, SessionPlan};
 pub use id::SessionId;
 pub(crate) use id::prefix_of;
-pub use places::{Place, Searched, Unfit, open_private, passed_over, places};
+pub use places::{Place, PlaceError, SearchedPlaces, open_private, passed_over, places};
 
 /// The hub's iceoryx2 version; programs with another version cannot join.
 pub const ICEORYX2_VERSION: &str = "0.10.0";
@@ -49,8 +51,8 @@ pub const CONTROLLER_VARIABLE: &str = "TRABECULA_CONTROLLER";
 /// The file of the shared page in a session's folder.
 pub(crate) const PAGE_FILE: &str = "wake.flags";
 
-pub(crate) type ByteService = Own<publish_subscribe::PortFactory<ipc::Service, [u8], ()>>;
-pub(crate) type EventService = Own<event::PortFactory<ipc::Service>>;
+pub(crate) type ByteService = ProcessOwned<publish_subscribe::PortFactory<ipc::Service, [u8], ()>>;
+pub(crate) type EventService = ProcessOwned<event::PortFactory<ipc::Service>>;
 
 /// A session as one process sees it: its node and access to the services.
 #[derive(Debug)]
@@ -60,9 +62,9 @@ pub struct Session {
     pub(crate) handle: OwnedFd,
     pub(crate) id: SessionId,
     pub(crate) announcement: Announcement,
-    pub(crate) node: Own<Node<ipc::Service>>,
+    pub(crate) node: ProcessOwned<Node<ipc::Service>>,
     /// Dropped after the node.
-    pub(crate) _remains: Own<Remains>,
+    pub(crate) _remains: ProcessOwned<ClientLeftovers>,
     pub(crate) page: SharedPage,
 }
 

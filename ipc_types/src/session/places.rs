@@ -27,7 +27,7 @@ const TEMPORARY: &str = "/tmp";
 
 /// Why a folder cannot hold sessions.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
-pub enum Unfit {
+pub enum PlaceError {
     /// The variable is empty.
     #[error("it is empty")]
     Empty,
@@ -85,7 +85,7 @@ pub struct Place {
     above: PathBuf,
     kind: Kind,
     /// Why it is skipped.
-    unfit: Option<Unfit>,
+    unfit: Option<PlaceError>,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -98,40 +98,40 @@ enum Kind {
 }
 
 /// Checks that a folder belongs to this user and is closed to others.
-fn private(stat: &Stat) -> Result<(), Unfit> {
+fn private(stat: &Stat) -> Result<(), PlaceError> {
     let user = rustix::process::geteuid().as_raw();
     match FileType::from_raw_mode(stat.st_mode) {
         FileType::Directory => {}
-        FileType::Symlink => return Err(Unfit::Link),
-        _ => return Err(Unfit::NotAFolder),
+        FileType::Symlink => return Err(PlaceError::Link),
+        _ => return Err(PlaceError::NotAFolder),
     }
     if stat.st_uid != user {
-        return Err(Unfit::NotOwn { owner: stat.st_uid, user });
+        return Err(PlaceError::NotOwn { owner: stat.st_uid, user });
     }
     let mode = stat.st_mode & 0o7777;
-    if mode & 0o077 == 0 { Ok(()) } else { Err(Unfit::NotPrivate { mode }) }
+    if mode & 0o077 == 0 { Ok(()) } else { Err(PlaceError::NotPrivate { mode }) }
 }
 
 /// Opens a folder that is not a link, so that later checks apply to what was opened.
-fn open_folder(above: impl AsFd, path: &Path) -> Result<OwnedFd, Unfit> {
+fn open_folder(above: impl AsFd, path: &Path) -> Result<OwnedFd, PlaceError> {
     let flags = OFlags::RDONLY | OFlags::DIRECTORY | OFlags::NOFOLLOW | OFlags::CLOEXEC;
     rustix::fs::openat(above.as_fd(), path, flags, Mode::empty()).map_err(|cause| match cause {
-        Errno::NOENT => Unfit::Missing,
+        Errno::NOENT => PlaceError::Missing,
         Errno::LOOP | Errno::NOTDIR => match rustix::fs::statat(above, path, AtFlags::SYMLINK_NOFOLLOW) {
-            Ok(stat) if FileType::from_raw_mode(stat.st_mode) == FileType::Symlink => Unfit::Link,
-            _ => Unfit::NotAFolder,
+            Ok(stat) if FileType::from_raw_mode(stat.st_mode) == FileType::Symlink => PlaceError::Link,
+            _ => PlaceError::NotAFolder,
         },
-        other => Unfit::System(other),
+        other => PlaceError::System(other),
     })
 }
 
 /// Opens a folder if it belongs to this user, is not a link, and is closed to others.
 ///
 /// # Errors
-/// [`Unfit`], the reason for refusing it.
-pub fn open_private(above: impl AsFd, path: &Path) -> Result<OwnedFd, Unfit> {
+/// [`PlaceError`], the reason for refusing it.
+pub fn open_private(above: impl AsFd, path: &Path) -> Result<OwnedFd, PlaceError> {
     let folder = open_folder(above, path)?;
-    private(&rustix::fs::fstat(&folder).map_err(Unfit::System)?)?;
+    private(&rustix::fs::fstat(&folder).map_err(PlaceError::System)?)?;
     Ok(folder)
 }
 
@@ -149,20 +149,20 @@ impl Place {
         &self.sessions
     }
 
-    fn open_above(&self) -> Result<OwnedFd, Unfit> {
+    fn open_above(&self) -> Result<OwnedFd, PlaceError> {
         let limit = MAX_ROOT_PATH
             - SessionId::LENGTH
             - 1
             - (self.sessions.as_os_str().len() - self.above.as_os_str().len());
         let bytes = self.above.as_os_str().len();
         if bytes == 0 {
-            return Err(Unfit::Empty);
+            return Err(PlaceError::Empty);
         }
         if !self.above.is_absolute() {
-            return Err(Unfit::Relative);
+            return Err(PlaceError::Relative);
         }
         if bytes > limit {
-            return Err(Unfit::TooLong { bytes, limit });
+            return Err(PlaceError::TooLong { bytes, limit });
         }
         if self.kind != Kind::Temporary {
             return open_private(CWD, &self.above);
@@ -171,32 +171,32 @@ impl Place {
         let flags = OFlags::RDONLY | OFlags::DIRECTORY | OFlags::CLOEXEC;
         let above =
             rustix::fs::openat(CWD, &self.above, flags, Mode::empty()).map_err(|cause| match cause {
-                Errno::NOENT => Unfit::Missing,
-                Errno::NOTDIR => Unfit::NotAFolder,
-                other => Unfit::System(other),
+                Errno::NOENT => PlaceError::Missing,
+                Errno::NOTDIR => PlaceError::NotAFolder,
+                other => PlaceError::System(other),
             })?;
-        let mode = rustix::fs::fstat(&above).map_err(Unfit::System)?.st_mode & 0o7777;
-        if mode & 0o022 != 0 && mode & 0o1000 == 0 { Err(Unfit::NotSticky { mode }) } else { Ok(above) }
+        let mode = rustix::fs::fstat(&above).map_err(PlaceError::System)?.st_mode & 0o7777;
+        if mode & 0o022 != 0 && mode & 0o1000 == 0 { Err(PlaceError::NotSticky { mode }) } else { Ok(above) }
     }
 
     /// Opens the sessions folder.
     ///
     /// # Errors
-    /// The reason for refusing it, or [`Unfit::Missing`].
-    pub(crate) fn open(&self) -> Result<OwnedFd, Unfit> {
+    /// The reason for refusing it, or [`PlaceError::Missing`].
+    pub(crate) fn open(&self) -> Result<OwnedFd, PlaceError> {
         let name = self.sessions.file_name().unwrap_or(OsStr::new(NAME));
         open_private(self.open_above()?, Path::new(name))
     }
 
     /// As [`open`](Place::open), but creates the folder if it does not exist.
     pub(crate) fn open_or_make(&self) -> Result<OwnedFd, SessionError> {
-        let refused = |cause: Unfit| SessionError::Unfit { path: self.sessions.clone(), cause };
+        let refused = |cause: PlaceError| SessionError::Unfit { path: self.sessions.clone(), cause };
         let above =
             self.open_above().map_err(|cause| SessionError::Unfit { path: self.above.clone(), cause })?;
         let name = Path::new(self.sessions.file_name().unwrap_or(OsStr::new(NAME)));
         match rustix::fs::mkdirat(&above, name, Mode::RWXU) {
             Ok(()) | Err(Errno::EXIST) => open_private(above, name).map_err(refused),
-            Err(cause) => Err(refused(Unfit::System(cause))),
+            Err(cause) => Err(refused(PlaceError::System(cause))),
         }
     }
 }
@@ -205,7 +205,7 @@ impl Display for Place {
     fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
         match (&self.unfit, self.open()) {
             (Some(cause), _) => write!(f, "{} (not used: {cause})", self.above_as_named()),
-            (None, Err(Unfit::Missing)) => write!(f, "{} (does not exist)", self.sessions.display()),
+            (None, Err(PlaceError::Missing)) => write!(f, "{} (does not exist)", self.sessions.display()),
             (None, Err(cause)) => write!(f, "{} (not used: {cause})", self.sessions.display()),
             (None, Ok(_)) => write!(f, "{}", self.sessions.display()),
         }
@@ -260,24 +260,24 @@ pub fn passed_over() -> Option<String> {
 
 /// The places searched for a session, and their states.
 #[derive(Debug, Clone)]
-pub struct Searched {
+pub struct SearchedPlaces {
     name: Option<String>,
     places: Vec<Place>,
 }
 
-impl Searched {
+impl SearchedPlaces {
     /// Lists all places of this user; `name` is the session's, if given.
-    pub fn places(name: Option<&str>) -> Searched {
-        Searched { name: name.map(str::to_owned), places: places() }
+    pub fn places(name: Option<&str>) -> SearchedPlaces {
+        SearchedPlaces { name: name.map(str::to_owned), places: places() }
     }
 
     /// Lists a single folder.
-    pub fn folder(folder: &Path) -> Searched {
-        Searched { name: Some(folder.display().to_string()), places: Vec::new() }
+    pub fn folder(folder: &Path) -> SearchedPlaces {
+        SearchedPlaces { name: Some(folder.display().to_string()), places: Vec::new() }
     }
 }
 
-impl Display for Searched {
+impl Display for SearchedPlaces {
     fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
         f.write_str("no running session")?;
         self.name.iter().try_for_each(|name| write!(f, " `{name}`"))?;
@@ -375,7 +375,7 @@ mod tests {
         assert_eq!(paths(None), expected[1..]);
         assert_eq!(paths(Some(&format!("/run/user/{user}/"))), [usual, temporary.clone()]);
         let all = places_of(Some("/elsewhere".into()), user);
-        let said = Searched { name: Some("left".to_owned()), places: all }.to_string();
+        let said = SearchedPlaces { name: Some("left".to_owned()), places: all }.to_string();
         for word in [
             "`left`",
             "XDG_RUNTIME_DIR=\"/elsewhere\" (not used: it does not exist)",

@@ -32,7 +32,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let fed = feed::feed(&mut simulation, insertion_mm * 1e-3);
         let steps_per_s = feed::ticks(insertion_mm * 1e-3) as f64 / began.elapsed().as_secs_f64();
         let depth_mm = Vector3::from(fed.end.t_world_tip.position_m).z * 1e3;
-        let apart_mm = first.as_ref().map_or(0.0, |first: &feed::Fed| fed.apart_m(first) * 1e3);
+        let apart_mm = first.as_ref().map_or(0.0, |first: &feed::FeedResult| fed.apart_m(first) * 1e3);
         let drilled_mm3 = fed.end.removed_total as f64 * block.voxel_mm3();
         let mut buffer = vec![0; 64 * MAX_KEYFRAME_BYTES];
         let keyframe_kb = simulation.write_keyframe(&mut buffer)? as f64 * 1e-3;

@@ -11,7 +11,7 @@ use ipc_types::messages::{Latched, Restores, State};
 use ipc_types::scene::{Drr, Holder, Mode, Notch, Scene, ToolRadii};
 use simulation::{CtView, Simulation};
 use voxel_grid::Volume;
-use xray::frame::{Cache, Job, Rendered, render_job};
+use xray::frame::{Cache, Job, RenderedFrame, render_job};
 use xray::from_scene::{renderer_parameters, scene_c_arm};
 use xray::{CArm, DrrRenderer, VolumeView};
 
@@ -150,7 +150,7 @@ struct XRay<'v> {
     notch: Option<Notch>,
     removed: Vec<u32>,
     shown: u64,
-    newest: Option<Rendered>,
+    newest: Option<RenderedFrame>,
     full: Samples,
     changed: Samples,
 }
@@ -200,7 +200,7 @@ impl<'v> XRay<'v> {
         Ok(())
     }
 
-    fn render(&mut self, state: &State, c_arm: CArm) -> Result<Rendered, Failure> {
+    fn render(&mut self, state: &State, c_arm: CArm) -> Result<RenderedFrame, Failure> {
         self.shown += 1;
         let job = Job {
             state: Box::new(*state),

@@ -2,7 +2,7 @@
 
 use ipc_types::messages::Volume;
 use ipc_types::messages::services;
-use ipc_types::ports::Received;
+use ipc_types::ports::ReceivedMessage;
 use ipc_types::process::{EndRequest, await_volume};
 use ipc_types::scene::Scene;
 use ipc_types::session::Session;
@@ -16,7 +16,7 @@ pub(super) fn receive_volume(
     session: &Session,
     scene: &Scene,
     end: &EndRequest,
-) -> Result<Option<Received<Volume>>, PhysicsError> {
+) -> Result<Option<ReceivedMessage<Volume>>, PhysicsError> {
     if scene.volume.is_none() {
         return Ok(None);
     }
@@ -25,7 +25,7 @@ pub(super) fn receive_volume(
 }
 
 /// Returns a view of the CT, without copying.
-pub(super) fn ct(volume: &Received<Volume>) -> Result<CtView<'_>, PhysicsError> {
+pub(super) fn ct(volume: &ReceivedMessage<Volume>) -> Result<CtView<'_>, PhysicsError> {
     let bad = |problem: String| PhysicsError::BadVolume { problem };
     let grid = volume.message().grid().map_err(|cause| bad(cause.to_string()))?;
     let hu = <[i16]>::ref_from_bytes(volume.tail())

@@ -15,7 +15,7 @@ use ipc_types::messages::TickTiming;
 use nix::sys::resource::{UsageWho, getrusage};
 
 use super::clock::thread_cpu_ns;
-use super::held_back::HeldBack;
+use super::held_back::SuspensionCounters;
 
 /// Maximum number of cores with separate steal counts.
 const MAX_CORES: usize = 256;
@@ -27,7 +27,7 @@ const STEAL_STEP_NS: u64 = 10_000_000;
 pub struct Disturbances {
     schedstat: Option<File>,
     steal: Steal,
-    held_back: HeldBack,
+    held_back: SuspensionCounters,
     counts: Counts,
     wait_ns: u64,
     begin_ns: u64,
@@ -80,7 +80,7 @@ impl Disturbances {
         let mut new = Disturbances {
             schedstat: File::open("/proc/thread-self/schedstat").ok(),
             steal: Steal::new(),
-            held_back: HeldBack::new(),
+            held_back: SuspensionCounters::new(),
             counts: Counts::now(),
             wait_ns: 0,
             begin_ns: now_ns(),

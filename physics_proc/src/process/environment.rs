@@ -4,14 +4,14 @@
 use std::time::{Duration, Instant};
 
 use hub::rate_limit::Connection;
-use hub::{Awaited, Environment, Incoming, Note, Outputs, Report, Start, Wait};
+use hub::{Environment, IncomingMessage, Note, Outputs, Report, Start, Wait, WakeCondition};
 use ipc_types::clock::now_ns;
 use ipc_types::messages::services;
 use ipc_types::messages::{
     Blame, Command, ControllerIndex, Keyframe, Latched, Part, Participant, Progress, Removed, RunControl,
     RunControlReply, RunStatus, SensorReading, State, Tick, TickTiming,
 };
-use ipc_types::ports::{PortError, Publisher, Received, Subscriber};
+use ipc_types::ports::{PortError, Publisher, ReceivedMessage, Subscriber};
 use ipc_types::process::{EndRequest, EventSender};
 use ipc_types::scene::Scene;
 use ipc_types::session::{Reader, Session, SessionError};
@@ -107,17 +107,17 @@ impl<'s> SharedMemory<'s> {
         let (began_ns, began) = self.began;
         let until = began + Duration::from_nanos(wait.until_ns.saturating_sub(began_ns));
         match wait.on {
-            Awaited::Deadline => self.sleeper.wait_until(wait.until_ns),
-            Awaited::Nothing => {
+            WakeCondition::Deadline => self.sleeper.wait_until(wait.until_ns),
+            WakeCondition::Nothing => {
                 std::thread::sleep(Duration::from_nanos(wait.until_ns.saturating_sub(now_ns())));
             }
-            Awaited::Control => {
+            WakeCondition::Control => {
                 self.waiter.wait_until(until, || self.control.has_message());
             }
-            Awaited::Report => {
+            WakeCondition::Report => {
                 self.waiter.wait_until(until, || self.progress.has_message());
             }
-            Awaited::Command(index) => {
+            WakeCondition::Command(index) => {
                 self.waiter.wait_until(until, || self.commands[index.slot()].has_message());
             }
         }
@@ -125,8 +125,8 @@ impl<'s> SharedMemory<'s> {
 }
 
 /// Copies a message, with its sender.
-fn copied<M: ipc_types::messages::layout::Message>(received: &Received<M>) -> Incoming<M> {
-    Incoming::Message(*received.message(), Connection(received.sender().number()))
+fn copied<M: ipc_types::messages::layout::Message>(received: &ReceivedMessage<M>) -> IncomingMessage<M> {
+    IncomingMessage::Message(*received.message(), Connection(received.sender().number()))
 }
 
 impl Outputs for SharedMemory<'_> {
@@ -165,21 +165,23 @@ impl Environment for SharedMemory<'_> {
     fn receive_command(
         &mut self,
         controller: ControllerIndex,
-    ) -> Result<Option<Incoming<Command>>, PortError> {
+    ) -> Result<Option<IncomingMessage<Command>>, PortError> {
         match self.commands[controller.slot()].receive() {
             Ok(received) => Ok(received.map(|received| copied(&received))),
             Err(PortError::Length { service, bytes, expected }) => {
                 let reason = format!("a message of {bytes} bytes on `{service}`, expected {expected}");
-                Ok(Some(Incoming::Malformed(reason)))
+                Ok(Some(IncomingMessage::Malformed(reason)))
             }
             Err(other) => Err(other),
         }
     }
 
-    fn receive_control(&mut self) -> Result<Option<Incoming<RunControl>>, PortError> {
+    fn receive_control(&mut self) -> Result<Option<IncomingMessage<RunControl>>, PortError> {
         match self.control.receive() {
             Ok(received) => Ok(received.map(|received| copied(&received))),
-            Err(malformed @ PortError::Length { .. }) => Ok(Some(Incoming::Malformed(malformed.to_string()))),
+            Err(malformed @ PortError::Length { .. }) => {
+                Ok(Some(IncomingMessage::Malformed(malformed.to_string())))
+            }
             Err(other) => Err(other),
         }
     }

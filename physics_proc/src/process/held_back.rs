@@ -7,7 +7,7 @@ use std::fs::File;
 use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
 
-use ipc_types::process::Continued;
+use ipc_types::process::ResumeFlag;
 
 use super::disturbance::number;
 
@@ -18,15 +18,15 @@ const MAX_GROUPS: usize = 8;
 
 /// Counters of the cgroups that this process is in, and whether it received SIGCONT.
 #[derive(Debug)]
-pub(super) struct HeldBack {
+pub(super) struct SuspensionCounters {
     throttled: Vec<Counter>,
     frozen: Vec<Counter>,
-    continued: Continued,
+    continued: ResumeFlag,
 }
 
-impl HeldBack {
+impl SuspensionCounters {
     /// Opens the counters of the cgroups that the process is in now.
-    pub(super) fn new() -> HeldBack {
+    pub(super) fn new() -> SuspensionCounters {
         let text = |path: &str| std::fs::read_to_string(path).unwrap_or_default();
         let groups = groups(&text("/proc/self/mounts"), &text("/proc/self/cgroup"));
         let open = |files: &[(&str, &'static str, u64)]| -> Vec<Counter> {
@@ -35,7 +35,7 @@ impl HeldBack {
             };
             groups.iter().filter_map(counter).take(MAX_GROUPS).collect()
         };
-        HeldBack {
+        SuspensionCounters {
             // The first is cheap because the kernel does not sum over child groups; the last is version 1's.
             throttled: open(&[
                 ("cpu.stat.local", "throttled_usec", 1000),
@@ -44,7 +44,7 @@ impl HeldBack {
             ]),
             frozen: open(&[("cgroup.stat.local", "frozen_usec", 1000)]),
             // Without this, a stop cannot be identified.
-            continued: Continued::install().unwrap_or_default(),
+            continued: ResumeFlag::install().unwrap_or_default(),
         }
     }
 
@@ -160,7 +160,7 @@ mod tests {
 
     #[test]
     fn a_process_that_goes_on_after_a_stop_knows_it() {
-        let mut held_back = HeldBack::new();
+        let mut held_back = SuspensionCounters::new();
         assert_eq!(held_back.before(LONG_GAP_NS).1, 0);
         signal_hook::low_level::raise(signal_hook::consts::SIGCONT).unwrap();
         assert_eq!(held_back.before(600_000_000).1, 600_000_000);

@@ -7,7 +7,7 @@ use ipc_types::messages::{Tick, TickRange};
 use recorder_proc::exit_code::exit_code;
 use recorder_proc::log_file::{LogFile, log_path};
 use run_log::ReadOptions;
-use run_log::cat::{CatOptions, Written, cat};
+use run_log::cat::{CatOptions, CatSummary, cat};
 
 use super::{Out, answered, concluded};
 use crate::commands::in_order;
@@ -53,7 +53,7 @@ pub fn run(arguments: &CatArguments, out: &mut Out<'_>) -> Result<(), Failure> {
         read: ReadOptions::default(),
     };
     let log = log_path(&arguments.log);
-    let Written { messages, last_tick, verdict } = match cat(&LogFile::at(&log), &options, out) {
+    let CatSummary { messages, last_tick, verdict } = match cat(&LogFile::at(&log), &options, out) {
         Ok(written) => written,
         Err(error) => return answered(Err(error)),
     };

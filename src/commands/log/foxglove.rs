@@ -18,7 +18,7 @@ use super::export::{ExportArguments, ending_of, unwritten};
 use super::judged;
 use crate::commands::view::tool_shape;
 use crate::failure::Failure;
-use crate::geometry::path::Travelled;
+use crate::geometry::path::PathRecorder;
 use crate::output::refuse_existing;
 
 /// Distance between points of the burr's path, mm.
@@ -49,7 +49,7 @@ pub fn export(arguments: &ExportArguments) -> Result<(), Failure> {
     let file = OutputFile::create(output)?;
     let failure = unwritten(output);
     let writer = ViewerLog::create(BufWriter::new(file.handle()?), output).map_err(&failure)?;
-    let mut made = Made::new(writer, &scene, arguments, stream.header().dt_ns);
+    let mut made = FoxgloveExport::new(writer, &scene, arguments, stream.header().dt_ns);
     let verdict = made.take(stream).map_err(&failure)?;
     let (drawings, frames) = (made.drawings, made.frames);
     made.log.finish().map_err(&failure)?;
@@ -60,28 +60,33 @@ pub fn export(arguments: &ExportArguments) -> Result<(), Failure> {
 }
 
 /// The file being written.
-struct Made<'a, W: std::io::Write> {
+struct FoxgloveExport<'a, W: std::io::Write> {
     log: ViewerLog<W>,
     arguments: &'a ExportArguments,
     drawer: Drawer,
     planned_m: Option<Vec<[f64; 3]>>,
-    travelled: Travelled,
+    travelled: PathRecorder,
     /// Ticks between drawings.
     every: u64,
     drawings: u64,
     frames: u64,
 }
 
-impl<'a, W: std::io::Write> Made<'a, W> {
-    fn new(log: ViewerLog<W>, scene: &Scene, arguments: &'a ExportArguments, dt_ns: u64) -> Made<'a, W> {
+impl<'a, W: std::io::Write> FoxgloveExport<'a, W> {
+    fn new(
+        log: ViewerLog<W>,
+        scene: &Scene,
+        arguments: &'a ExportArguments,
+        dt_ns: u64,
+    ) -> FoxgloveExport<'a, W> {
         let every = (1e9 / (arguments.rate * dt_ns.max(1) as f64)).round().max(1.0) as u64;
         let metres = |path: Vec<[f64; 3]>| path.into_iter().map(|point| point.map(|x| x * 1e-3)).collect();
-        Made {
+        FoxgloveExport {
             log,
             arguments,
             drawer: Drawer::new(&tool_shape(scene)),
             planned_m: planned_path_in_bone_mm(scene).map(metres),
-            travelled: Travelled::new(PATH_STEP_MM),
+            travelled: PathRecorder::new(PATH_STEP_MM),
             every,
             drawings: 0,
             frames: 0,

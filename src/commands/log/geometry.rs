@@ -15,10 +15,10 @@ use serde_json::{Value, json};
 use super::export::{ExportArguments, write_table};
 use super::judged;
 use crate::failure::Failure;
-use crate::geometry::path::{Deviation, Place, Travelled, deviations};
+use crate::geometry::path::{Deviation, PathRecorder, Place, deviations};
 use crate::geometry::{Mesh, mesh_files, tool, tunnel};
 use crate::output::refuse_existing;
-use crate::replay::{Gone, OpenedLog, Overrides};
+use crate::replay::{OpenedLog, Overrides, RemovedBone};
 
 /// Distance between points of a curve, mm: a twentieth of the burr, and few enough points for 3D Slicer.
 const CURVE_STEP_MM: f64 = 0.25;
@@ -77,7 +77,7 @@ pub fn export(what: Geometry, arguments: &ExportArguments) -> Result<(), Failure
         Geometry::Tunnel => of_tunnel(format, arguments)?,
         Geometry::Tool => of_tool(format, arguments)?,
         Geometry::BurrPath => {
-            let seen = Seen::of(arguments, CURVE_STEP_MM)?;
+            let seen = StateHistory::of(arguments, CURVE_STEP_MM)?;
             let places: Vec<_> = seen.places.iter().map(|place| place.burr_mm).collect();
             let (said, figures) = curve("burr", format, arguments, &places)?;
             (said, figures, seen.verdict)
@@ -96,16 +96,16 @@ pub fn export(what: Geometry, arguments: &ExportArguments) -> Result<(), Failure
 }
 
 /// Result as text and as JSON, and the log's verdict.
-type Exported = (String, Value, Verdict);
+type ExportResult = (String, Value, Verdict);
 
-fn of_tunnel(format: &str, arguments: &ExportArguments) -> Result<Exported, Failure> {
+fn of_tunnel(format: &str, arguments: &ExportArguments) -> Result<ExportResult, Failure> {
     let overrides = Overrides {
         volume: arguments.volume.clone(),
         volume_files: arguments.volume_files,
         ..Overrides::default()
     };
     let log = OpenedLog::open(arguments.log(), &overrides)?;
-    let gone = Gone::of(&log, arguments.ticks().last.map(|tick| tick.0))?;
+    let gone = RemovedBone::of(&log, arguments.ticks().last.map(|tick| tick.0))?;
     let Some(ct) = &log.ct else {
         return Err(Failure::bad_input(format!("{}: this run has no volume", log.path.display())));
     };
@@ -133,8 +133,8 @@ fn of_tunnel(format: &str, arguments: &ExportArguments) -> Result<Exported, Fail
     Ok((said, figures, gone.verdict))
 }
 
-fn of_tool(format: &str, arguments: &ExportArguments) -> Result<Exported, Failure> {
-    let seen = Seen::of(arguments, f64::INFINITY)?;
+fn of_tool(format: &str, arguments: &ExportArguments) -> Result<ExportResult, Failure> {
+    let seen = StateHistory::of(arguments, f64::INFINITY)?;
     let mesh = tool::surface(&seen.last, &seen.scene.manipulator.radii());
     write_mesh(format, &arguments.output, &mesh)?;
     let (tick, count) = (seen.last.tick, mesh.triangles.len());
@@ -142,9 +142,9 @@ fn of_tool(format: &str, arguments: &ExportArguments) -> Result<Exported, Failur
     Ok((said, json!({"tick": tick, "triangles": count}), seen.verdict))
 }
 
-fn of_deviation(format: &str, arguments: &ExportArguments) -> Result<Exported, Failure> {
+fn of_deviation(format: &str, arguments: &ExportArguments) -> Result<ExportResult, Failure> {
     let log = log_path(arguments.log());
-    let seen = Seen::of(arguments, TABLE_STEP_MM)?;
+    let seen = StateHistory::of(arguments, TABLE_STEP_MM)?;
     let found = deviations(&planned(&log, &seen.scene)?, &seen.places);
     let at = |of: fn(&Deviation) -> f64| found.iter().map(of).collect::<Vec<f64>>();
     let deviation_mm = at(|one| one.deviation_mm);
@@ -178,20 +178,20 @@ fn of_deviation(format: &str, arguments: &ExportArguments) -> Result<Exported, F
 
 /// The states of a log up to the requested tick: its scene, the burr's path, the last state, and the log's
 /// verdict if no tick was requested.
-struct Seen {
+struct StateHistory {
     scene: Scene,
     places: Vec<Place>,
     last: State,
     verdict: Verdict,
 }
 
-impl Seen {
-    fn of(arguments: &ExportArguments, step_mm: f64) -> Result<Seen, Failure> {
+impl StateHistory {
+    fn of(arguments: &ExportArguments, step_mm: f64) -> Result<StateHistory, Failure> {
         let log = log_path(arguments.log());
         let mut reader = LogReader::open(&LogFile::at(&log))?;
         let scene = scene_of(&reader, &log)?;
         let range = arguments.ticks();
-        let (mut path, mut last) = (Travelled::new(step_mm), *reader.initial());
+        let (mut path, mut last) = (PathRecorder::new(step_mm), *reader.initial());
         path.see(&last);
         for record in reader.by_ref() {
             let record = record.map_err(Failure::failed)?;
@@ -208,7 +208,7 @@ impl Seen {
             )));
         }
         let verdict = if range.last.is_none() { reader.stream().verdict() } else { Verdict::default() };
-        Ok(Seen { scene, places: path.places(), last, verdict })
+        Ok(StateHistory { scene, places: path.places(), last, verdict })
     }
 }
 

@@ -11,18 +11,18 @@ use crate::failure::Failure;
 use crate::replay::OpenedLog;
 
 /// The controllers' logged replies.
-pub(super) struct Answers {
+pub(super) struct LoggedCommands {
     /// Per live controller, by the tick of the state that was answered.
     pub(super) expected: Vec<BTreeMap<u64, Command>>,
     /// By frame number.
     pub(super) replies: BTreeMap<u64, DrrReply>,
 }
 
-impl Answers {
+impl LoggedCommands {
     /// Reads the commands as sent if the log has a timing lane, because in real time not every command was
     /// latched, and a controller must see the same states as in the run. Otherwise reads the latched
     /// commands.
-    pub(super) fn read(log: &OpenedLog, indices: &[ControllerIndex]) -> Result<Answers, Failure> {
+    pub(super) fn read(log: &OpenedLog, indices: &[ControllerIndex]) -> Result<LoggedCommands, Failure> {
         let mut expected = vec![BTreeMap::new(); indices.len()];
         let mut replies = BTreeMap::new();
         let mut stream = MessageStream::open(&LogFile::at(&log.path), log.options())?;
@@ -44,7 +44,7 @@ impl Answers {
                 replies.insert(reply.frame_sequence, reply);
             }
         }
-        let mut answers = Answers { expected, replies };
+        let mut answers = LoggedCommands { expected, replies };
         if real_time {
             answers.read_sent(log, indices);
         }

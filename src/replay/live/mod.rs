@@ -28,7 +28,7 @@ use super::frames::FrameReplay;
 use crate::failure::{EXIT_INTERRUPTED, Failure};
 use crate::launcher::hub::{Hub, Recording};
 use crate::launcher::part::Part;
-use answers::Answers;
+use answers::LoggedCommands;
 use stage::{Frames, Stage};
 
 /// Timeout for a controller to connect.
@@ -64,7 +64,7 @@ pub fn run(log: &OpenedLog, plan: &LivePlan) -> Result<Vec<(String, u64)>, Failu
         ));
     }
     let end = EndRequest::install().map_err(Failure::signals)?;
-    let answers = Answers::read(log, &indices)?;
+    let answers = LoggedCommands::read(log, &indices)?;
     // In closed loop every tick needs a command.
     let asked = |expected: &BTreeMap<u64, Command>| match plan.closed_loop {
         true => plan.to_tick > Tick::START,
@@ -133,7 +133,7 @@ struct ReplayedSession<'l> {
     hub: Hub,
     stage: Stage,
     parts: Vec<Part>,
-    answers: Answers,
+    answers: LoggedCommands,
     frames: Frames<'l>,
     limit: Duration,
     end: EndRequest,

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use ipc_types::scene::Scene;
 use ipc_types::session::{
-    CONTROLLER_VARIABLE, SESSION_VARIABLE, Searched, Session, SessionId, host_is_alive, only_session,
+    CONTROLLER_VARIABLE, SESSION_VARIABLE, SearchedPlaces, Session, SessionId, host_is_alive, only_session,
     running_sessions,
 };
 
@@ -87,8 +87,8 @@ pub(super) fn await_folder(connection: &Connection) -> Result<PathBuf, ClientErr
         }
         if Instant::now() >= end {
             let searched = match &named {
-                Some(path) if path.contains('/') => Searched::folder(Path::new(path)),
-                named => Searched::places(named.as_deref()),
+                Some(path) if path.contains('/') => SearchedPlaces::folder(Path::new(path)),
+                named => SearchedPlaces::places(named.as_deref()),
             };
             return Err(ClientError::NoSession { searched });
         }

@@ -2,7 +2,7 @@
 
 use ipc_types::messages::services;
 use ipc_types::messages::{Event, EventCode, Participant, Removed, SensorReading, Severity, Tick};
-use ipc_types::ports::{Received, Subscriber};
+use ipc_types::ports::{ReceivedMessage, Subscriber};
 use ipc_types::process::EventSender;
 
 use super::{Client, put};
@@ -56,7 +56,7 @@ impl Client {
     ///
     /// # Errors
     /// [`ClientError::Forked`]; or a transport error.
-    pub fn next_removed(&mut self) -> Result<Option<&Received<Removed>>, ClientError> {
+    pub fn next_removed(&mut self) -> Result<Option<&ReceivedMessage<Removed>>, ClientError> {
         self.check_process()?;
         if self.removed.is_none() {
             self.removed = Some(self.session.subscriber(&services::REMOVED)?);
@@ -79,7 +79,7 @@ impl Client {
         self.check_process()?;
         while let Some(reading) = self.readings.as_ref().map_or(Ok(None), Subscriber::receive)? {
             if put(&mut self.reading, reading) {
-                return Ok(self.reading.as_ref().map(Received::message));
+                return Ok(self.reading.as_ref().map(ReceivedMessage::message));
             }
         }
         Ok(None)
@@ -88,7 +88,7 @@ impl Client {
 
 /// Returns the text of an event, in place; empty if it is not valid UTF-8, because its sender is another
 /// process.
-pub(crate) fn event_text(event: &Received<Event>) -> &str {
+pub(crate) fn event_text(event: &ReceivedMessage<Event>) -> &str {
     let bytes = event.tail();
     std::str::from_utf8(bytes.strip_suffix(&[0]).unwrap_or(bytes)).unwrap_or("")
 }

@@ -16,8 +16,8 @@ use ipc_types::messages::services;
 use ipc_types::messages::{
     Command, DrrReply, DrrRequest, Event, Frame, Phase, Removed, RunStatus, SensorReading, State, Volume,
 };
-use ipc_types::own::Own;
-use ipc_types::ports::{Publisher, Received, Subscriber};
+use ipc_types::own::ProcessOwned;
+use ipc_types::ports::{Publisher, ReceivedMessage, Subscriber};
 use ipc_types::process::{EventSender, session_scene};
 use ipc_types::scene::{Mode, Scene};
 use ipc_types::session::{Reader, Session};
@@ -39,7 +39,7 @@ const LONGEST_WAIT_S: f64 = 1e9;
 /// with [`ClientError::Forked`], and dropping it there does not disconnect it.
 #[derive(Debug)]
 pub struct Client {
-    pub(crate) session: Own<Session>,
+    pub(crate) session: ProcessOwned<Session>,
     pub(crate) scene: Scene,
     pub(crate) info: Info,
     states: Subscriber<State>,
@@ -47,7 +47,7 @@ pub struct Client {
     waiter: Option<Waiter>,
     physics: Waker,
     commands: Option<Publisher<Command>>,
-    state: Option<Received<State>>,
+    state: Option<ReceivedMessage<State>>,
     /// Filled in by the caller and copied when sent, so later writes have no effect. Boxed, because callers
     /// of the C interface hold its address.
     command: Box<Command>,
@@ -62,18 +62,18 @@ pub struct Client {
     pub(crate) ended: Option<Instant>,
     control: Option<Control>,
     events: Option<Subscriber<Event>>,
-    pub(crate) event: Option<Received<Event>>,
+    pub(crate) event: Option<ReceivedMessage<Event>>,
     remarks: Option<EventSender>,
     removed: Option<Subscriber<Removed>>,
-    pub(crate) removal: Option<Received<Removed>>,
+    pub(crate) removal: Option<ReceivedMessage<Removed>>,
     /// `None` without sensors.
     readings: Option<Subscriber<SensorReading>>,
-    pub(crate) reading: Option<Received<SensorReading>>,
+    pub(crate) reading: Option<ReceivedMessage<SensorReading>>,
     pub(crate) frames: Option<Subscriber<Frame>>,
-    pub(crate) frame: Option<Received<Frame>>,
+    pub(crate) frame: Option<ReceivedMessage<Frame>>,
     pub(crate) requests: Option<Requests>,
     pub(crate) volumes: Option<Subscriber<Volume>>,
-    pub(crate) volume: Option<Received<Volume>>,
+    pub(crate) volume: Option<ReceivedMessage<Volume>>,
 }
 
 #[derive(Debug)]
@@ -159,7 +159,7 @@ impl Client {
             requests: None,
             volumes: None,
             volume: None,
-            session: Own::new(session),
+            session: ProcessOwned::new(session),
             scene,
             info,
         })
@@ -201,7 +201,7 @@ impl Client {
         } else {
             self.check_end()?;
         }
-        Ok(self.state.as_ref().filter(|_| came).map(Received::message))
+        Ok(self.state.as_ref().filter(|_| came).map(ReceivedMessage::message))
     }
 
     /// Waits for the newest state, like [`Client::poll_state`]: yields for 20 µs, then sleeps until woken.
@@ -213,7 +213,7 @@ impl Client {
         self.await_state(limit)?;
         while self.take_state()? {}
         self.count_missed();
-        self.state.as_ref().map(Received::message).ok_or(ClientError::Ended)
+        self.state.as_ref().map(ReceivedMessage::message).ok_or(ClientError::Ended)
     }
 
     /// Waits for the oldest state not yet taken, for clients that need every state. The queue holds 512
@@ -224,7 +224,7 @@ impl Client {
     pub fn next_state(&mut self, limit: Duration) -> Result<&State, ClientError> {
         self.await_state(limit)?;
         self.count_missed();
-        self.state.as_ref().map(Received::message).ok_or(ClientError::Ended)
+        self.state.as_ref().map(ReceivedMessage::message).ok_or(ClientError::Ended)
     }
 
     /// Waits for a state and takes the oldest one.
@@ -254,7 +254,7 @@ impl Client {
 
     /// Returns the last state taken.
     pub fn state(&self) -> Option<&State> {
-        self.state.as_ref().filter(|_| self.is_ours()).map(Received::message)
+        self.state.as_ref().filter(|_| self.is_ours()).map(ReceivedMessage::message)
     }
 
     /// Returns the number of states skipped or overwritten before this client took them.
@@ -407,12 +407,12 @@ impl Client {
 /// are dropped.
 #[derive(Debug)]
 pub(crate) struct Kept {
-    _state: Option<(Received<State>, Subscriber<State>)>,
-    _event: Option<(Received<Event>, Subscriber<Event>)>,
-    _removal: Option<(Received<Removed>, Subscriber<Removed>)>,
-    _reading: Option<(Received<SensorReading>, Subscriber<SensorReading>)>,
-    _frame: Option<(Received<Frame>, Subscriber<Frame>)>,
-    _volume: Option<(Received<Volume>, Subscriber<Volume>)>,
+    _state: Option<(ReceivedMessage<State>, Subscriber<State>)>,
+    _event: Option<(ReceivedMessage<Event>, Subscriber<Event>)>,
+    _removal: Option<(ReceivedMessage<Removed>, Subscriber<Removed>)>,
+    _reading: Option<(ReceivedMessage<SensorReading>, Subscriber<SensorReading>)>,
+    _frame: Option<(ReceivedMessage<Frame>, Subscriber<Frame>)>,
+    _volume: Option<(ReceivedMessage<Volume>, Subscriber<Volume>)>,
     _command: Box<Command>,
 }
 
@@ -421,7 +421,7 @@ pub(crate) struct Kept {
 ///
 /// Returns false and skips the message if it has another sender. A session has one sender per held kind, and
 /// another sender must not cause the caller's data to be unmapped.
-pub(crate) fn put<M: Message>(held: &mut Option<Received<M>>, new: Received<M>) -> bool {
+pub(crate) fn put<M: Message>(held: &mut Option<ReceivedMessage<M>>, new: ReceivedMessage<M>) -> bool {
     let is_foreign = held.as_ref().is_some_and(|held| held.sender() != new.sender());
     if !is_foreign {
         *held = Some(new);

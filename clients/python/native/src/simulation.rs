@@ -1,6 +1,6 @@
 //! One simulation.
 
-use ::sim::{Batch, Drive, Maker, SimError, View};
+use ::sim::{Batch, Drive, SimError, SimFactory, View};
 use ipc_types::messages::layout::Message;
 use ipc_types::messages::{CArmGeometry, Command, State};
 use pyo3::prelude::*;
@@ -104,7 +104,7 @@ impl Sim {
         py.detach(|| self.0.with(0, work)).map_err(|error| raised(py, &error))
     }
 
-    fn of(py: Python<'_>, maker: Maker) -> PyResult<Sim> {
+    fn of(py: Python<'_>, maker: SimFactory) -> PyResult<Sim> {
         py.detach(|| Batch::of(vec![maker], 1)).map(Sim).map_err(|error| raised(py, &error))
     }
 }
@@ -130,7 +130,7 @@ impl Sim {
         let drive = drive(everything, names);
         let is_to_end = Arc::new(AtomicBool::new(false));
         let is_ended = Arc::clone(&is_to_end);
-        let maker: Maker = Box::new(move || ::sim::Sim::from_log_unless(&log, tick, &drive, &is_ended));
+        let maker: SimFactory = Box::new(move || ::sim::Sim::from_log_unless(&log, tick, &drive, &is_ended));
         let made = watched(py, |is_raised| {
             Batch::of_watched(vec![maker], 1, &mut || is_to_end.store(is_raised(), Ordering::Relaxed))
         });

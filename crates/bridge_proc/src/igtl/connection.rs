@@ -24,7 +24,7 @@ const MOST_COMPLAINTS: u64 = 100;
 
 /// A request and the peer that sent it.
 #[derive(Debug)]
-pub(crate) struct Asked {
+pub(crate) struct PeerRequest {
     pub(crate) peer: Arc<Peer>,
     pub(crate) request: Request,
 }
@@ -78,7 +78,7 @@ impl Connection {
     ///
     /// # Errors
     /// The operating system's error: no thread, no second handle.
-    pub(crate) fn start(stream: TcpStream, requests: SyncSender<Asked>) -> std::io::Result<Connection> {
+    pub(crate) fn start(stream: TcpStream, requests: SyncSender<PeerRequest>) -> std::io::Result<Connection> {
         stream.set_read_timeout(Some(LOOK_PERIOD))?;
         stream.set_write_timeout(Some(WRITE_LIMIT))?;
         stream.set_nodelay(true)?;
@@ -121,7 +121,7 @@ impl Drop for Connection {
     }
 }
 
-fn read(mut stream: TcpStream, peer: &Arc<Peer>, requests: &SyncSender<Asked>) {
+fn read(mut stream: TcpStream, peer: &Arc<Peer>, requests: &SyncSender<PeerRequest>) {
     let mut decoder = Decoder::new(MOST_BODY_BYTES);
     let mut piece = [0; 16 * 1024];
     while !peer.outbox.is_closed() {
@@ -146,7 +146,7 @@ fn read(mut stream: TcpStream, peer: &Arc<Peer>, requests: &SyncSender<Asked>) {
 }
 
 /// Reads all complete messages; returns whether the stream can be read further.
-fn take_all(decoder: &mut Decoder, peer: &Arc<Peer>, requests: &SyncSender<Asked>) -> bool {
+fn take_all(decoder: &mut Decoder, peer: &Arc<Peer>, requests: &SyncSender<PeerRequest>) -> bool {
     loop {
         let message = match decoder.next() {
             Ok(Some(message)) => message,
@@ -168,7 +168,7 @@ fn take_all(decoder: &mut Decoder, peer: &Arc<Peer>, requests: &SyncSender<Asked
         }
         match incoming::request(&message) {
             Ok(None) => {}
-            Ok(Some(request)) => match requests.try_send(Asked { peer: Arc::clone(peer), request }) {
+            Ok(Some(request)) => match requests.try_send(PeerRequest { peer: Arc::clone(peer), request }) {
                 Ok(()) => {}
                 Err(TrySendError::Full(_)) => peer.refuse(StatusCode::NotReady, "too many pending requests"),
                 Err(TrySendError::Disconnected(_)) => return false,

@@ -21,11 +21,11 @@ pub use outgoing::SENT;
 
 use peers::Peers;
 use plan::Speeds;
-use session::Joined;
+use session::IgtlSession;
 
 /// Which peers the bridge talks to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Where {
+pub enum PeerEndpoint {
     /// Peers connect here; port 0 picks a free one.
     Listen(SocketAddr),
     /// The bridge connects to this address, and retries until a peer listens.
@@ -51,7 +51,7 @@ pub struct IgtlOptions {
     /// The scene's controller that the bridge acts as; `None`: it only observes the run.
     pub controller: Option<String>,
     /// The peers to talk to.
-    pub peers: Where,
+    pub peers: PeerEndpoint,
     /// Who may control.
     pub permission: Permission,
     /// Poses per second, 0.1 to 1000.
@@ -90,7 +90,7 @@ pub fn serve(
         feed_m_per_s: options.feed_m_per_s,
         burr_rad_per_s: options.burr_rad_per_s,
     };
-    let mut joined = Joined::connect(options, speeds)?;
+    let mut joined = IgtlSession::connect(options, speeds)?;
     let mut peers = Peers::open(options.peers, &options.permission)?;
     ready(peers.address());
     let period = Duration::from_secs_f64(1.0 / options.rate_hz);

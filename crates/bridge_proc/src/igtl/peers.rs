@@ -7,8 +7,8 @@ use std::time::{Duration, Instant};
 
 use openigtlink::{Message, StatusCode};
 
-use super::connection::{Asked, Connection, Peer};
-use super::{IgtlError, Permission, Summary, Where};
+use super::connection::{Connection, Peer, PeerRequest};
+use super::{IgtlError, PeerEndpoint, Permission, Summary};
 
 /// Maximum number of peers at a time; further ones are closed immediately.
 const MOST_PEERS: usize = 16;
@@ -30,22 +30,22 @@ enum Source {
 pub(crate) struct Peers {
     source: Source,
     connections: Vec<Connection>,
-    sender: SyncSender<Asked>,
-    requests: Receiver<Asked>,
+    sender: SyncSender<PeerRequest>,
+    requests: Receiver<PeerRequest>,
     open_to_all: bool,
     summary: Summary,
 }
 
 impl Peers {
-    pub(crate) fn open(place: Where, permission: &Permission) -> Result<Peers, IgtlError> {
+    pub(crate) fn open(place: PeerEndpoint, permission: &Permission) -> Result<Peers, IgtlError> {
         let source = match place {
-            Where::Listen(address) => {
+            PeerEndpoint::Listen(address) => {
                 let fail = |cause| IgtlError::Listen { address, cause };
                 let listener = TcpListener::bind(address).map_err(fail)?;
                 listener.set_nonblocking(true).map_err(fail)?;
                 Source::Listener(listener)
             }
-            Where::Connect(address) => Source::Sought { address, next: Instant::now() },
+            PeerEndpoint::Connect(address) => Source::Sought { address, next: Instant::now() },
         };
         let (sender, requests) = sync_channel(MOST_REQUESTS);
         let open_to_all = *permission == Permission::Anyone;
@@ -108,7 +108,7 @@ impl Peers {
     }
 
     /// Returns the requests of all peers in order of arrival.
-    pub(crate) fn requests(&self) -> Vec<Asked> {
+    pub(crate) fn requests(&self) -> Vec<PeerRequest> {
         self.requests.try_iter().take(MOST_REQUESTS).collect()
     }
 

@@ -7,7 +7,7 @@ use ipc_types::scene::ToolRadii;
 use openigtlink::{Message, StatusCode, Timestamp};
 use trabecula_client::{Client, ClientError, Connection};
 
-use super::connection::Asked;
+use super::connection::PeerRequest;
 use super::incoming::Request;
 use super::outgoing;
 use super::plan::{Follower, Speeds};
@@ -21,7 +21,7 @@ const CONTROL_LIMIT: Duration = Duration::from_secs(2);
 const SLOW_PERIOD: Duration = Duration::from_millis(200);
 
 #[derive(Debug)]
-pub(crate) struct Joined {
+pub(crate) struct IgtlSession {
     client: Client,
     follower: Follower,
     radii: ToolRadii,
@@ -30,8 +30,8 @@ pub(crate) struct Joined {
     sent_tick: Option<u64>,
 }
 
-impl Joined {
-    pub(crate) fn connect(options: &IgtlOptions, speeds: Speeds) -> Result<Joined, IgtlError> {
+impl IgtlSession {
+    pub(crate) fn connect(options: &IgtlOptions, speeds: Speeds) -> Result<IgtlSession, IgtlError> {
         let connection = Connection {
             session: options.session.clone(),
             controller: Some(options.controller.clone().unwrap_or_default()),
@@ -39,7 +39,7 @@ impl Joined {
         };
         let client = Client::connect(&connection)?;
         let radii = client.scene().manipulator.radii();
-        Ok(Joined {
+        Ok(IgtlSession {
             client,
             follower: Follower::new(speeds),
             radii,
@@ -114,7 +114,7 @@ impl Joined {
     }
 
     /// Executes a peer's request, if permitted, and answers it.
-    pub(crate) fn obey(&mut self, asked: &Asked, permission: &Permission) {
+    pub(crate) fn obey(&mut self, asked: &PeerRequest, permission: &Permission) {
         let peer = &asked.peer;
         if let Request::Token(given) = &asked.request {
             return match permission {

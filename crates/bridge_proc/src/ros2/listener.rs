@@ -5,12 +5,12 @@ use rustdds::DomainParticipant;
 use rustdds::no_key::SimpleDataReader;
 
 use super::node::{Place, qos};
-use super::payload::{Came, Raw};
-use super::{Reach, Ros2Error};
+use super::payload::{CdrAdapter, ReceivedCdr};
+use super::{NetworkScope, Ros2Error};
 
 /// Subscriptions to every topic that a bridge publishes.
 pub struct Listener {
-    readers: Vec<SimpleDataReader<Came, Raw>>,
+    readers: Vec<SimpleDataReader<ReceivedCdr, CdrAdapter>>,
     // Declared last, so that it is dropped after everything that belongs to it.
     _participant: DomainParticipant,
 }
@@ -22,7 +22,7 @@ impl Listener {
     /// # Errors
     /// The domain cannot be joined.
     pub fn open(domain_id: u16, names: &Names, rate_hz: f64) -> Result<Listener, Ros2Error> {
-        let place = Place::open(domain_id, Reach::Localhost)?;
+        let place = Place::open(domain_id, NetworkScope::Localhost)?;
         let reader = |row: &ros_interface::topics::Row<_>| {
             place.reader(&row.dds_name(names), &row.dds_type(), &qos(row.qos, rate_hz))
         };

@@ -20,11 +20,11 @@ pub use listener::Listener;
 
 use node::Node;
 use notices::Notices;
-use session::Joined;
+use session::Ros2Session;
 
 /// Which programs can receive the bridge's messages and, if it is a controller, command it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Reach {
+pub enum NetworkScope {
     /// Programs on this machine.
     #[default]
     Localhost,
@@ -44,7 +44,7 @@ pub struct Ros2Options {
     /// The DDS domain, 0 to 232.
     pub domain_id: u16,
     /// Which programs can reach it.
-    pub reach: Reach,
+    pub reach: NetworkScope,
     /// States per second, 0.1 to 1000.
     pub rate_hz: f64,
     /// How images are sent.
@@ -86,7 +86,7 @@ pub fn serve(
     note: impl FnMut(&str),
 ) -> Result<Summary, Ros2Error> {
     let mut notices = Notices::new(note);
-    let mut joined = Joined::connect(options)?;
+    let mut joined = Ros2Session::connect(options)?;
     // The names in topics and frames are known with the first state.
     while !joined.has_begun() {
         if end.is_set() || !joined.advance()? {

@@ -13,8 +13,8 @@ use rustdds::{
     QosPolicyBuilder, RTPSEntity, StatusEvented, Subscriber, Timestamp, Topic, TopicKind,
 };
 
-use super::payload::{Came, Raw, Sent};
-use super::{Reach, Ros2Error, Ros2Options, Summary, loopback};
+use super::payload::{CdrAdapter, OutgoingCdr, ReceivedCdr};
+use super::{NetworkScope, Ros2Error, Ros2Options, Summary, loopback};
 
 /// The node's name, as `ros2 node list` shows it.
 pub(crate) const NODE: &str = "trabecula_bridge";
@@ -27,7 +27,7 @@ const IMAGE_WINDOW: i32 = 16;
 /// Maximum number of messages of one topic processed in one turn.
 const MOST_A_TURN: usize = 64;
 
-type Writer = DataWriter<Sent, Raw>;
+type Writer = DataWriter<OutgoingCdr, CdrAdapter>;
 
 /// An event of a subscription.
 #[derive(Debug)]
@@ -45,7 +45,7 @@ pub(crate) enum Incoming {
 /// The node's publishers and subscriptions. Dropping it leaves the domain.
 pub(crate) struct Node {
     writers: BTreeMap<Output, Writer>,
-    readers: Vec<(Input, SimpleDataReader<Came, Raw>)>,
+    readers: Vec<(Input, SimpleDataReader<ReceivedCdr, CdrAdapter>)>,
     /// Announces the node, for `ros2 node list`.
     _known: Writer,
     is_closed: Option<bool>,
@@ -68,7 +68,8 @@ impl Node {
             readers.push((row.topic, place.reader(&name, &kind, &qos(row.qos, options.rate_hz))?));
         }
         let known = place.make_known(&writers, &readers)?;
-        let is_closed = (options.reach == Reach::Localhost).then(|| loopback::close_to_others().is_ok());
+        let is_closed =
+            (options.reach == NetworkScope::Localhost).then(|| loopback::close_to_others().is_ok());
         let summary = Summary::default();
         Ok(Node { writers, readers, _known: known, is_closed, summary, _participant: place.participant })
     }
@@ -86,7 +87,7 @@ impl Node {
     pub(crate) fn publish(&mut self, messages: Vec<Outgoing>) {
         for message in messages {
             let Some(writer) = self.writers.get(&message.topic) else { continue };
-            match writer.write(Sent(message.cdr.into()), Some(Timestamp::now())) {
+            match writer.write(OutgoingCdr(message.cdr.into()), Some(Timestamp::now())) {
                 Ok(()) => self.summary.published += 1,
                 Err(_) => self.summary.left_out += 1,
             }
@@ -104,7 +105,7 @@ impl Node {
                 match reader.try_take_one() {
                     Ok(None) => break,
                     Ok(Some(came)) => {
-                        let Came { cdr, order } = came.sample;
+                        let ReceivedCdr { cdr, order } = came.sample;
                         let message = Incoming::Message { topic, cdr, order, from: came.writer_guid };
                         arrived.push((came.receive_instant, message));
                     }
@@ -171,9 +172,9 @@ pub(super) struct Place {
 }
 
 impl Place {
-    pub(super) fn open(domain: u16, reach: Reach) -> Result<Place, Ros2Error> {
+    pub(super) fn open(domain: u16, reach: NetworkScope) -> Result<Place, Ros2Error> {
         let mut builder = DomainParticipantBuilder::new(domain).same_host_loopback(true);
-        if reach == Reach::Localhost {
+        if reach == NetworkScope::Localhost {
             builder = builder.with_only_networks([std::net::Ipv4Addr::LOCALHOST]);
         }
         let failed = |what: &str, cause: rustdds::dds::CreateError| Ros2Error::Dds {
@@ -199,7 +200,8 @@ impl Place {
 
     fn writer(&self, name: &str, kind: &str, qos: &QosPolicies) -> Result<Writer, Ros2Error> {
         let topic = self.topic(name, kind, qos)?;
-        let made = self.publisher.create_datawriter_no_key::<Sent, Raw>(&topic, Some(qos.clone()));
+        let made =
+            self.publisher.create_datawriter_no_key::<OutgoingCdr, CdrAdapter>(&topic, Some(qos.clone()));
         made.map_err(|cause| self.failed(name, &cause.to_string()))
     }
 
@@ -208,9 +210,11 @@ impl Place {
         name: &str,
         kind: &str,
         qos: &QosPolicies,
-    ) -> Result<SimpleDataReader<Came, Raw>, Ros2Error> {
+    ) -> Result<SimpleDataReader<ReceivedCdr, CdrAdapter>, Ros2Error> {
         let topic = self.topic(name, kind, qos)?;
-        let made = self.subscriber.create_simple_datareader_no_key::<Came, Raw>(&topic, Some(qos.clone()));
+        let made = self
+            .subscriber
+            .create_simple_datareader_no_key::<ReceivedCdr, CdrAdapter>(&topic, Some(qos.clone()));
         made.map_err(|cause| self.failed(name, &cause.to_string()))
     }
 
@@ -219,7 +223,7 @@ impl Place {
     fn make_known(
         &self,
         writers: &BTreeMap<Output, Writer>,
-        readers: &[(Input, SimpleDataReader<Came, Raw>)],
+        readers: &[(Input, SimpleDataReader<ReceivedCdr, CdrAdapter>)],
     ) -> Result<Writer, Ros2Error> {
         let kind = "rmw_dds_common::msg::dds_::ParticipantEntitiesInfo_";
         let known = self.writer("ros_discovery_info", kind, &qos(Qos::Latched, 1.0))?;
@@ -234,7 +238,9 @@ impl Place {
             ParticipantEntitiesInfo { gid: gid(self.participant.guid()), node_entities_info_seq: vec![node] };
         let failed = |cause: String| self.failed("ros_discovery_info", &cause);
         let bytes = cdr::encode(&info).map_err(|cause| failed(cause.to_string()))?;
-        known.write(Sent(bytes.into()), Some(Timestamp::now())).map_err(|cause| failed(cause.to_string()))?;
+        known
+            .write(OutgoingCdr(bytes.into()), Some(Timestamp::now()))
+            .map_err(|cause| failed(cause.to_string()))?;
         Ok(known)
     }
 }

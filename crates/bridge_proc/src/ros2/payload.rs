@@ -9,27 +9,27 @@ use rustdds::no_key::{Decode, DefaultDecoder, DeserializerAdapter, SerializerAda
 
 /// The CDR of an outgoing message.
 #[derive(Debug, Clone)]
-pub(crate) struct Sent(pub(crate) Bytes);
+pub(crate) struct OutgoingCdr(pub(crate) Bytes);
 
 /// The CDR of a received message.
 #[derive(Debug, Clone)]
-pub(crate) struct Came {
+pub(crate) struct ReceivedCdr {
     pub(crate) cdr: Vec<u8>,
     pub(crate) order: Order,
 }
 
 /// Adapter that passes both through DDS unchanged.
 #[derive(Debug)]
-pub(crate) struct Raw;
+pub(crate) struct CdrAdapter;
 
-impl SerializerAdapter<Sent> for Raw {
+impl SerializerAdapter<OutgoingCdr> for CdrAdapter {
     type Error = Infallible;
 
     fn output_encoding() -> Encoding {
         Encoding::CDR_LE
     }
 
-    fn to_bytes(value: &Sent) -> Result<Bytes, Infallible> {
+    fn to_bytes(value: &OutgoingCdr) -> Result<Bytes, Infallible> {
         Ok(value.0.clone())
     }
 }
@@ -37,29 +37,29 @@ impl SerializerAdapter<Sent> for Raw {
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Reader;
 
-impl<'de> Decode<'de, Came> for Reader {
+impl<'de> Decode<'de, ReceivedCdr> for Reader {
     type Error = Infallible;
 
-    fn decode_bytes(self, bytes: &'de [u8], encoding: Encoding) -> Result<Came, Infallible> {
+    fn decode_bytes(self, bytes: &'de [u8], encoding: Encoding) -> Result<ReceivedCdr, Infallible> {
         let order = if encoding == Encoding::CDR_BE { Order::Big } else { Order::Little };
-        Ok(Came { cdr: bytes.to_vec(), order })
+        Ok(ReceivedCdr { cdr: bytes.to_vec(), order })
     }
 }
 
-impl DeserializerAdapter<Came> for Raw {
+impl DeserializerAdapter<ReceivedCdr> for CdrAdapter {
     type Error = Infallible;
-    type Decoded = Came;
+    type Decoded = ReceivedCdr;
 
     fn supported_encodings() -> &'static [Encoding] {
         &[Encoding::CDR_LE, Encoding::CDR_BE]
     }
 
-    fn transform_decoded(decoded: Came) -> Came {
+    fn transform_decoded(decoded: ReceivedCdr) -> ReceivedCdr {
         decoded
     }
 }
 
-impl DefaultDecoder<Came> for Raw {
+impl DefaultDecoder<ReceivedCdr> for CdrAdapter {
     type Decoder = Reader;
     const DECODER: Reader = Reader;
 }

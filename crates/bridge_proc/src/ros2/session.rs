@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use ipc_types::messages::{ControlAction, Phase, Severity};
 use ros_interface::commander::{Commander, OperatingState};
 use ros_interface::image::{self, ImageForm};
-use ros_interface::incoming::{self, Commanded, Refused, Request, StateCommand};
+use ros_interface::incoming::{self, CommandedJoints, Request, RequestError, StateCommand};
 use ros_interface::outgoing;
 use ros_interface::robot::Robot;
 use ros_interface::topics::{INPUTS, Input, Names};
@@ -30,7 +30,7 @@ const REPEAT_PERIOD: Duration = Duration::from_secs(1);
 const MOST_COMMANDING: usize = 64;
 
 #[derive(Debug)]
-pub(crate) struct Joined {
+pub(crate) struct Ros2Session {
     client: Client,
     names: Names,
     form: ImageForm,
@@ -48,15 +48,15 @@ pub(crate) struct Joined {
     ran_out: Option<&'static str>,
 }
 
-impl Joined {
-    pub(crate) fn connect(options: &Ros2Options) -> Result<Joined, Ros2Error> {
+impl Ros2Session {
+    pub(crate) fn connect(options: &Ros2Options) -> Result<Ros2Session, Ros2Error> {
         let connection = Connection {
             session: options.session.clone(),
             controller: Some(options.controller.clone().unwrap_or_default()),
             ..Connection::default()
         };
         let now = Instant::now();
-        Ok(Joined {
+        Ok(Ros2Session {
             client: Client::connect(&connection)?,
             names: options.names.clone(),
             form: options.image,
@@ -167,7 +167,7 @@ impl Joined {
         for came in node.take() {
             match came {
                 Incoming::Message { topic, cdr, order, from } => {
-                    let commanded = Commanded {
+                    let commanded = CommandedJoints {
                         arm: self.robot.as_ref().map_or(&[], Robot::arm_joints),
                         tendons: self.robot.as_ref().map_or(0, Robot::tendons),
                     };
@@ -192,10 +192,10 @@ impl Joined {
         match request {
             Request::Move(motion) => {
                 if self.commander.is_disabled() {
-                    return Err(Refused::Disabled.to_string());
+                    return Err(RequestError::Disabled.to_string());
                 }
                 if self.phase() == Phase::Paused {
-                    return Err(Refused::Paused.to_string());
+                    return Err(RequestError::Paused.to_string());
                 }
                 self.commander.take(motion, self.start.elapsed().as_secs_f64());
                 if self.commanding.len() < MOST_COMMANDING {

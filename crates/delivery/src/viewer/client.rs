@@ -5,8 +5,8 @@ use std::sync::Arc;
 
 use thiserror::Error;
 
-use super::queue::{Outgoing, Queue};
-use super::{Kept, Limits, Policy, Published};
+use super::queue::{OutgoingMessage, Queue};
+use super::{ChannelMessage, Limits, Policy, RetainedMessages};
 
 /// Maximum number of subscriptions of one client.
 pub const MAX_SUBSCRIPTIONS: usize = 256;
@@ -67,12 +67,12 @@ impl Client {
     }
 
     /// Queues a message for each subscription to its channel; returns their number.
-    pub fn offer(&mut self, message: &Published) -> usize {
+    pub fn offer(&mut self, message: &ChannelMessage) -> usize {
         let wanting = self.subscriptions.iter().filter(|(_, channel)| **channel == message.channel);
         let mut count = 0;
         for (subscription, _) in wanting {
             let payload = Arc::clone(&message.payload);
-            let outgoing = Outgoing { subscription: *subscription, time_ns: message.time_ns, payload };
+            let outgoing = OutgoingMessage { subscription: *subscription, time_ns: message.time_ns, payload };
             self.queue.push(outgoing, message.policy, message.slot);
             count += 1;
         }
@@ -88,7 +88,7 @@ impl Client {
         subscription: u32,
         channel: u32,
         policy: Policy,
-        kept: &Kept,
+        kept: &RetainedMessages,
     ) -> Result<(), SubscribeRefusal> {
         if self.subscriptions.len() >= MAX_SUBSCRIPTIONS {
             return Err(SubscribeRefusal::TooMany { subscription });
@@ -99,7 +99,7 @@ impl Client {
         self.subscriptions.insert(subscription, channel);
         for message in kept.of(channel) {
             let payload = Arc::clone(message.payload);
-            let outgoing = Outgoing { subscription, time_ns: message.time_ns, payload };
+            let outgoing = OutgoingMessage { subscription, time_ns: message.time_ns, payload };
             self.queue.push(outgoing, policy, message.slot);
         }
         Ok(())
@@ -123,7 +123,7 @@ impl Client {
 
     /// Takes the next messages: of streams up to a number of bytes, then one of the others. Empty only if
     /// nothing waits.
-    pub fn take(&mut self, bytes: usize) -> Vec<Outgoing> {
+    pub fn take(&mut self, bytes: usize) -> Vec<OutgoingMessage> {
         self.queue.take(bytes)
     }
 
@@ -160,15 +160,21 @@ mod tests {
         Client::new(Limits { stream_bytes: 10 }, 0)
     }
 
-    fn state(byte: u8) -> Published {
-        Published { channel: 1, slot: 0, time_ns: 0, policy: Policy::Stream, payload: vec![byte; 10].into() }
+    fn state(byte: u8) -> ChannelMessage {
+        ChannelMessage {
+            channel: 1,
+            slot: 0,
+            time_ns: 0,
+            policy: Policy::Stream,
+            payload: vec![byte; 10].into(),
+        }
     }
 
     /// Regression: drops of the last half second before the end were never reported.
     #[test]
     fn what_is_dropped_is_told_twice_a_second_and_at_the_end() {
         let mut client = client();
-        client.subscribe(1, 1, Policy::Stream, &Kept::default()).unwrap();
+        client.subscribe(1, 1, Policy::Stream, &RetainedMessages::default()).unwrap();
         (0..3).for_each(|byte| assert_eq!(client.offer(&state(byte)), 1));
         assert_eq!(client.drops_to_tell(S / 2), None);
         assert_eq!(client.drops_to_tell(S), Some(2));
@@ -179,7 +185,7 @@ mod tests {
 
     #[test]
     fn a_subscription_is_refused_by_name_and_changes_nothing() {
-        let (mut client, kept) = (client(), Kept::default());
+        let (mut client, kept) = (client(), RetainedMessages::default());
         client.subscribe(1, 1, Policy::Stream, &kept).unwrap();
         let taken = client.subscribe(1, 2, Policy::Stream, &kept).unwrap_err();
         assert_eq!(taken.to_string(), "duplicate subscription 1; unsubscribe it first");

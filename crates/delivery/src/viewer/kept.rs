@@ -4,11 +4,11 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use super::{Payload, Published};
+use super::{ChannelMessage, Payload};
 
 /// The newest message of each channel and slot.
 #[derive(Debug, Default)]
-pub struct Kept(BTreeMap<(u32, u32), (u64, Payload)>);
+pub struct RetainedMessages(BTreeMap<(u32, u32), (u64, Payload)>);
 
 /// One kept message.
 #[derive(Debug, Clone, Copy)]
@@ -18,15 +18,15 @@ pub(super) struct KeptMessage<'a> {
     pub payload: &'a Payload,
 }
 
-impl Kept {
+impl RetainedMessages {
     /// Keeps a message, replacing the previous one in its slot.
-    pub fn keep(&mut self, message: &Published) {
+    pub fn keep(&mut self, message: &ChannelMessage) {
         let kept = (message.time_ns, Arc::clone(&message.payload));
         self.0.insert((message.channel, message.slot), kept);
     }
 
     /// Keeps the last `count` messages of a channel whose slots count up from 0, one for each message.
-    pub fn keep_last(&mut self, message: &Published, count: u32) {
+    pub fn keep_last(&mut self, message: &ChannelMessage, count: u32) {
         self.keep(message);
         if let Some(old) = message.slot.checked_sub(count) {
             self.0.remove(&(message.channel, old));
@@ -41,12 +41,12 @@ impl Kept {
 
 /// The channels with at least one subscriber: bit i represents the channels i modulo 64.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Wanted(pub u64);
+pub struct SubscribedChannels(pub u64);
 
-impl Wanted {
+impl SubscribedChannels {
     /// Collects the channels of all clients' subscriptions.
-    pub fn of(channels: impl Iterator<Item = u32>) -> Wanted {
-        Wanted(channels.fold(0, |bits, channel| bits | 1 << (channel % 64)))
+    pub fn of(channels: impl Iterator<Item = u32>) -> SubscribedChannels {
+        SubscribedChannels(channels.fold(0, |bits, channel| bits | 1 << (channel % 64)))
     }
 
     /// Returns whether a channel has subscribers. Can be true without any.
@@ -65,7 +65,7 @@ pub struct Decimation<M> {
 
 impl<M> Decimation<M> {
     /// Starts one pass over the queue of a channel.
-    pub fn new(wanted: Wanted, channel: u32) -> Decimation<M> {
+    pub fn new(wanted: SubscribedChannels, channel: u32) -> Decimation<M> {
         Decimation { is_wanted: wanted.has(channel), newest: None }
     }
 

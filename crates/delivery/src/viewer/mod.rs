@@ -9,13 +9,13 @@
 //! keeps reading gets the newest message of each of its channels; no channel starves another.
 //!
 //! ```
-//! use delivery::viewer::{Client, Kept, Limits, Policy, Published};
+//! use delivery::viewer::{Client, RetainedMessages, Limits, Policy, ChannelMessage};
 //!
-//! let mut kept = Kept::default();
+//! let mut kept = RetainedMessages::default();
 //! let mut client = Client::new(Limits { stream_bytes: 100 }, 0);
 //! client.subscribe(7, 1, Policy::Stream, &kept).unwrap();
 //! for byte in 0..5 {
-//!     let message = Published { channel: 1, slot: 0, time_ns: 0, policy: Policy::Stream, payload: vec![byte; 40].into() };
+//!     let message = ChannelMessage { channel: 1, slot: 0, time_ns: 0, policy: Policy::Stream, payload: vec![byte; 40].into() };
 //!     kept.keep(&message);
 //!     client.offer(&message);
 //! }
@@ -30,8 +30,8 @@ mod kept;
 mod queue;
 
 pub use client::{Client, MAX_MESSAGES_PER_S, MAX_SUBSCRIPTIONS, SubscribeRefusal};
-pub use kept::{Decimation, Kept, Wanted};
-pub use queue::Outgoing;
+pub use kept::{Decimation, RetainedMessages, SubscribedChannels};
+pub use queue::OutgoingMessage;
 
 use std::sync::Arc;
 
@@ -49,7 +49,7 @@ pub enum Policy {
 
 /// A message for the clients that subscribe to its channel.
 #[derive(Debug, Clone)]
-pub struct Published {
+pub struct ChannelMessage {
     /// Number of the channel.
     pub channel: u32,
     /// The part of the channel that it updates: a surface has a slot for each block, most channels have one

@@ -6,7 +6,7 @@ use super::{Limits, Payload, Policy};
 
 /// A message queued for a client.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Outgoing {
+pub struct OutgoingMessage {
     /// The client's number for the subscription.
     pub subscription: u32,
     /// Simulated time, ns.
@@ -19,7 +19,7 @@ pub struct Outgoing {
 #[derive(Debug)]
 pub(super) struct Queue {
     limits: Limits,
-    stream: VecDeque<Outgoing>,
+    stream: VecDeque<OutgoingMessage>,
     stream_bytes: usize,
     /// Number of queued stream messages, by subscription.
     waiting: BTreeMap<u32, usize>,
@@ -44,7 +44,7 @@ impl Queue {
     }
 
     /// Queues a message; `slot` distinguishes messages of which only the newest counts.
-    pub(super) fn push(&mut self, message: Outgoing, policy: Policy, slot: u32) {
+    pub(super) fn push(&mut self, message: OutgoingMessage, policy: Policy, slot: u32) {
         match policy {
             Policy::Stream => self.push_stream(message),
             Policy::Newest => {
@@ -53,7 +53,7 @@ impl Queue {
         }
     }
 
-    fn push_stream(&mut self, message: Outgoing) {
+    fn push_stream(&mut self, message: OutgoingMessage) {
         self.stream_bytes += message.payload.len();
         *self.waiting.entry(message.subscription).or_default() += 1;
         self.stream.push_back(message);
@@ -68,12 +68,12 @@ impl Queue {
         }
     }
 
-    fn has_newer(&self, message: &Outgoing) -> bool {
+    fn has_newer(&self, message: &OutgoingMessage) -> bool {
         self.waiting.get(&message.subscription).is_some_and(|count| *count > 1)
     }
 
     /// Accounts for a stream message that leaves the queue.
-    fn leaves(&mut self, message: &Outgoing) {
+    fn leaves(&mut self, message: &OutgoingMessage) {
         self.stream_bytes -= message.payload.len();
         if let Some(count) = self.waiting.get_mut(&message.subscription) {
             *count -= 1;
@@ -81,7 +81,7 @@ impl Queue {
     }
 
     /// Takes the next messages: stream messages up to a number of bytes, then one of the others.
-    pub(super) fn take(&mut self, bytes: usize) -> Vec<Outgoing> {
+    pub(super) fn take(&mut self, bytes: usize) -> Vec<OutgoingMessage> {
         let mut taken = Vec::new();
         let mut count = 0;
         while count < bytes
@@ -98,7 +98,7 @@ impl Queue {
             && let Some((time_ns, payload)) = self.newest.remove(&slot)
         {
             self.last_slot = slot;
-            taken.push(Outgoing { subscription: slot.0, time_ns, payload });
+            taken.push(OutgoingMessage { subscription: slot.0, time_ns, payload });
         }
         taken
     }
@@ -126,8 +126,8 @@ impl Queue {
 mod tests {
     use super::*;
 
-    fn message(subscription: u32, byte: u8, length: usize) -> Outgoing {
-        Outgoing { subscription, time_ns: 0, payload: vec![byte; length].into() }
+    fn message(subscription: u32, byte: u8, length: usize) -> OutgoingMessage {
+        OutgoingMessage { subscription, time_ns: 0, payload: vec![byte; length].into() }
     }
 
     #[test]

@@ -4,7 +4,7 @@ use messages::{Frame, Tick};
 use scene::Mode;
 use thiserror::Error;
 
-use hub::patience::Patience;
+use hub::patience::ProcessTimeout;
 
 /// How long a controller waits in lockstep for a frame that is due, ns.
 const FRAME_LIMIT_NS: u64 = 120_000_000_000;
@@ -47,7 +47,7 @@ pub enum FrameStep {
     "the frame of tick {tick} did not arrive within {} s; is the DRR process running?",
     FRAME_LIMIT_NS / 1_000_000_000
 )]
-pub struct NoFrame {
+pub struct FrameTimeout {
     /// Tick of the frame.
     pub tick: Tick,
 }
@@ -75,7 +75,7 @@ pub struct ControllerFrames {
     mode: Mode,
     /// Tick of the frame to wait for.
     due: Option<Tick>,
-    patience: Patience,
+    patience: ProcessTimeout,
     /// Number of the newest frame taken.
     newest: Option<u64>,
     /// Tick of the newest dropped frame: no scheduled frame up to it can still arrive.
@@ -86,7 +86,7 @@ pub struct ControllerFrames {
 impl ControllerFrames {
     /// Creates the state for a controller that has just connected.
     pub fn new(mode: Mode) -> ControllerFrames {
-        let patience = Patience::new(FRAME_LIMIT_NS, 0);
+        let patience = ProcessTimeout::new(FRAME_LIMIT_NS, 0);
         ControllerFrames { mode, due: None, patience, newest: None, skipped_tick: None, lost: 0 }
     }
 
@@ -97,18 +97,18 @@ impl ControllerFrames {
         // does not wait for a frame that has passed.
         let is_to_come = |due: &Tick| self.skipped_tick.is_none_or(|skipped| skipped < *due);
         self.due = due.filter(is_to_come).filter(|_| self.mode == Mode::Lockstep);
-        self.patience = Patience::new(FRAME_LIMIT_NS, now_ns);
+        self.patience = ProcessTimeout::new(FRAME_LIMIT_NS, now_ns);
     }
 
     /// Decides what to do with the next frame of the queue, or with an empty queue.
     ///
     /// # Errors
-    /// [`NoFrame`].
-    pub fn step(&mut self, next: Option<FrameMark>, now_ns: u64) -> Result<FrameStep, NoFrame> {
+    /// [`FrameTimeout`].
+    pub fn step(&mut self, next: Option<FrameMark>, now_ns: u64) -> Result<FrameStep, FrameTimeout> {
         let Some(frame) = next else {
             return match self.due {
                 None => Ok(FrameStep::Answer),
-                Some(tick) if self.patience.is_over(now_ns) => Err(NoFrame { tick }),
+                Some(tick) if self.patience.is_over(now_ns) => Err(FrameTimeout { tick }),
                 Some(_) => Ok(FrameStep::Wait),
             };
         };

@@ -10,23 +10,23 @@
 //! lockstep a controller sees each scheduled frame at the same tick in every run.
 //!
 //! ```
-//! use delivery::x_ray::{Due, Renderer, Schedule, ScheduleSettings};
+//! use delivery::x_ray::{DueFrame, Renderer, Schedule, ScheduleSettings};
 //! use messages::Tick;
 //! use scene::Mode;
 //!
 //! let settings = ScheduleSettings { mode: Mode::Realtime, period_ticks: Some(40), end_tick: Tick(1000), c_arm_driver: None };
 //! let mut schedule = Schedule::new(settings);
-//! assert_eq!(schedule.due(Tick(0), Renderer::Idle), Some(Due::Scheduled));
+//! assert_eq!(schedule.due(Tick(0), Renderer::Idle), Some(DueFrame::Scheduled));
 //! // A busy renderer delays the next frame; the one after it is on time again.
 //! assert_eq!(schedule.due(Tick(40), Renderer::Busy), None);
-//! assert_eq!(schedule.due(Tick(47), Renderer::Idle), Some(Due::Scheduled));
-//! assert_eq!(schedule.due(Tick(80), Renderer::Idle), Some(Due::Scheduled));
+//! assert_eq!(schedule.due(Tick(47), Renderer::Idle), Some(DueFrame::Scheduled));
+//! assert_eq!(schedule.due(Tick(80), Renderer::Idle), Some(DueFrame::Scheduled));
 //! ```
 
 mod controller_frames;
 mod removals;
 mod schedule;
 
-pub use controller_frames::{ControllerFrames, FrameMark, FrameStep, NoFrame};
-pub use removals::{Removals, RemovedBatch, RemovedLost, RemovedSince};
-pub use schedule::{Due, Refusal, Renderer, Schedule, ScheduleSettings};
+pub use controller_frames::{ControllerFrames, FrameMark, FrameStep, FrameTimeout};
+pub use removals::{RemovalDelta, RemovalLoss, Removals, RemovedBatch};
+pub use schedule::{DueFrame, Refusal, Renderer, Schedule, ScheduleSettings};

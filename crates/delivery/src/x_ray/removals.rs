@@ -22,7 +22,7 @@ pub struct RemovedBatch {
 
 /// Changes since the last frame.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct RemovedSince {
+pub struct RemovalDelta {
     /// What to restore before removing `voxels`.
     pub restores: Restores,
     /// Linear indices in order of removal; after a restore, the predrilled voxels come first.
@@ -31,7 +31,7 @@ pub struct RemovedSince {
 
 /// Removed voxels were lost: frames would show bone that is gone.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
-pub enum RemovedLost {
+pub enum RemovalLoss {
     /// The newest batches have not arrived.
     #[error("tick {tick}: {expected} voxels were removed, but only {received} were received")]
     Voxels {
@@ -59,11 +59,11 @@ pub enum RemovedLost {
 pub struct Removals {
     waiting: VecDeque<RemovedBatch>,
     predrilled: Vec<u32>,
-    since: RemovedSince,
+    since: RemovalDelta,
     total: u64,
     /// Number of the newest batch.
     sequence: u64,
-    gap: Option<RemovedLost>,
+    gap: Option<RemovalLoss>,
 }
 
 impl Removals {
@@ -72,7 +72,7 @@ impl Removals {
         let (before, received) = (self.sequence, batch.sequence);
         // Totals do not reveal the loss if the states in between are lost too.
         if received != before + 1 {
-            self.gap.get_or_insert(RemovedLost::Batch { tick: batch.tick, before, received });
+            self.gap.get_or_insert(RemovalLoss::Batch { tick: batch.tick, before, received });
         }
         self.sequence = received;
         self.waiting.push_back(batch);
@@ -82,7 +82,7 @@ impl Removals {
     ///
     /// # Errors
     /// If batches are missing.
-    pub fn advance(&mut self, tick: Tick, removed_total: u64) -> Result<(), RemovedLost> {
+    pub fn advance(&mut self, tick: Tick, removed_total: u64) -> Result<(), RemovalLoss> {
         // The missing ones may belong to this state.
         self.gap.map_or(Ok(()), Err)?;
         while self.waiting.front().is_some_and(|batch| batch.tick <= tick) {
@@ -100,11 +100,11 @@ impl Removals {
         if self.total == removed_total {
             return Ok(());
         }
-        Err(RemovedLost::Voxels { tick, expected: removed_total, received: self.total })
+        Err(RemovalLoss::Voxels { tick, expected: removed_total, received: self.total })
     }
 
     /// Returns the changes since the last call, up to the tick of the last [`Removals::advance`].
-    pub fn take(&mut self) -> RemovedSince {
+    pub fn take(&mut self) -> RemovalDelta {
         std::mem::take(&mut self.since)
     }
 }
@@ -118,8 +118,8 @@ mod tests {
         RemovedBatch { tick, sequence, total, restores, voxels: voxels.to_vec() }
     }
 
-    fn since(voxels: &[u32]) -> RemovedSince {
-        RemovedSince { restores: Restores::Nothing, voxels: voxels.to_vec() }
+    fn since(voxels: &[u32]) -> RemovalDelta {
+        RemovalDelta { restores: Restores::Nothing, voxels: voxels.to_vec() }
     }
 
     #[test]
@@ -147,7 +147,7 @@ mod tests {
         removals.receive(RemovedBatch { restores: Restores::Drilled, ..batch(3, 4, 1, &[]) });
         removals.receive(batch(4, 5, 2, &[9]));
         removals.advance(Tick(5), 2).unwrap();
-        assert_eq!(removals.take(), RemovedSince { restores: Restores::Drilled, voxels: vec![7, 9] });
+        assert_eq!(removals.take(), RemovalDelta { restores: Restores::Drilled, voxels: vec![7, 9] });
         assert_eq!(removals.take(), since(&[]));
     }
 
@@ -156,7 +156,7 @@ mod tests {
         let mut removals = Removals::default();
         removals.receive(batch(1, 0, 4, &[1, 2, 3, 4]));
         let lost = removals.advance(Tick(9), 6).unwrap_err();
-        assert_eq!(lost, RemovedLost::Voxels { tick: Tick(9), expected: 6, received: 4 });
+        assert_eq!(lost, RemovalLoss::Voxels { tick: Tick(9), expected: 6, received: 4 });
         assert_eq!(lost.to_string(), "tick 9: 6 voxels were removed, but only 4 were received");
     }
 

@@ -16,7 +16,7 @@ const MAX_WAITING: usize = MAX_WAITING_EACH * DRR_REQUEST.max_publishers;
 
 /// A frame to render now.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Due {
+pub enum DueFrame {
     /// Due at the scene's frame rate.
     Scheduled,
     /// Requested by a program.
@@ -178,7 +178,7 @@ impl Schedule {
     /// Returns a frame due at the state of this tick; the caller renders it and calls again until it returns
     /// `None`. In lockstep every scheduled tick counts and the caller waits for the renderer; in real time a
     /// scheduled frame is due only when the renderer is idle.
-    pub fn due(&mut self, tick: Tick, renderer: Renderer) -> Option<Due> {
+    pub fn due(&mut self, tick: Tick, renderer: Renderer) -> Option<DueFrame> {
         if self.settings.mode == Mode::Realtime && renderer == Renderer::Busy {
             return None;
         }
@@ -189,10 +189,10 @@ impl Schedule {
 
     /// Returns a frame due at the run's last state, whether or not the renderer is busy; the caller calls
     /// again until it returns `None`. The last is that of the state itself, unless a frame already shows it.
-    pub fn last(&mut self, tick: Tick) -> Option<Due> {
+    pub fn last(&mut self, tick: Tick) -> Option<DueFrame> {
         let due = self.scheduled(tick).or_else(|| self.requested(tick));
         let is_shown = self.shown_tick.replace(tick) == Some(tick);
-        due.or_else(|| (!is_shown).then_some(Due::Scheduled))
+        due.or_else(|| (!is_shown).then_some(DueFrame::Scheduled))
     }
 
     /// Ends the run with the state of this tick; returns the requests that can no longer get a frame, each to
@@ -203,15 +203,15 @@ impl Schedule {
         self.requests.drain(..).map(refused).collect()
     }
 
-    fn scheduled(&mut self, tick: Tick) -> Option<Due> {
+    fn scheduled(&mut self, tick: Tick) -> Option<DueFrame> {
         let period = self.settings.period_ticks.filter(|_| tick >= self.next_tick)?;
         self.next_tick = Tick((tick.0 / period + 1) * period);
-        Some(Due::Scheduled)
+        Some(DueFrame::Scheduled)
     }
 
-    fn requested(&mut self, tick: Tick) -> Option<Due> {
+    fn requested(&mut self, tick: Tick) -> Option<DueFrame> {
         let index = self.requests.iter().position(|waiting| waiting.request.tick <= tick.0)?;
-        self.requests.remove(index).map(|waiting| Due::Requested(waiting.request))
+        self.requests.remove(index).map(|waiting| DueFrame::Requested(waiting.request))
     }
 }
 
@@ -242,11 +242,11 @@ mod tests {
     #[test]
     fn in_real_time_a_busy_renderer_delays_a_frame_and_does_not_bunch_them() {
         let mut schedule = schedule(Mode::Realtime, Some(40));
-        assert_eq!(schedule.due(Tick(0), Renderer::Idle), Some(Due::Scheduled));
+        assert_eq!(schedule.due(Tick(0), Renderer::Idle), Some(DueFrame::Scheduled));
         assert!((1..130).all(|tick| schedule.due(Tick(tick), Renderer::Busy).is_none()));
-        assert_eq!(schedule.due(Tick(130), Renderer::Idle), Some(Due::Scheduled));
+        assert_eq!(schedule.due(Tick(130), Renderer::Idle), Some(DueFrame::Scheduled));
         assert_eq!(schedule.due(Tick(131), Renderer::Idle), None);
-        assert_eq!(schedule.due(Tick(160), Renderer::Idle), Some(Due::Scheduled));
+        assert_eq!(schedule.due(Tick(160), Renderer::Idle), Some(DueFrame::Scheduled));
     }
 
     #[test]
@@ -254,7 +254,7 @@ mod tests {
         let mut schedule = schedule(Mode::Lockstep, None);
         assert_eq!(ask(&mut schedule, 1, asked(10)), Ok(()));
         assert_eq!(schedule.due(Tick(9), Renderer::Idle), None);
-        assert_eq!(schedule.due(Tick(10), Renderer::Idle), Some(Due::Requested(asked(10))));
+        assert_eq!(schedule.due(Tick(10), Renderer::Idle), Some(DueFrame::Requested(asked(10))));
         assert!((0..MAX_WAITING_EACH).all(|_| ask(&mut schedule, 1, asked(10)).is_ok()));
         assert_eq!(ask(&mut schedule, 1, asked(10)), Err(Refusal::Busy));
     }
@@ -269,8 +269,8 @@ mod tests {
         for tick in [9, 12] {
             while let Some(due) = schedule.due(Tick(tick), Renderer::Idle) {
                 order.push(match due {
-                    Due::Scheduled => (tick, 0),
-                    Due::Requested(request) => (tick, request.request_id),
+                    DueFrame::Scheduled => (tick, 0),
+                    DueFrame::Requested(request) => (tick, request.request_id),
                 });
             }
         }
@@ -324,9 +324,9 @@ mod tests {
     #[test]
     fn the_last_state_is_shown_once() {
         let mut schedule = schedule(Mode::Realtime, Some(40));
-        assert_eq!(schedule.due(Tick(80), Renderer::Idle), Some(Due::Scheduled));
+        assert_eq!(schedule.due(Tick(80), Renderer::Idle), Some(DueFrame::Scheduled));
         assert_eq!(schedule.last(Tick(80)), None);
-        assert_eq!(schedule.last(Tick(97)), Some(Due::Scheduled));
+        assert_eq!(schedule.last(Tick(97)), Some(DueFrame::Scheduled));
         assert_eq!(schedule.last(Tick(97)), None);
     }
 
@@ -335,14 +335,17 @@ mod tests {
     fn every_request_that_waits_at_the_end_has_its_frame_or_a_refusal() {
         for mode in [Mode::Lockstep, Mode::Realtime] {
             let mut schedule = schedule(mode, Some(40));
-            assert_eq!(schedule.due(Tick::START, Renderer::Idle), Some(Due::Scheduled));
+            assert_eq!(schedule.due(Tick::START, Renderer::Idle), Some(DueFrame::Scheduled));
             let due = [asked(90), DrrRequest { request_id: 6, ..asked(97) }];
             let beyond = DrrRequest { request_id: 7, ..asked(98) };
             for request in [due[0], beyond, due[1]] {
                 ask(&mut schedule, 1, request).unwrap();
             }
-            let frames: Vec<Due> = std::iter::from_fn(|| schedule.last(Tick(97))).collect();
-            assert_eq!(frames, [Due::Scheduled, Due::Requested(due[0]), Due::Requested(due[1])]);
+            let frames: Vec<DueFrame> = std::iter::from_fn(|| schedule.last(Tick(97))).collect();
+            assert_eq!(
+                frames,
+                [DueFrame::Scheduled, DueFrame::Requested(due[0]), DueFrame::Requested(due[1])]
+            );
             let refusal = Refusal::RunEnded { last_tick: Tick(97) };
             assert_eq!(schedule.end(Tick(97)), [(beyond, refusal.clone())]);
             assert_eq!(refusal.to_string(), "the run ended at tick 97");

@@ -3,14 +3,14 @@
 use std::collections::VecDeque;
 
 use delivery::x_ray::{ControllerFrames, FrameMark, FrameStep};
-use hub::Incoming;
+use hub::IncomingMessage;
 use hub::rate_limit::Connection;
 use messages::services::COMMAND;
 use messages::{ArmMode, BurrMode, Command, ControllerIndex, Part, TendonMode, Tick, TubeMode};
 use scene::{Drives, Mode};
 
 use crate::oracle::seen_frames::SeenFrames;
-use crate::plan::{Bad, ControllerPlan, Plan};
+use crate::plan::{CommandDefect, ControllerPlan, Plan};
 
 /// Number of states that a controller's queue holds.
 const STATE_QUEUE: usize = 16;
@@ -21,7 +21,7 @@ pub struct Alarm(pub u64);
 
 /// A controller's view of the X-ray frames: decides with [`ControllerFrames`] as `controller_proc` does.
 #[derive(Debug)]
-pub struct Sight {
+pub struct FrameViewer {
     mode: Mode,
     decide: ControllerFrames,
     length: usize,
@@ -33,9 +33,9 @@ pub struct Sight {
     pub waits_at: Option<u64>,
 }
 
-impl Sight {
-    fn new(plan: &Plan) -> Sight {
-        Sight {
+impl FrameViewer {
+    fn new(plan: &Plan) -> FrameViewer {
+        FrameViewer {
             mode: plan.mode,
             decide: ControllerFrames::new(plan.mode),
             length: plan.x_ray.frame_queue,
@@ -106,9 +106,9 @@ pub struct Controller {
     /// Its states, oldest first.
     pub states: VecDeque<u64>,
     /// Its commands on their way to the hub, and whether each is well formed.
-    pub commands: VecDeque<(Incoming<Command>, Form)>,
+    pub commands: VecDeque<(IncomingMessage<Command>, Form)>,
     /// `None` if it does not look at X-ray frames.
-    pub sight: Option<Sight>,
+    pub sight: Option<FrameViewer>,
     connection: Connection,
     sequence: u64,
     last_answered: u64,
@@ -119,7 +119,7 @@ impl Controller {
     pub fn new(plan: &Plan, index: ControllerIndex, drives: &[Drives]) -> Controller {
         let looks = plan.x_ray.watching.get(index.slot()) == Some(&true);
         Controller {
-            sight: looks.then(|| Sight::new(plan)),
+            sight: looks.then(|| FrameViewer::new(plan)),
             plan: plan.controllers[index.slot()].clone(),
             drives: drives.to_vec(),
             alive: false,
@@ -141,7 +141,7 @@ impl Controller {
         (self.alive, self.asleep, self.wants_history) = (true, false, true);
         (self.sequence, self.last_answered) = (0, 0);
         self.states.clear();
-        self.sight.iter_mut().for_each(Sight::join);
+        self.sight.iter_mut().for_each(FrameViewer::join);
     }
 
     /// Puts a state into its queue, which drops its oldest when full.
@@ -171,7 +171,7 @@ impl Controller {
         self.sequence += 1;
         self.last_answered = self.last_answered.max(state_tick);
         let command = self.command(state_tick);
-        self.push(Incoming::Message(command, self.connection), Form::Whole);
+        self.push(IncomingMessage::Message(command, self.connection), Form::Whole);
     }
 
     fn command(&self, state_tick: u64) -> Command {
@@ -195,13 +195,13 @@ impl Controller {
     }
 
     /// Sends something that must be refused.
-    pub fn misbehave(&mut self, bad: Bad) {
+    pub fn misbehave(&mut self, bad: CommandDefect) {
         let mut command = self.command(self.last_answered);
         command.sequence += 1;
         let mut form = Form::Whole;
         match bad {
-            Bad::NotANumber => (command.burr_speed_rad_per_s, form) = (f64::NAN, Form::Malformed),
-            Bad::OthersPart => {
+            CommandDefect::NotANumber => (command.burr_speed_rad_per_s, form) = (f64::NAN, Form::Malformed),
+            CommandDefect::OthersPart => {
                 form = Form::Malformed;
                 if self.drives.contains(&Drives::Arm) {
                     command.arm_mode = 99;
@@ -209,20 +209,21 @@ impl Controller {
                     command.arm_mode = ArmMode::Hold.code();
                 }
             }
-            Bad::Future => command.state_tick = u64::MAX,
-            Bad::OldSequence => command.sequence = self.sequence,
-            Bad::OldState if self.last_answered > 0 => command.state_tick = self.last_answered - 1,
-            Bad::OldState => command.state_tick = u64::MAX,
-            Bad::Malformed => {
-                return self.push(Incoming::Malformed("a message of 3 bytes".to_owned()), Form::Malformed);
+            CommandDefect::Future => command.state_tick = u64::MAX,
+            CommandDefect::OldSequence => command.sequence = self.sequence,
+            CommandDefect::OldState if self.last_answered > 0 => command.state_tick = self.last_answered - 1,
+            CommandDefect::OldState => command.state_tick = u64::MAX,
+            CommandDefect::Malformed => {
+                return self
+                    .push(IncomingMessage::Malformed("a message of 3 bytes".to_owned()), Form::Malformed);
             }
         }
         self.sequence = command.sequence;
-        self.push(Incoming::Message(command, self.connection), form);
+        self.push(IncomingMessage::Message(command, self.connection), form);
     }
 
     /// Puts a command into the hub's queue, which drops its oldest when full.
-    fn push(&mut self, incoming: Incoming<Command>, form: Form) {
+    fn push(&mut self, incoming: IncomingMessage<Command>, form: Form) {
         if self.commands.len() == COMMAND.queue_length {
             self.commands.pop_front();
         }

@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 
 use delivery::x_ray::{
-    Due, FrameMark, Removals, RemovedBatch, RemovedLost, Renderer, Schedule, ScheduleSettings,
+    DueFrame, FrameMark, RemovalLoss, Removals, RemovedBatch, Renderer, Schedule, ScheduleSettings,
 };
 use fastrand::Rng;
 use hub::rate_limit::{LOOKED_AT, RateLimit};
@@ -12,7 +12,7 @@ use messages::{DrrRequest, GeometryChoice, Removed, State, Tick};
 
 use crate::oracle::x_ray::{Answer, FrameAccount, FrameCause, JOBS_WAITING};
 use crate::plan::Plan;
-use crate::x_ray_plan::Asked;
+use crate::x_ray_plan::SentRequest;
 
 /// States taken before requests are checked again.
 const STATES_PER_ROUND: usize = 32;
@@ -26,7 +26,7 @@ struct Seen {
 
 /// How a pass over the queues ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Looked {
+pub enum QueuePass {
     /// Everything that waited has been taken.
     Done,
     /// The renderer's queue is full; the process is blocked until then.
@@ -49,7 +49,7 @@ pub struct DrrProcess {
     removed_queue: usize,
     states: VecDeque<Seen>,
     removed: VecDeque<RemovedBatch>,
-    requests: VecDeque<Asked>,
+    requests: VecDeque<SentRequest>,
     /// The newest state that it has taken.
     newest: Option<Seen>,
     /// It was blocked by the renderer's queue, so that more may be due at the newest state.
@@ -119,7 +119,7 @@ impl DrrProcess {
     }
 
     /// Puts a request into its sender's queue, which drops its oldest when full.
-    pub fn receive_request(&mut self, asked: Asked) {
+    pub fn receive_request(&mut self, asked: SentRequest) {
         let mut of_sender = self.requests.iter().enumerate().filter(|(_, other)| other.from == asked.from);
         let oldest = of_sender.next().map(|(index, _)| index);
         if oldest.is_some() && 1 + of_sender.count() >= DRR_REQUEST.queue_length {
@@ -137,14 +137,14 @@ impl DrrProcess {
     ///
     /// # Errors
     /// If removed voxels are missing, which ends the process.
-    pub fn look(&mut self, now_ns: u64, account: &mut FrameAccount) -> Result<Looked, RemovedLost> {
+    pub fn look(&mut self, now_ns: u64, account: &mut FrameAccount) -> Result<QueuePass, RemovalLoss> {
         self.publish_finished(now_ns, account);
         loop {
             if let Some(blocked) = self.take_requests(now_ns, account) {
                 return Ok(blocked);
             }
             for _ in 0..STATES_PER_ROUND {
-                let Some(state) = self.states.pop_front() else { return Ok(Looked::Done) };
+                let Some(state) = self.states.pop_front() else { return Ok(QueuePass::Done) };
                 self.removed.drain(..).for_each(|batch| self.removals.receive(batch));
                 self.removals.advance(Tick(state.tick), state.removed_total)?;
                 self.newest = Some(state);
@@ -157,7 +157,7 @@ impl DrrProcess {
 
     /// Takes the requests that have arrived, after the remaining work of the newest state, and serves those
     /// that are due.
-    pub fn take_requests(&mut self, now_ns: u64, account: &mut FrameAccount) -> Option<Looked> {
+    pub fn take_requests(&mut self, now_ns: u64, account: &mut FrameAccount) -> Option<QueuePass> {
         self.publish_finished(now_ns, account);
         if self.is_blocked() {
             return self.blocked();
@@ -174,7 +174,7 @@ impl DrrProcess {
     fn answer_requests(&mut self, now_ns: u64, account: &mut FrameAccount) {
         for _ in 0..LOOKED_AT {
             let Some(asked) = self.requests.pop_front() else { break };
-            let Asked { from, sender, request } = asked;
+            let SentRequest { from, sender, request } = asked;
             let answer = match self.rate_limit.allows(from, now_ns) {
                 false => Answer::PassedOver,
                 true => Answer::Given(self.schedule.request(from, sender, request, geometry_of(&request))),
@@ -184,7 +184,7 @@ impl DrrProcess {
     }
 
     /// Starts what is due at the newest state.
-    fn serve_newest(&mut self, now_ns: u64, account: &mut FrameAccount) -> Option<Looked> {
+    fn serve_newest(&mut self, now_ns: u64, account: &mut FrameAccount) -> Option<QueuePass> {
         let tick = self.newest?.tick;
         while let Some(due) = self.schedule.due(Tick(tick), self.renderer()) {
             self.start(tick, FrameCause::Due(due), now_ns, account);
@@ -197,13 +197,13 @@ impl DrrProcess {
         None
     }
 
-    fn blocked(&self) -> Option<Looked> {
-        self.jobs.front().map(|job| Looked::Blocked { until_ns: job.finished_ns })
+    fn blocked(&self) -> Option<QueuePass> {
+        self.jobs.front().map(|job| QueuePass::Blocked { until_ns: job.finished_ns })
     }
 
     /// Renders everything due at the last state and all waiting requests that it can answer, and refuses the
     /// others; the requests `late` arrive meanwhile.
-    pub fn finish(&mut self, now_ns: u64, late: Vec<Asked>, account: &mut FrameAccount) {
+    pub fn finish(&mut self, now_ns: u64, late: Vec<SentRequest>, account: &mut FrameAccount) {
         if let Some(Seen { tick, .. }) = self.newest {
             while let Some(due) = self.schedule.last(Tick(tick)) {
                 self.start(tick, FrameCause::Last(due), now_ns, account);
@@ -236,10 +236,9 @@ impl DrrProcess {
         let begins_ns = self.jobs.back().map_or(now_ns, |last| now_ns.max(last.finished_ns));
         self.sequence += 1;
         let request_id = match cause {
-            FrameCause::Due(Due::Requested(request)) | FrameCause::Last(Due::Requested(request)) => {
-                request.request_id
-            }
-            FrameCause::Due(Due::Scheduled) | FrameCause::Last(Due::Scheduled) => 0,
+            FrameCause::Due(DueFrame::Requested(request))
+            | FrameCause::Last(DueFrame::Requested(request)) => request.request_id,
+            FrameCause::Due(DueFrame::Scheduled) | FrameCause::Last(DueFrame::Scheduled) => 0,
         };
         self.jobs.push_back(Job {
             finished_ns: begins_ns + self.random.u64(self.render_ns / 4..=self.render_ns),

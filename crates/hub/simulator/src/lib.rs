@@ -45,19 +45,19 @@ use hub::{Hub, Next, Settings};
 use messages::Part;
 use scene::{Drives, Scene};
 
-pub use plan::{Bad, ControllerPlan, Fault, FaultKind, Plan};
+pub use plan::{CommandDefect, ControllerPlan, Fault, FaultKind, Plan};
 use plant::{ChainPlant, Handle};
 use recording::Recording;
 pub use viewer_plan::{SubscriptionChange, ViewerPlan, WatcherPlan};
 use world::World;
-pub use x_ray_plan::{Ask, AskKind, XRayPlan};
+pub use x_ray_plan::{RequestBurst, RequestKind, XRayPlan};
 
 /// Maximum number of advances of one run; with more, the hub does not come to an end.
 const MOST_ADVANCES: u64 = 400_000;
 
 /// Result of a schedule, or sum over several.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Played {
+pub struct ScheduleStats {
     /// Number of ticks.
     pub ticks: u64,
     /// Times that the hub was advanced.
@@ -78,8 +78,8 @@ pub struct Played {
     pub dropped: u64,
 }
 
-impl AddAssign for Played {
-    fn add_assign(&mut self, more: Played) {
+impl AddAssign for ScheduleStats {
+    fn add_assign(&mut self, more: ScheduleStats) {
         self.ticks += more.ticks;
         self.advances += more.advances;
         self.ended += more.ended;
@@ -96,7 +96,7 @@ impl AddAssign for Played {
 ///
 /// # Errors
 /// The first violated rule.
-pub fn run(plan: &Plan) -> Result<Played, String> {
+pub fn run(plan: &Plan) -> Result<ScheduleStats, String> {
     let (scene, drives) = scene(plan);
     let handle = Handle::default();
     handle.now_ns.set(1_000_000_000);
@@ -112,7 +112,7 @@ pub fn run(plan: &Plan) -> Result<Played, String> {
     };
     let mut world = World::new(plan, &drives, handle.clone());
     let mut hub = Hub::new(&scene, ChainPlant::new(handle.clone()), settings, handle.now_ns.get());
-    let mut played = Played::default();
+    let mut played = ScheduleStats::default();
     loop {
         played.advances += 1;
         let next = hub.advance(&mut world);
@@ -141,7 +141,7 @@ pub fn run(plan: &Plan) -> Result<Played, String> {
             (played.frames, played.frames_refused) = (world.frames.frames, world.frames.refused);
             played.frames_seen = world.seen_frames.shown;
             (played.watched, played.dropped) = world.watched();
-            return Ok(Played { ticks: hub.tick().0, ended: u64::from(next.is_ok()), ..played });
+            return Ok(ScheduleStats { ticks: hub.tick().0, ended: u64::from(next.is_ok()), ..played });
         }
     }
 }
@@ -243,7 +243,7 @@ pub struct Summary {
     /// Schedules played.
     pub schedules: u64,
     /// Sum of their results.
-    pub played: Played,
+    pub played: ScheduleStats,
     /// The first failing seed, with its failure.
     pub failure: Option<(u64, String)>,
 }

@@ -4,7 +4,7 @@ use std::process::ExitCode;
 use std::time::Instant;
 
 use clap::Parser;
-use hub_simulator::{Plan, Played, play, run, shrink};
+use hub_simulator::{Plan, ScheduleStats, play, run, shrink};
 
 /// Plays seeded schedules against the hub; a failing seed is printed with its smallest failing plan.
 #[derive(Debug, Parser)]
@@ -26,9 +26,9 @@ fn main() -> ExitCode {
     let summary = play(arguments.seed, arguments.count, arguments.threads);
     let Some((seed, _)) = summary.failure else {
         let wall_s = began.elapsed().as_secs_f64();
-        let (schedules, Played { ticks, frames, frames_refused, frames_seen, .. }) =
+        let (schedules, ScheduleStats { ticks, frames, frames_refused, frames_seen, .. }) =
             (summary.schedules, summary.played);
-        let Played { watched, dropped, ended, logs_cut, .. } = summary.played;
+        let ScheduleStats { watched, dropped, ended, logs_cut, .. } = summary.played;
         let rate = schedules as f64 / wall_s;
         println!(
             "{schedules} schedules, {ticks} ticks, {frames} frames ({frames_refused} refused, {frames_seen} \

@@ -31,7 +31,7 @@ mutants! {
         "HubError::Plant { tick, cause } => Ok(Failure::Plant { tick, cause }),"
         => "HubError::Plant { tick, cause } => Err(HubError::Plant { tick, cause }),";
     "a failed run does not wait for its recorder" in "hub/src/machine/waiting.rs":
-        "let is_behind = self.shown && self.consumers.behind(self.tick, Whom::Recorder).is_some();"
+        "let is_behind = self.shown && self.consumers.behind(self.tick, ConsumerSet::Recorder).is_some();"
         => "let is_behind = false;";
     "a state wakes no controller" in "hub/src/machine/ticking.rs": "        env.wake_controllers();\n" => "";
     "a late command is held forever" in "hub/src/latch.rs":
@@ -50,8 +50,8 @@ mutants! {
         "            self.missed += 1;\n            self.next_ns = now_ns;\n"
         => "            self.missed += 1;\n";
     "the end waits for no consumer" in "hub/src/machine/waiting.rs":
-        "self.consumers.behind(self.tick, Whom::Everybody)"
-        => "self.consumers.behind(Tick::START, Whom::Everybody)";
+        "self.consumers.behind(self.tick, ConsumerSet::Everybody)"
+        => "self.consumers.behind(Tick::START, ConsumerSet::Everybody)";
     "lockstep takes an old answer" in "hub/src/latch.rs":
         "command.state_tick == tick.0)" => "command.state_tick + 1 >= tick.0)";
     "a stop during the wait for an answer is ignored" in "hub/src/machine/waiting.rs":

@@ -98,7 +98,7 @@ pub enum FaultKind {
         /// Its index.
         index: usize,
         /// The command's defect.
-        bad: Bad,
+        bad: CommandDefect,
     },
     /// A controller sends many extra commands at once.
     CommandFlood {
@@ -157,7 +157,7 @@ pub enum FaultKind {
 
 /// Commands that must be refused.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Bad {
+pub enum CommandDefect {
     /// NaN.
     NotANumber,
     /// A part of the tool that the controller does not drive.
@@ -172,8 +172,14 @@ pub enum Bad {
     Malformed,
 }
 
-const BAD: [Bad; 6] =
-    [Bad::NotANumber, Bad::OthersPart, Bad::Future, Bad::OldSequence, Bad::OldState, Bad::Malformed];
+const BAD: [CommandDefect; 6] = [
+    CommandDefect::NotANumber,
+    CommandDefect::OthersPart,
+    CommandDefect::Future,
+    CommandDefect::OldSequence,
+    CommandDefect::OldState,
+    CommandDefect::Malformed,
+];
 
 impl Default for Plan {
     /// Returns the schedule of seed 0.

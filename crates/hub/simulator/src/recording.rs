@@ -161,13 +161,13 @@ impl Recording {
 }
 
 /// Contents of a log that was cut.
-struct Given {
+struct ReadBack {
     last_tick: u64,
     is_intact: bool,
 }
 
 /// Reads a log and compares its ticks with those published; `None` if it has no initial state.
-fn ticks_of(bytes: &[u8], published: &[TickRecord]) -> Result<Option<Given>, String> {
+fn ticks_of(bytes: &[u8], published: &[TickRecord]) -> Result<Option<ReadBack>, String> {
     let mut reader = match LogReader::open(&LogBytes::new("cut.mcap", bytes)) {
         Ok(reader) => reader,
         Err(
@@ -187,7 +187,7 @@ fn ticks_of(bytes: &[u8], published: &[TickRecord]) -> Result<Option<Given>, Str
     if reader.next().is_some() {
         return Err(format!("more than the {} ticks that were published", published.len()));
     }
-    Ok(Some(Given {
+    Ok(Some(ReadBack {
         last_tick: reader.last_complete_tick().0,
         is_intact: reader.stream().verdict().is_intact(),
     }))

@@ -3,7 +3,9 @@
 
 use std::collections::VecDeque;
 
-use delivery::viewer::{Client, Decimation, Kept, Limits, Policy, Published, Wanted};
+use delivery::viewer::{
+    ChannelMessage, Client, Decimation, Limits, Policy, RetainedMessages, SubscribedChannels,
+};
 use fastrand::Rng;
 
 use crate::oracle::viewer::WatcherAccount;
@@ -43,8 +45,8 @@ struct Watcher {
 pub struct Viewer {
     plan: ViewerPlan,
     random: Rng,
-    kept: Kept,
-    wanted: Wanted,
+    kept: RetainedMessages,
+    wanted: SubscribedChannels,
     /// Messages in its queues that it has not taken: channel and number.
     states: VecDeque<u64>,
     frames: VecDeque<u64>,
@@ -74,8 +76,8 @@ impl Viewer {
         Viewer {
             plan: plan.clone(),
             random: Rng::with_seed(seed ^ 0x2545_f491_4f6c_dd1d),
-            kept: Kept::default(),
-            wanted: Wanted::default(),
+            kept: RetainedMessages::default(),
+            wanted: SubscribedChannels::default(),
             states: VecDeque::new(),
             frames: VecDeque::new(),
             notices: 0,
@@ -135,7 +137,7 @@ impl Viewer {
     fn publish(&mut self, channel: u32, policy: Policy, slot: u32, number: u64, now_ns: u64) {
         let mut payload = vec![0; self.plan.message_bytes];
         payload[..8].copy_from_slice(&number.to_le_bytes());
-        let message = Published { channel, slot, time_ns: now_ns, policy, payload: payload.into() };
+        let message = ChannelMessage { channel, slot, time_ns: now_ns, policy, payload: payload.into() };
         if channel == NOTICES {
             self.kept.keep_last(&message, NOTICES_KEPT);
         } else {
@@ -194,7 +196,7 @@ impl Viewer {
 
     fn count_wanted(&mut self) {
         let connected = self.watchers.iter().filter(|watcher| watcher.connected);
-        self.wanted = Wanted::of(connected.flat_map(|watcher| watcher.client.channels()));
+        self.wanted = SubscribedChannels::of(connected.flat_map(|watcher| watcher.client.channels()));
     }
 
     /// Sends what waits for a client; returns the time until it checks again, or `None` if the client has

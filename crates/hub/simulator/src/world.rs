@@ -9,11 +9,11 @@ use std::rc::Rc;
 use delivery::x_ray::FrameMark;
 use fastrand::Rng;
 use hub::rate_limit::Connection;
-use hub::{Awaited, Incoming, Report, Wait};
+use hub::{IncomingMessage, Report, Wait, WakeCondition};
 use messages::{ControlAction, ControllerIndex, Part, RunControl, Tick};
 use scene::Drives;
 
-use crate::actors::{Alarm, Consumer, Controller, Sight};
+use crate::actors::{Alarm, Consumer, Controller, FrameViewer};
 use crate::drr::DrrProcess;
 use crate::oracle::Oracle;
 use crate::oracle::seen_frames::SeenFrames;
@@ -78,7 +78,7 @@ pub struct World {
     newest_frame: Option<FrameMark>,
     viewer: Option<Viewer>,
     watcher_alarms: Vec<Alarm>,
-    control: VecDeque<Incoming<RunControl>>,
+    control: VecDeque<IncomingMessage<RunControl>>,
     requests: u64,
     reports: VecDeque<Report>,
     foreign: u64,
@@ -240,7 +240,7 @@ impl World {
                 self.look_soon(index, LONGEST_SLEEP_NS);
             }
             Some(tick) => {
-                let waits = |sight: &mut Sight| sight.look(index, tick, now_ns, &mut self.seen_frames);
+                let waits = |sight: &mut FrameViewer| sight.look(index, tick, now_ns, &mut self.seen_frames);
                 if controller.sight.as_mut().is_some_and(waits) {
                     return self.look_soon(index, FRAME_POLL_NS);
                 }
@@ -336,7 +336,7 @@ impl World {
                 (0..count).for_each(|_| self.request(action, ticks))
             }
             FaultKind::MalformedControl { count } => {
-                (0..count).for_each(|_| self.push_control(Incoming::Malformed("3 bytes".to_owned())));
+                (0..count).for_each(|_| self.push_control(IncomingMessage::Malformed("3 bytes".to_owned())));
             }
             FaultKind::ForeignReport => self.foreign += 1,
             FaultKind::HubStops { for_ns } => self.stopped_ns += for_ns,
@@ -355,10 +355,10 @@ impl World {
     fn request(&mut self, action: u32, ticks: u64) {
         self.requests += 1;
         let request = RunControl { request_id: self.requests, ticks, action, reserved: 0 };
-        self.push_control(Incoming::Message(request, Connection(7)));
+        self.push_control(IncomingMessage::Message(request, Connection(7)));
     }
 
-    fn push_control(&mut self, incoming: Incoming<RunControl>) {
+    fn push_control(&mut self, incoming: IncomingMessage<RunControl>) {
         if self.control.len() == QUEUE {
             self.control.pop_front();
         }
@@ -401,7 +401,7 @@ impl World {
             self.oracle.fail(format!("controller {index} sleeps although a state waits: it was not woken"));
         }
         self.check_frame_waits();
-        let waits = wait.on == Awaited::Report;
+        let waits = wait.on == WakeCondition::Report;
         if waits && self.consumers.iter().any(|consumer| consumer.asleep && consumer.waiting > 0) {
             self.oracle.fail("the hub waits for a consumer that was not woken".to_owned());
         }
@@ -410,12 +410,12 @@ impl World {
         }
     }
 
-    fn is_ready(&self, on: Awaited) -> bool {
+    fn is_ready(&self, on: WakeCondition) -> bool {
         match on {
-            Awaited::Nothing | Awaited::Deadline => false,
-            Awaited::Control => !self.control.is_empty(),
-            Awaited::Report => !self.reports.is_empty(),
-            Awaited::Command(index) => !self.controllers[index.slot()].commands.is_empty(),
+            WakeCondition::Nothing | WakeCondition::Deadline => false,
+            WakeCondition::Control => !self.control.is_empty(),
+            WakeCondition::Report => !self.reports.is_empty(),
+            WakeCondition::Command(index) => !self.controllers[index.slot()].commands.is_empty(),
         }
     }
 }

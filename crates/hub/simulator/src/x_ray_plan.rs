@@ -27,7 +27,7 @@ pub struct XRayPlan {
     /// Number of `Removed` messages that its queue holds.
     pub removed_queue: usize,
     /// Requests for frames.
-    pub asks: Vec<Ask>,
+    pub asks: Vec<RequestBurst>,
     /// Whether each controller looks at frames before it answers.
     pub watching: Vec<bool>,
     /// Number of frames that a controller's queue holds.
@@ -36,7 +36,7 @@ pub struct XRayPlan {
 
 /// Requests that are sent together.
 #[derive(Debug, Clone)]
-pub struct Ask {
+pub struct RequestBurst {
     /// When they are sent, after the beginning.
     pub at_ns: u64,
     /// Index of the program; the first ones are the controllers.
@@ -48,12 +48,12 @@ pub struct Ask {
     /// Ticks ahead of the newest state; `None` for the newest state.
     pub ahead_ticks: Option<u64>,
     /// Their peculiarity.
-    pub kind: AskKind,
+    pub kind: RequestKind,
 }
 
 /// Peculiarities of requests for frames.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum AskKind {
+pub enum RequestKind {
     /// None.
     Plain,
     /// They specify a C-arm.
@@ -66,7 +66,7 @@ pub enum AskKind {
 
 /// A request on its way to the DRR process.
 #[derive(Debug, Clone, Copy)]
-pub struct Asked {
+pub struct SentRequest {
     /// The connection that it arrives over.
     pub from: Connection,
     /// The controller that sent it; `None` for any other program.
@@ -108,8 +108,8 @@ impl XRayPlan {
     }
 }
 
-fn ask(plan: &Plan, random: &mut Rng) -> Ask {
-    use AskKind::{BadCArm, MovesCArm, OthersName, Plain};
+fn ask(plan: &Plan, random: &mut Rng) -> RequestBurst {
+    use RequestKind::{BadCArm, MovesCArm, OthersName, Plain};
     let ahead_ticks = match random.u8(..8) {
         0..=3 => None,
         // Many of these come after the end of the run.
@@ -121,7 +121,7 @@ fn ask(plan: &Plan, random: &mut Rng) -> Ask {
         0 => (random.u64(2..=12), random.u64(1..=10)),
         _ => (1, [1, 1, 2, 7, 10, 70][random.usize(..6)]),
     };
-    Ask {
+    RequestBurst {
         at_ns: random.u64(..plan.nominal_ns() + 3 * MS),
         asker: random.usize(..ASKERS),
         connections,
@@ -131,9 +131,9 @@ fn ask(plan: &Plan, random: &mut Rng) -> Ask {
     }
 }
 
-impl Ask {
+impl RequestBurst {
     /// Creates its requests at the newest state. `number` counts the requests and connections of the run.
-    pub fn requests(&self, controllers: usize, newest_tick: u64, number: &mut u64) -> Vec<Asked> {
+    pub fn requests(&self, controllers: usize, newest_tick: u64, number: &mut u64) -> Vec<SentRequest> {
         let sender = (self.asker < controllers).then_some(ControllerIndex(self.asker as u32));
         let requester = DrrRequest::requester_of(sender);
         let mut asked = Vec::with_capacity((self.connections * self.count) as usize);
@@ -150,15 +150,15 @@ impl Ask {
                     ..DrrRequest::zeroed()
                 };
                 match self.kind {
-                    AskKind::Plain => {}
-                    AskKind::MovesCArm => {
+                    RequestKind::Plain => {}
+                    RequestKind::MovesCArm => {
                         request.use_geometry = GeometryChoice::Request.code();
                         request.geometry.columns = 1 + (*number % 7) as u32;
                     }
-                    AskKind::BadCArm => request.use_geometry = GeometryChoice::Request.code(),
-                    AskKind::OthersName => request.requester = requester.wrapping_add(1),
+                    RequestKind::BadCArm => request.use_geometry = GeometryChoice::Request.code(),
+                    RequestKind::OthersName => request.requester = requester.wrapping_add(1),
                 }
-                asked.push(Asked { from, sender, request });
+                asked.push(SentRequest { from, sender, request });
             }
         }
         asked

@@ -4,7 +4,7 @@ use messages::services::COMMAND;
 use messages::{ControllerIndex, EventCode, Plant, Severity};
 
 use super::{Hub, MS, Outcome};
-use crate::environment::{Environment, Incoming, Note};
+use crate::environment::{Environment, IncomingMessage, Note};
 use crate::rate_limit::{Connection, WarningLimit};
 
 /// The hub's view of one controller.
@@ -83,11 +83,11 @@ impl<P: Plant> Hub<P> {
         &mut self,
         env: &E,
         index: ControllerIndex,
-        incoming: Incoming<messages::Command>,
+        incoming: IncomingMessage<messages::Command>,
     ) -> Option<String> {
         let (command, connection) = match incoming {
-            Incoming::Message(command, connection) => (command, connection),
-            Incoming::Malformed(reason) => return Some(reason),
+            IncomingMessage::Message(command, connection) => (command, connection),
+            IncomingMessage::Malformed(reason) => return Some(reason),
         };
         let controller = &mut self.controllers[index.slot()];
         if controller.connection != Some(connection) {

@@ -2,22 +2,22 @@
 
 use messages::{ControllerIndex, Phase, Plant, Tick};
 
-use super::control::When;
+use super::control::StatusTiming;
 use super::{
-    Awaited, CONNECT_LIMIT_NS, CONNECT_LOOK_NS, ControllerFault, Hub, HubError, NS_PER_S, Next, Outcome,
-    SILENT_WAIT_NS, Stage, Step, lane_failed, wait,
+    CONNECT_LIMIT_NS, CONNECT_LOOK_NS, ControllerFault, Hub, HubError, NS_PER_S, Next, Outcome,
+    SILENT_WAIT_NS, Stage, Step, WakeCondition, lane_failed, wait,
 };
 use crate::environment::Environment;
-use crate::patience::Patience;
+use crate::patience::ProcessTimeout;
 
 impl<P: Plant> Hub<P> {
     /// Publishes the initial state until every part has answered it or the run is to end.
     pub(super) fn connect<E: Environment>(
         &mut self,
         env: &mut E,
-        mut consumers: Patience,
-        mut controllers: Vec<Patience>,
-        mut notice: Option<Patience>,
+        mut consumers: ProcessTimeout,
+        mut controllers: Vec<ProcessTimeout>,
+        mut notice: Option<ProcessTimeout>,
     ) -> Outcome<Step, P, E> {
         self.consumers.update(env)?;
         let missing = self.consumers.missing();
@@ -27,10 +27,11 @@ impl<P: Plant> Hub<P> {
             let now_ns = env.now_ns();
             self.after_state_published(env, now_ns);
             self.shown = true;
-            let limit =
-                |controller: &super::Controller| Patience::new(controller.connect_limit_ns, env.now_ns());
+            let limit = |controller: &super::Controller| {
+                ProcessTimeout::new(controller.connect_limit_ns, env.now_ns())
+            };
             controllers.extend(self.controllers.iter().map(limit));
-            notice = Some(Patience::new(SILENT_WAIT_NS, env.now_ns()));
+            notice = Some(ProcessTimeout::new(SILENT_WAIT_NS, env.now_ns()));
         }
         self.collect_commands(env)?;
         if self.ends(env) {
@@ -62,16 +63,16 @@ impl<P: Plant> Hub<P> {
             }
         }
         self.obey(env)?;
-        self.send_status(env, Phase::Connecting, When::IfDue)?;
+        self.send_status(env, Phase::Connecting, StatusTiming::IfDue)?;
         env.deliver_state_history()?;
         let until_ns = env.now_ns() + CONNECT_LOOK_NS;
-        Ok((Stage::Connecting { consumers, controllers, notice }, wait(Awaited::Nothing, until_ns)))
+        Ok((Stage::Connecting { consumers, controllers, notice }, wait(WakeCondition::Nothing, until_ns)))
     }
 
     fn connected<E: Environment>(&mut self, env: &mut E) -> Outcome<Step, P, E> {
         self.inform(env, "every part has connected")?;
         self.connected = true;
-        self.send_status(env, self.phase(), When::Now)?;
+        self.send_status(env, self.phase(), StatusTiming::Now)?;
         Ok((Stage::Ready, Some(Next::GetReady)))
     }
 

@@ -5,8 +5,8 @@ use messages::{
 };
 use scene::Mode;
 
-use super::{Awaited, Hub, Outcome, POLL_NS, STATUS_PERIOD_NS, Stage, Step, wait};
-use crate::environment::{Environment, Incoming, Note};
+use super::{Hub, Outcome, POLL_NS, STATUS_PERIOD_NS, Stage, Step, WakeCondition, wait};
+use crate::environment::{Environment, IncomingMessage, Note};
 use crate::rate_limit::{Connection, LOOKED_AT};
 
 /// Messages of the wrong length that one poll takes off the run-control queue.
@@ -37,7 +37,7 @@ impl<P: Plant> Hub<P> {
         if let Some(more) = self.control_warnings.take_suppressed(|| env.now_ns()) {
             self.warn_of_control(env, &format!("{more} more requests"))?;
         }
-        if asked { self.send_status(env, self.phase(), When::Now) } else { Ok(()) }
+        if asked { self.send_status(env, self.phase(), StatusTiming::Now) } else { Ok(()) }
     }
 
     /// Returns the next run-control request; skips messages of the wrong length.
@@ -48,8 +48,10 @@ impl<P: Plant> Hub<P> {
         for _ in 0..MALFORMED_AT_ONCE {
             match env.receive_control()? {
                 None => return Ok(None),
-                Some(Incoming::Message(request, connection)) => return Ok(Some((request, connection))),
-                Some(Incoming::Malformed(reason)) => self.refuse_control(env, &reason)?,
+                Some(IncomingMessage::Message(request, connection)) => {
+                    return Ok(Some((request, connection)));
+                }
+                Some(IncomingMessage::Malformed(reason)) => self.refuse_control(env, &reason)?,
             }
         }
         Ok(None)
@@ -87,10 +89,10 @@ impl<P: Plant> Hub<P> {
 
     /// Polls again after a while, because the run is paused.
     pub(super) fn rest<E: Environment>(&mut self, env: &mut E) -> Outcome<Step, P, E> {
-        self.send_status(env, Phase::Paused, When::IfDue)?;
+        self.send_status(env, Phase::Paused, StatusTiming::IfDue)?;
         env.deliver_state_history()?;
         self.collect_commands(env)?;
-        Ok((Stage::Rested, wait(Awaited::Control, env.now_ns() + POLL_NS)))
+        Ok((Stage::Rested, wait(WakeCondition::Control, env.now_ns() + POLL_NS)))
     }
 
     pub(super) fn phase(&self) -> Phase {
@@ -106,14 +108,14 @@ impl<P: Plant> Hub<P> {
         &mut self,
         env: &mut E,
         phase: Phase,
-        when: When,
+        when: StatusTiming,
     ) -> Outcome<(), P, E> {
         let now_ns = match when {
-            When::IfDueAt(now_ns) => now_ns,
-            When::Now | When::IfDue => env.now_ns(),
+            StatusTiming::IfDueAt(now_ns) => now_ns,
+            StatusTiming::Now | StatusTiming::IfDue => env.now_ns(),
         };
         let recent = |sent_ns: u64| now_ns.saturating_sub(sent_ns) < STATUS_PERIOD_NS;
-        if when != When::Now && self.status_sent_ns.is_some_and(recent) {
+        if when != StatusTiming::Now && self.status_sent_ns.is_some_and(recent) {
             return Ok(());
         }
         self.status_sent_ns = Some(now_ns);
@@ -145,7 +147,7 @@ impl<P: Plant> Hub<P> {
 
 /// When to send a status.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum When {
+pub(super) enum StatusTiming {
     /// Immediately, because something has changed.
     Now,
     /// Only if the last one is old enough.

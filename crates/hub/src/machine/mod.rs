@@ -12,17 +12,17 @@ use messages::{
 };
 use scene::{Mode, Scene};
 
-use crate::consumers::{Consumers, Whom};
+use crate::consumers::{ConsumerSet, Consumers};
 use crate::environment::{Environment, Note};
 use crate::latch::Latch;
 use crate::late_notes::LateNotes;
 use crate::lead::recorder_lead_ticks;
 use crate::pacing::Schedule;
-use crate::patience::Patience;
+use crate::patience::ProcessTimeout;
 use crate::rate_limit::{RateLimit, WarningLimit};
 use crate::run_lane::RunLane;
 use commands::Controller;
-use control::When;
+use control::StatusTiming;
 use failure::{Failure, lane_failed};
 
 pub use failure::{ControllerFault, HubError};
@@ -115,12 +115,12 @@ pub struct Wait {
     /// Latest end of the wait, on the environment's clock, ns.
     pub until_ns: u64,
     /// What else can end it.
-    pub on: Awaited,
+    pub on: WakeCondition,
 }
 
 /// What ends a wait early.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Awaited {
+pub enum WakeCondition {
     /// Nothing; a short sleep between polls.
     Nothing,
     /// Nothing: this is a tick's deadline and must be met exactly.
@@ -138,11 +138,11 @@ pub enum Awaited {
 enum Stage {
     /// Waits until every part and every required controller has connected.
     Connecting {
-        consumers: Patience,
+        consumers: ProcessTimeout,
         /// One timeout per controller, starting when there is a state to answer.
-        controllers: Vec<Patience>,
+        controllers: Vec<ProcessTimeout>,
         /// Time until the wait is reported to the user.
-        notice: Option<Patience>,
+        notice: Option<ProcessTimeout>,
     },
     /// All connected; the first deadline is now.
     Ready,
@@ -151,13 +151,13 @@ enum Stage {
     /// Paused; the poll interval has passed.
     Rested,
     /// Waits until these consumers have taken the state of `tick`, so that their queues do not overflow.
-    ConsumersBehind { tick: Tick, whom: Whom, patience: Patience, began_ns: u64 },
+    ConsumersBehind { tick: Tick, whom: ConsumerSet, patience: ProcessTimeout, began_ns: u64 },
     /// Waits for the deadline (real time).
     AwaitDeadline,
     /// Waits for answers (lockstep); `silent` is the controller last waited for, `notice` as in `Connecting`.
-    AwaitAnswers { patience: Patience, silent: Option<ControllerIndex>, notice: Option<Patience> },
+    AwaitAnswers { patience: ProcessTimeout, silent: Option<ControllerIndex>, notice: Option<ProcessTimeout> },
     /// The last tick is done.
-    Ending { patience: Patience, abandoned: Patience },
+    Ending { patience: ProcessTimeout, abandoned: ProcessTimeout },
     /// Ended or failed.
     Over,
 }
@@ -178,7 +178,7 @@ struct Shortfall {
 pub struct Hub<P: Plant> {
     plant: P,
     /// A reported failure, and how long it still waits for the recorder.
-    failing: Option<(Failure<P::Error>, Patience)>,
+    failing: Option<(Failure<P::Error>, ProcessTimeout)>,
     settings: Settings,
     stage: Stage,
     lane: RunLane,
@@ -222,7 +222,7 @@ impl<P: Plant> Hub<P> {
             plant,
             failing: None,
             stage: Stage::Connecting {
-                consumers: Patience::new(CONNECT_LIMIT_NS, now_ns),
+                consumers: ProcessTimeout::new(CONNECT_LIMIT_NS, now_ns),
                 controllers: Vec::new(),
                 notice: None,
             },
@@ -282,9 +282,9 @@ impl<P: Plant> Hub<P> {
         env.leave_blame(&blame);
         let Blame { code, text, .. } = &blame;
         env.send_event(&Note { tick: self.tick, severity: Severity::Error, code: *code, text })?;
-        self.send_status(env, Phase::Ended, When::Now)?;
+        self.send_status(env, Phase::Ended, StatusTiming::Now)?;
         env.wake_controllers();
-        let patience = Patience::new(FAILED_LIMIT_NS, env.now_ns());
+        let patience = ProcessTimeout::new(FAILED_LIMIT_NS, env.now_ns());
         self.fail(env, failure, patience)
     }
 
@@ -336,7 +336,7 @@ impl<P: Plant> Hub<P> {
         let behind = |whom, tick, began_ns| Stage::ConsumersBehind {
             tick,
             whom,
-            patience: Patience::new(CONSUMER_LIMIT_NS, now_ns),
+            patience: ProcessTimeout::new(CONSUMER_LIMIT_NS, now_ns),
             began_ns,
         };
         let stage = match self.settings.mode {
@@ -344,16 +344,18 @@ impl<P: Plant> Hub<P> {
                 env.work_ends();
                 self.timing.recorder_wait_ns = 0;
                 let lead = self.settings.recorder_lead_ticks.map(|lead| self.tick.saturating_sub(lead));
-                match lead.filter(|tick| self.consumers.behind(*tick, Whom::Recorder).is_some()) {
+                match lead.filter(|tick| self.consumers.behind(*tick, ConsumerSet::Recorder).is_some()) {
                     None => Stage::AwaitDeadline,
-                    Some(tick) => behind(Whom::Recorder, tick, now_ns.max(self.schedule.deadline_ns())),
+                    Some(tick) => {
+                        behind(ConsumerSet::Recorder, tick, now_ns.max(self.schedule.deadline_ns()))
+                    }
                 }
             }
             Mode::Lockstep => {
                 let tick = self.tick.saturating_sub(self.settings.lead_ticks);
-                match self.consumers.behind(tick, Whom::Everybody) {
+                match self.consumers.behind(tick, ConsumerSet::Everybody) {
                     None => self.after_consumers(now_ns, now_ns),
-                    Some(_) => behind(Whom::Everybody, tick, now_ns),
+                    Some(_) => behind(ConsumerSet::Everybody, tick, now_ns),
                 }
             }
         };
@@ -371,6 +373,6 @@ impl<P: Plant> Hub<P> {
 }
 
 /// Returns a wait for `on`, until `until_ns` at the latest.
-fn wait(on: Awaited, until_ns: u64) -> Option<Next> {
+fn wait(on: WakeCondition, until_ns: u64) -> Option<Next> {
     Some(Next::Wait(Wait { until_ns, on }))
 }

@@ -6,7 +6,7 @@ use messages::{
 };
 use scene::Mode;
 
-use super::control::When;
+use super::control::StatusTiming;
 use super::{Hub, HubError, Outcome, Stage, Step, lane_failed};
 use crate::environment::{Environment, Note};
 use crate::pacing::Start;
@@ -56,7 +56,7 @@ impl<P: Plant> Hub<P> {
         self.report_arm_entry(env)?;
         self.report_invalid_model(env)?;
         self.steps_left = self.steps_left.saturating_sub(1);
-        self.send_status(env, Phase::Running, When::IfDueAt(done_ns))?;
+        self.send_status(env, Phase::Running, StatusTiming::IfDueAt(done_ns))?;
         Ok((Stage::TickDue, None))
     }
 

@@ -4,14 +4,14 @@
 use messages::{ControllerIndex, EventCode, Phase, Plant, Severity, Tick};
 use scene::Mode;
 
-use super::control::When;
+use super::control::StatusTiming;
 use super::{
-    ABANDONED_LIMIT_NS, Awaited, CONNECT_LOOK_NS, CONSUMER_LIMIT_NS, ControllerFault, Failure, Hub, HubError,
-    NS_PER_S, Next, Outcome, REPORT_LOOK_NS, SILENT_WAIT_NS, Stage, Step, Wait, wait,
+    ABANDONED_LIMIT_NS, CONNECT_LOOK_NS, CONSUMER_LIMIT_NS, ControllerFault, Failure, Hub, HubError,
+    NS_PER_S, Next, Outcome, REPORT_LOOK_NS, SILENT_WAIT_NS, Stage, Step, Wait, WakeCondition, wait,
 };
-use crate::consumers::Whom;
+use crate::consumers::ConsumerSet;
 use crate::environment::{Environment, Note};
-use crate::patience::Patience;
+use crate::patience::ProcessTimeout;
 
 impl<P: Plant> Hub<P> {
     /// Waits for the tick's deadline (real time).
@@ -21,7 +21,7 @@ impl<P: Plant> Hub<P> {
         }
         let (woken_ns, deadline_ns) = (env.now_ns(), self.schedule.deadline_ns());
         if woken_ns < deadline_ns {
-            return Ok((Stage::AwaitDeadline, wait(Awaited::Deadline, deadline_ns)));
+            return Ok((Stage::AwaitDeadline, wait(WakeCondition::Deadline, deadline_ns)));
         }
         self.collect_commands(env)?;
         let start_ns = env.now_ns();
@@ -37,8 +37,8 @@ impl<P: Plant> Hub<P> {
         &mut self,
         env: &mut E,
         tick: Tick,
-        whom: Whom,
-        mut patience: Patience,
+        whom: ConsumerSet,
+        mut patience: ProcessTimeout,
         began_ns: u64,
     ) -> Outcome<Step, P, E> {
         let Some(part) = self.consumers.still_behind(env, tick, whom)? else {
@@ -52,11 +52,11 @@ impl<P: Plant> Hub<P> {
             let limit_s = patience.limit_ns() / NS_PER_S;
             return Err(HubError::ConsumerStuck { part, tick: self.tick, limit_s });
         }
-        self.send_status(env, self.phase(), When::IfDue)?;
+        self.send_status(env, self.phase(), StatusTiming::IfDue)?;
         env.wake_consumers();
         let until_ns = env.now_ns() + REPORT_LOOK_NS;
         let stage = Stage::ConsumersBehind { tick, whom, patience, began_ns };
-        Ok((stage, wait(Awaited::Report, until_ns)))
+        Ok((stage, wait(WakeCondition::Report, until_ns)))
     }
 
     /// Returns the next stage once no consumer is behind.
@@ -67,8 +67,8 @@ impl<P: Plant> Hub<P> {
                 Stage::AwaitDeadline
             }
             Mode::Lockstep => {
-                let patience = Patience::new(self.settings.controller_limit_ns, now_ns);
-                let notice = Some(Patience::new(SILENT_WAIT_NS, now_ns));
+                let patience = ProcessTimeout::new(self.settings.controller_limit_ns, now_ns);
+                let notice = Some(ProcessTimeout::new(SILENT_WAIT_NS, now_ns));
                 Stage::AwaitAnswers { patience, silent: None, notice }
             }
         }
@@ -78,9 +78,9 @@ impl<P: Plant> Hub<P> {
     pub(super) fn await_answers<E: Environment>(
         &mut self,
         env: &mut E,
-        mut patience: Patience,
+        mut patience: ProcessTimeout,
         silent: Option<ControllerIndex>,
-        mut notice: Option<Patience>,
+        mut notice: Option<ProcessTimeout>,
     ) -> Outcome<Step, P, E> {
         // The first round uses the clock reading with which its patience began, and run control has just been
         // executed.
@@ -109,12 +109,12 @@ impl<P: Plant> Hub<P> {
                 self.give_up(env, silent)?;
                 continue;
             }
-            self.send_status(env, self.phase(), When::IfDueAt(now_ns))?;
+            self.send_status(env, self.phase(), StatusTiming::IfDueAt(now_ns))?;
             let limit_ns = patience.limit_ns();
             self.tell_if_long(env, &mut notice, silent, ("answer", limit_ns), now_ns)?;
             let until_ns = patience.next_look_ns(now_ns);
             let stage = Stage::AwaitAnswers { patience, silent: Some(silent), notice };
-            return Ok((stage, wait(Awaited::Command(silent), until_ns)));
+            return Ok((stage, wait(WakeCondition::Command(silent), until_ns)));
         }
     }
 
@@ -122,7 +122,7 @@ impl<P: Plant> Hub<P> {
     pub(super) fn tell_if_long<E: Environment>(
         &self,
         env: &mut E,
-        notice: &mut Option<Patience>,
+        notice: &mut Option<ProcessTimeout>,
         controller: ControllerIndex,
         (what, limit_ns): (&str, u64),
         now_ns: u64,
@@ -173,11 +173,11 @@ impl<P: Plant> Hub<P> {
     pub(super) fn finish<E: Environment>(&mut self, env: &mut E) -> Outcome<Step, P, E> {
         let text = format!("the run ended at tick {} of {}", self.tick, self.settings.tick_count);
         self.inform(env, &text)?;
-        self.send_status(env, Phase::Ended, When::Now)?;
+        self.send_status(env, Phase::Ended, StatusTiming::Now)?;
         env.wake_controllers();
         let now_ns = env.now_ns();
-        let patience = Patience::new(CONSUMER_LIMIT_NS, now_ns);
-        Ok((Stage::Ending { patience, abandoned: Patience::new(ABANDONED_LIMIT_NS, now_ns) }, None))
+        let patience = ProcessTimeout::new(CONSUMER_LIMIT_NS, now_ns);
+        Ok((Stage::Ending { patience, abandoned: ProcessTimeout::new(ABANDONED_LIMIT_NS, now_ns) }, None))
     }
 
     /// Waits until the recorder has taken the last state, then fails.
@@ -185,28 +185,28 @@ impl<P: Plant> Hub<P> {
         &mut self,
         env: &mut E,
         failure: Failure<P::Error>,
-        mut patience: Patience,
+        mut patience: ProcessTimeout,
     ) -> Outcome<Next, P, E> {
         self.consumers.update(env)?;
         let now_ns = env.now_ns();
-        let is_behind = self.shown && self.consumers.behind(self.tick, Whom::Recorder).is_some();
+        let is_behind = self.shown && self.consumers.behind(self.tick, ConsumerSet::Recorder).is_some();
         if !is_behind || patience.is_over(now_ns) {
             return Err(failure.error());
         }
         env.wake_consumers();
         self.failing = Some((failure, patience));
-        Ok(Next::Wait(Wait { until_ns: now_ns + CONNECT_LOOK_NS, on: Awaited::Nothing }))
+        Ok(Next::Wait(Wait { until_ns: now_ns + CONNECT_LOOK_NS, on: WakeCondition::Nothing }))
     }
 
     /// Waits until the consumers have taken everything.
     pub(super) fn await_last<E: Environment>(
         &mut self,
         env: &mut E,
-        mut patience: Patience,
-        mut abandoned: Patience,
+        mut patience: ProcessTimeout,
+        mut abandoned: ProcessTimeout,
     ) -> Outcome<Step, P, E> {
         self.consumers.update(env)?;
-        let Some(part) = self.consumers.behind(self.tick, Whom::Everybody) else {
+        let Some(part) = self.consumers.behind(self.tick, ConsumerSet::Everybody) else {
             return Ok((Stage::Over, Some(Next::Ended)));
         };
         let now_ns = env.now_ns();
@@ -222,6 +222,6 @@ impl<P: Plant> Hub<P> {
         env.wake_consumers();
         env.deliver_status_history()?;
         let until_ns = now_ns + CONNECT_LOOK_NS;
-        Ok((Stage::Ending { patience, abandoned }, wait(Awaited::Nothing, until_ns)))
+        Ok((Stage::Ending { patience, abandoned }, wait(WakeCondition::Nothing, until_ns)))
     }
 }

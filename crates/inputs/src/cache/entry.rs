@@ -28,7 +28,7 @@ use zerocopy::{FromBytes, IntoBytes};
 
 use super::key::Key;
 use super::shared_work::on_all_cores;
-use crate::volume_source::Loaded;
+use crate::volume_source::VolumeWithNotes;
 
 const MAGIC: &[u8; 16] = b"trabecula cache2";
 /// Largest size of the notes: a reader writes a few lines.
@@ -66,7 +66,7 @@ pub enum Damage {
 ///
 /// # Errors
 /// The notes are too long.
-pub(super) fn head(key: &Key, loaded: &Loaded, voxels_sum: u128) -> io::Result<Vec<u8>> {
+pub(super) fn head(key: &Key, loaded: &VolumeWithNotes, voxels_sum: u128) -> io::Result<Vec<u8>> {
     let notes = serde_json::to_vec(&loaded.notes)?;
     if notes.len() as u64 > MAX_NOTES_BYTES {
         return Err(io::ErrorKind::FileTooLarge.into());
@@ -89,7 +89,7 @@ pub(super) fn sum_of(pieces: impl IntoIterator<Item = io::Result<u128>>) -> io::
 ///
 /// # Errors
 /// The fault of the file.
-pub fn read(mut file: &File, bytes: u64, key: &Key) -> Result<Loaded, Damage> {
+pub fn read(mut file: &File, bytes: u64, key: &Key) -> Result<VolumeWithNotes, Damage> {
     let mut head = [0; HEAD_BYTES];
     let message_bytes = VolumeMessage::DESCRIPTION.size;
     let least = (HEAD_BYTES + message_bytes) as u64;
@@ -127,7 +127,7 @@ pub fn read(mut file: &File, bytes: u64, key: &Key) -> Result<Loaded, Damage> {
     if sum.to_le_bytes() != *voxels_sum {
         return Err(Damage::Voxels);
     }
-    Ok(Loaded { ct: Ct { volume: Volume { grid, hu }, sha256: message.sha256 }, notes })
+    Ok(VolumeWithNotes { ct: Ct { volume: Volume { grid, hu }, sha256: message.sha256 }, notes })
 }
 
 /// Reads the voxels from `start`; returns their checksum.
@@ -155,8 +155,8 @@ pub fn write_and_hash(
     volume: Volume,
     notes: Vec<String>,
     write: impl FnOnce(u64, &mut dyn FnMut(&File) -> io::Result<()>) -> io::Result<()>,
-) -> Loaded {
-    let mut loaded = Loaded { ct: Ct { volume, sha256: [0; 32] }, notes };
+) -> VolumeWithNotes {
+    let mut loaded = VolumeWithNotes { ct: Ct { volume, sha256: [0; 32] }, notes };
     let mut hash = None;
     if let Ok(head_bytes) = head(key, &loaded, 0).map(|head| head.len() as u64) {
         // A failed write costs only time.

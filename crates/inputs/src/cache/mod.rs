@@ -24,7 +24,7 @@ use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 use std::time::{Duration, Instant, SystemTime};
 
-use ipc_types::session::{Unfit, open_private};
+use ipc_types::session::{PlaceError, open_private};
 use rustix::fs::{AtFlags, CWD, Dir, FileType, Mode, OFlags, Stat, Timespec, Timestamps, UTIME_NOW};
 use rustix::io::Errno;
 use volume_io::VolumeError;
@@ -33,7 +33,7 @@ use voxel_grid::Volume;
 use entry::Damage;
 use key::Key;
 
-use crate::volume_source::Loaded;
+use crate::volume_source::VolumeWithNotes;
 
 /// Size limit of the folder; beyond it, the least recently used files are removed.
 pub const LIMIT_BYTES: u64 = 2 << 30;
@@ -71,12 +71,12 @@ pub fn place() -> Option<PathBuf> {
 pub fn through(
     key: &Key,
     make: impl FnOnce() -> Result<(Volume, Vec<String>), VolumeError>,
-) -> Result<Loaded, VolumeError> {
+) -> Result<VolumeWithNotes, VolumeError> {
     let opened = place().map(|path| Cache::open(&path).map_err(|cause| (path, cause)));
     match opened {
         Some(Ok(cache)) => through_folder(&cache, key, make),
         Some(Err((path, cause))) => {
-            let is_to_say = !matches!(cause, Unfit::System(_) | Unfit::Missing);
+            let is_to_say = !matches!(cause, PlaceError::System(_) | PlaceError::Missing);
             if is_to_say {
                 remark(&format!("{}: unusable as a cache folder: {cause}", path.display()));
             }
@@ -92,16 +92,16 @@ pub fn through(
 /// Any error of `make`.
 pub fn fresh(
     make: impl FnOnce() -> Result<(Volume, Vec<String>), VolumeError>,
-) -> Result<Loaded, VolumeError> {
+) -> Result<VolumeWithNotes, VolumeError> {
     let (volume, notes) = make()?;
-    Ok(Loaded::of(volume, notes))
+    Ok(VolumeWithNotes::of(volume, notes))
 }
 
 fn through_folder(
     cache: &Cache,
     key: &Key,
     make: impl FnOnce() -> Result<(Volume, Vec<String>), VolumeError>,
-) -> Result<Loaded, VolumeError> {
+) -> Result<VolumeWithNotes, VolumeError> {
     match cache.find(key) {
         Ok(Some(made)) => return Ok(made),
         Ok(None) => {}
@@ -113,7 +113,7 @@ fn through_folder(
     let began = Instant::now();
     let (volume, notes) = make()?;
     if began.elapsed() < WORTH_KEEPING || !key.is_current() {
-        return Ok(Loaded::of(volume, notes));
+        return Ok(VolumeWithNotes::of(volume, notes));
     }
     Ok(cache.keep(key, volume, notes))
 }
@@ -149,11 +149,11 @@ impl Cache {
     ///
     /// # Errors
     /// Why it cannot be used.
-    pub fn open(path: &Path) -> Result<Cache, Unfit> {
+    pub fn open(path: &Path) -> Result<Cache, PlaceError> {
         let folder = match open_private(CWD, path) {
-            Err(Unfit::Missing) => {
+            Err(PlaceError::Missing) => {
                 let made = DirBuilder::new().recursive(true).mode(0o700).create(path);
-                made.map_err(|cause| Unfit::System(Errno::from_io_error(&cause).unwrap_or(Errno::IO)))?;
+                made.map_err(|cause| PlaceError::System(Errno::from_io_error(&cause).unwrap_or(Errno::IO)))?;
                 open_private(CWD, path)?
             }
             other => other?,
@@ -165,7 +165,7 @@ impl Cache {
     ///
     /// # Errors
     /// Why it cannot be used.
-    pub fn open_existing(path: &Path) -> Result<Cache, Unfit> {
+    pub fn open_existing(path: &Path) -> Result<Cache, PlaceError> {
         Ok(Cache { path: path.to_owned(), folder: open_private(CWD, path)?, limit_bytes: LIMIT_BYTES })
     }
 
@@ -177,7 +177,7 @@ impl Cache {
     ///
     /// # Errors
     /// What is wrong with the file.
-    pub fn find(&self, key: &Key) -> Result<Option<Loaded>, Damage> {
+    pub fn find(&self, key: &Key) -> Result<Option<VolumeWithNotes>, Damage> {
         let Some((file, bytes)) = self.open_file(&key.name())? else { return Ok(None) };
         let made = entry::read(&file, bytes, key)?;
         self.mark_used(&file);
@@ -209,7 +209,7 @@ impl Cache {
 
     /// Caches a volume, and removes others if the folder would become too large. Returns it with its hash,
     /// even if it cannot be cached; then the folder keeps its content, except for what was removed.
-    fn keep(&self, key: &Key, volume: Volume, notes: Vec<String>) -> Loaded {
+    fn keep(&self, key: &Key, volume: Volume, notes: Vec<String>) -> VolumeWithNotes {
         entry::write_and_hash(key, volume, notes, |bytes, write| {
             self.write(&key.name(), bytes, |file| write(&file.handle().map_err(io::Error::other)?))
         })

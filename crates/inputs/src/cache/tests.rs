@@ -17,8 +17,8 @@ fn grid(dims: [usize; 3]) -> VoxelGrid {
     VoxelGrid::new(dims, [0.5e-3, 1e-3, 2e-3], [0.1, -0.2, 0.3], axes).unwrap()
 }
 
-fn made(value: i16) -> Loaded {
-    Loaded::of(volume(value), vec!["1 value clamped".to_owned()])
+fn made(value: i16) -> VolumeWithNotes {
+    VolumeWithNotes::of(volume(value), vec!["1 value clamped".to_owned()])
 }
 
 fn key(number: i16) -> Key {
@@ -153,17 +153,17 @@ fn a_folder_that_others_can_enter_a_link_and_a_file_are_no_cache() {
     fs::create_dir(&path).unwrap();
     for mode in [0o755, 0o770, 0o701] {
         fs::set_permissions(&path, Permissions::from_mode(mode)).unwrap();
-        assert!(matches!(Cache::open(&path), Err(Unfit::NotPrivate { .. })), "{mode:o}");
+        assert!(matches!(Cache::open(&path), Err(PlaceError::NotPrivate { .. })), "{mode:o}");
     }
     fs::set_permissions(&path, Permissions::from_mode(0o700)).unwrap();
     assert!(Cache::open(&path).is_ok());
     if rustix::process::geteuid().is_root() {
         std::os::unix::fs::chown(&path, Some(65_534), None).unwrap();
-        assert!(matches!(Cache::open(&path), Err(Unfit::NotOwn { .. })));
+        assert!(matches!(Cache::open(&path), Err(PlaceError::NotOwn { .. })));
     }
     let link = folder.path().join("link");
     symlink(&path, &link).unwrap();
-    assert!(matches!(Cache::open(&link), Err(Unfit::Link)));
+    assert!(matches!(Cache::open(&link), Err(PlaceError::Link)));
     fs::write(folder.path().join("file"), "mine").unwrap();
     assert!(Cache::open(&folder.path().join("file")).is_err());
     assert!(Cache::open(&folder.path().join("file/below")).is_err());

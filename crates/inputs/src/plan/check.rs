@@ -13,7 +13,7 @@ use crate::log::{OpenedLog, Overrides};
 
 /// Result of the check.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Found {
+pub struct ModelErrorCheck {
     /// Ticks compared.
     pub samples: usize,
     /// Last tick re-run.
@@ -33,14 +33,25 @@ pub struct Found {
 /// # Errors
 /// Bad input (2): a log that this build cannot replay, or one without ticks. The reference refuses the scene
 /// (1).
-pub fn check(log: &Path, overrides: &Overrides, samples: u64, to: u64) -> Result<(Scene, Found), Failure> {
+pub fn check(
+    log: &Path,
+    overrides: &Overrides,
+    samples: u64,
+    to: u64,
+) -> Result<(Scene, ModelErrorCheck), Failure> {
     let log = OpenedLog::open(log, overrides)?;
     let ct = log.ct.as_ref().map(|ct| CtView::from(&ct.volume));
     let failed = Failure::failed;
     let mut reference = Reference::new(&log.scene, ct).map_err(failed)?;
     let every = log.scene.tick_count().min(to).div_ceil(samples.max(1)).max(1);
-    let mut found =
-        Found { samples: 0, last_tick: 0, rms_mm: 0.0, largest: (0.0, 0), end_mm: 0.0, wall_s: 0.0 };
+    let mut found = ModelErrorCheck {
+        samples: 0,
+        last_tick: 0,
+        rms_mm: 0.0,
+        largest: (0.0, 0),
+        end_mm: 0.0,
+        wall_s: 0.0,
+    };
     let (began, mut squares) = (Instant::now(), 0.0);
     for record in log.reader()? {
         let record = record.map_err(Failure::failed)?;

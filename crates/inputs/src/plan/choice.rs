@@ -11,7 +11,7 @@ use crate::failure::Failure;
 
 /// Settings that the scene's author fixed and the choice must keep.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub struct Given {
+pub struct FixedSettings {
     /// `manipulator.model`.
     pub rung: Option<Rung>,
     /// `manipulator.links`.
@@ -24,14 +24,14 @@ pub struct Given {
     pub contact: Option<ContactVoxels>,
 }
 
-impl Given {
+impl FixedSettings {
     /// Reads the settings that a scene fixes; the scene file's `text` is needed to distinguish an explicit
     /// time step from the default.
-    pub fn of(scene: &Scene, text: &str) -> Given {
+    pub fn of(scene: &Scene, text: &str) -> FixedSettings {
         let table: toml::Table = toml::from_str(text).unwrap_or_default();
         let names_dt = table.get("run").is_some_and(|run| run.get("dt_ms").is_some());
         let manipulator = &scene.manipulator;
-        Given {
+        FixedSettings {
             rung: manipulator.model.map(rung),
             links: manipulator.links,
             integrator: manipulator.integrator,
@@ -71,7 +71,7 @@ pub struct Choice {
     /// Loads of the scene on the tool.
     pub load: Load,
     /// What the scene fixed.
-    pub given: Given,
+    pub given: FixedSettings,
     /// The tool that the row was measured for; `None` for the standard one.
     pub tool: Option<String>,
 }
@@ -140,7 +140,7 @@ pub fn resolve(scene: &mut Scene, text: &str) -> Result<Option<Choice>, Failure>
     }
     if !is_standard_tool(scene) {
         // Measuring takes long, so a scene that would be refused anyway is refused first.
-        let given = Given::of(scene, text);
+        let given = FixedSettings::of(scene, text);
         if !own::settings(scene)?.iter().any(|settings| given.allows(settings)) {
             return Err(refusal(scene, &given, &[], Load::of(scene)));
         }
@@ -153,7 +153,7 @@ pub fn resolve(scene: &mut Scene, text: &str) -> Result<Option<Choice>, Failure>
 /// # Errors
 /// Bad input: no measured settings meet the tolerance, or none of those that also match what the scene fixes.
 pub fn resolve_by(scene: &mut Scene, text: &str, table: &Table) -> Result<Option<Choice>, Failure> {
-    let choice = choose(scene, Given::of(scene, text), table)?;
+    let choice = choose(scene, FixedSettings::of(scene, text), table)?;
     if let Some(choice) = &choice {
         choice.row.settings.write_into(scene);
     }
@@ -165,7 +165,7 @@ fn asks(scene: &Scene) -> bool {
     scene.tolerance.is_some_and(|tolerance| tolerance.tip_mm.is_some() || tolerance.path_mm.is_some())
 }
 
-fn choose(scene: &Scene, given: Given, table: &Table) -> Result<Option<Choice>, Failure> {
+fn choose(scene: &Scene, given: FixedSettings, table: &Table) -> Result<Option<Choice>, Failure> {
     let Some(tolerance) = scene.tolerance.filter(|_| asks(scene)) else { return Ok(None) };
     let load = Load::of(scene);
     let flat = !leaves_the_plane(scene);
@@ -213,7 +213,7 @@ fn cross(a: &[f64; 3], b: &[f64; 3]) -> [f64; 3] {
     [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
-fn refusal(scene: &Scene, given: &Given, rows: &[&Row], load: Load) -> Failure {
+fn refusal(scene: &Scene, given: &FixedSettings, rows: &[&Row], load: Load) -> Failure {
     let named = given.text();
     if rows.is_empty() {
         return Failure::bad_input(format!(
@@ -431,7 +431,7 @@ bend_toward = [1.0, 0.0, 0.0]
         let mut cost = |tip_mm: f64, path_mm: f64| {
             let tolerance = scene.tolerance.as_mut().unwrap();
             (tolerance.tip_mm, tolerance.path_mm) = (Some(tip_mm), Some(path_mm));
-            let choice = choose(&scene, Given::default(), &table).ok()??;
+            let choice = choose(&scene, FixedSettings::default(), &table).ok()??;
             assert!(choice.row.tip_mm(FREE) <= tip_mm && choice.row.path_mm(FREE) <= path_mm);
             Some(choice.row.us_per_ms(FREE))
         };

@@ -149,8 +149,8 @@ impl BackgroundFile {
     }
 
     /// Returns a handle that waits for flushed data.
-    pub fn written(&self) -> Written {
-        Written(Arc::clone(&self.shared))
+    pub fn written(&self) -> FlushWaiter {
+        FlushWaiter(Arc::clone(&self.shared))
     }
 
     /// Writes the remaining data, sets the file's exact length, and waits until everything is on disk.
@@ -198,9 +198,9 @@ impl BackgroundFile {
 }
 
 /// Waits for the writes of a [`BackgroundFile`], which another owner may hold by then.
-pub struct Written(Arc<Shared>);
+pub struct FlushWaiter(Arc<Shared>);
 
-impl Written {
+impl FlushWaiter {
     /// Waits until all flushed data are in the file, where they survive this process being killed.
     ///
     /// # Errors

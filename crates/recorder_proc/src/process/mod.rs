@@ -30,7 +30,7 @@ mod ports;
 mod recorder;
 
 use ports::Ports;
-use recorder::{Recorded, Recorder};
+use recorder::{Recorder, RecordingExtent};
 
 /// Why the recorder ended early.
 #[derive(Debug, Error)]
@@ -131,7 +131,7 @@ pub fn run(session_folder: &Path, output: &Path) -> Result<(), RecorderError> {
     }
     sync_folder(output)?;
     let recorded = recorder.record(&end);
-    let how_far = if recorded.is_ok() { Recorded::UpToTheEnd } else { Recorded::UpToAnError };
+    let how_far = if recorded.is_ok() { RecordingExtent::UpToTheEnd } else { RecordingExtent::UpToAnError };
     // Keep everything received, whatever went wrong.
     let finished = recorder.finish(output, how_far);
     recorded.and(finished)

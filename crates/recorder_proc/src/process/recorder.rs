@@ -39,7 +39,7 @@ const QUIET_TIME: Duration = Duration::from_millis(100);
 
 /// How much of the run was recorded.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Recorded {
+pub(super) enum RecordingExtent {
     /// Everything until the recorder was asked to end.
     UpToTheEnd,
     /// Everything before an error of the recorder.
@@ -261,7 +261,7 @@ impl Recorder {
         reason_file::find(&self.session_folder, self.run.path().parent().unwrap_or(Path::new(".")))
     }
 
-    pub fn finish(self, output: &Path, recorded: Recorded) -> Result<(), RecorderError> {
+    pub fn finish(self, output: &Path, recorded: RecordingExtent) -> Result<(), RecorderError> {
         // Another signal may arrive before the launcher's reason. If the run is over, the launcher is about
         // to write it.
         let limit = Instant::now() + ORPHANED_LIMIT;
@@ -272,7 +272,9 @@ impl Recorder {
         }
         let reason_path = self.reason_path();
         let reason = match reason_path.as_deref().map(reason_file::read) {
-            _ if recorded == Recorded::UpToAnError => EndReason::PartDied(Part::Recorder.name().to_owned()),
+            _ if recorded == RecordingExtent::UpToAnError => {
+                EndReason::PartDied(Part::Recorder.name().to_owned())
+            }
             Some(Ok(reason)) => reason,
             // No part ended the run, so the recorder itself was stopped.
             _ if launcher_lives() => EndReason::PartDied(Part::Recorder.name().to_owned()),

@@ -10,7 +10,7 @@ use messages::Tick;
 use recorder_proc::exit_code::exit_code;
 use recorder_proc::log_file::LogFile;
 use recorder_proc::rewritten::repair;
-use run_log::segments::Passed;
+use run_log::segments::SkippedGap;
 use run_log::segments::{SegmentOptions, keyframe_before, verify_segments};
 use run_log::*;
 use zerocopy::IntoBytes;
@@ -208,7 +208,7 @@ fn a_replay_goes_on_behind_each_gap_at_the_next_keyframe() {
         }
     }
     let bytes = log.finish(EndReason::Completed, &BTreeMap::new()).unwrap().1;
-    let passed = |after, tick| Passed { after: Some(Tick(after)), resumed: Some(Tick(tick)) };
+    let passed = |after, tick| SkippedGap { after: Some(Tick(after)), resumed: Some(Tick(tick)) };
     let expected = [passed(100, 200), passed(320, 400), passed(470, 500)];
     let verified = |bytes: &[u8], start: Option<SavedState>| {
         let options = SegmentOptions { start, to_tick: None, threads: 2 };

@@ -50,19 +50,19 @@ pub struct SegmentReport {
     /// Keyframes whose bytes are identical.
     pub identical_keyframes: u64,
     /// Gaps in the log, up to the last tick replayed.
-    pub gaps: Vec<Passed>,
+    pub gaps: Vec<SkippedGap>,
 }
 
 /// A gap in a log that a replay skipped, or stopped at.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Passed {
+pub struct SkippedGap {
     /// Last complete tick before the gap; `None` if the start of the log is missing.
     pub after: Option<Tick>,
     /// Tick of the next keyframe, where the replay resumed; `None` if no keyframe follows.
     pub resumed: Option<Tick>,
 }
 
-impl std::fmt::Display for Passed {
+impl std::fmt::Display for SkippedGap {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let first = self.after.map_or(Tick::START, |after| after.saturating_add(1));
         match self.resumed {
@@ -101,7 +101,7 @@ pub fn keyframe_before(mut reader: LogReader, tick: Tick) -> Option<SavedState> 
 
 /// Extent of the comparison with the log.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Compared {
+enum ComparisonScope {
     Ticks,
     /// Only the state in which a segment begins, and the keyframe in which it ends.
     Keyframes,
@@ -109,13 +109,13 @@ enum Compared {
 
 /// Ticks that have been read but not handed to a worker.
 struct Waiting {
-    compared: Compared,
+    compared: ComparisonScope,
     ticks: Vec<TickRecord>,
     commands: Vec<Latched>,
 }
 
 impl Waiting {
-    fn new(compared: Compared) -> Waiting {
+    fn new(compared: ComparisonScope) -> Waiting {
         Waiting { compared, ticks: Vec::new(), commands: Vec::new() }
     }
 
@@ -123,11 +123,11 @@ impl Waiting {
     fn keep(&mut self, record: TickRecord) -> Option<Block> {
         // Grown block by block: a block that was handed over has taken its memory along.
         match self.compared {
-            Compared::Ticks => {
+            ComparisonScope::Ticks => {
                 self.ticks.reserve_exact(BLOCK_TICKS - self.ticks.len());
                 self.ticks.push(record);
             }
-            Compared::Keyframes => {
+            ComparisonScope::Keyframes => {
                 self.commands.reserve_exact(BLOCK_TICKS - self.commands.len());
                 self.commands.push(record.latched);
             }
@@ -137,8 +137,8 @@ impl Waiting {
 
     fn take(&mut self) -> Block {
         match self.compared {
-            Compared::Ticks => Block::Ticks(std::mem::take(&mut self.ticks)),
-            Compared::Keyframes => Block::Commands(std::mem::take(&mut self.commands)),
+            ComparisonScope::Ticks => Block::Ticks(std::mem::take(&mut self.ticks)),
+            ComparisonScope::Keyframes => Block::Commands(std::mem::take(&mut self.commands)),
         }
     }
 }
@@ -149,7 +149,7 @@ struct Read {
     first_tick: Tick,
     /// Why the log could not be read further.
     log_error: Option<LogError>,
-    gaps: Vec<Passed>,
+    gaps: Vec<SkippedGap>,
 }
 
 /// Replays a log from its start or a keyframe on several threads. Compares the hash, every byte of the state
@@ -160,7 +160,7 @@ pub fn verify_segments<S: Plant>(
     make: &(impl Fn() -> Result<S, String> + Sync),
     options: &SegmentOptions,
 ) -> SegmentReport {
-    replay_segments(reader, make, options, Compared::Ticks)
+    replay_segments(reader, make, options, ComparisonScope::Ticks)
 }
 
 /// Steps a log on several threads without comparing its ticks, and returns the result of stepping it in one
@@ -172,7 +172,7 @@ pub fn step_segments<S: Plant>(
     make: &(impl Fn() -> Result<S, String> + Sync),
     options: &SegmentOptions,
 ) -> Option<SegmentReport> {
-    let mut report = replay_segments(reader, make, options, Compared::Keyframes);
+    let mut report = replay_segments(reader, make, options, ComparisonScope::Keyframes);
     report.identical_keyframes = 0;
     (report.replay.is_identical() && report.gaps.is_empty()).then_some(report)
 }
@@ -181,7 +181,7 @@ fn replay_segments<S: Plant>(
     reader: &mut LogReader,
     make: &(impl Fn() -> Result<S, String> + Sync),
     options: &SegmentOptions,
-    compared: Compared,
+    compared: ComparisonScope,
 ) -> SegmentReport {
     let bound = AtomicU64::new(options.to_tick.map_or(u64::MAX, |to| to.0));
     let first_tick = options.start.as_ref().or(reader.beginning()).map_or(Tick::START, |start| start.tick);
@@ -207,7 +207,7 @@ fn feed(
     options: &SegmentOptions,
     queue: SyncSender<Segment>,
     bound: &AtomicU64,
-    (mut waiting, gaps): (Waiting, &mut Vec<Passed>),
+    (mut waiting, gaps): (Waiting, &mut Vec<SkippedGap>),
 ) -> Option<LogError> {
     let mut last = Box::new(*reader.initial());
     let begin = |start: Start| {
@@ -223,7 +223,7 @@ fn feed(
     let mut has_begun = options.start.is_none();
     let mut resumed = None;
     if let Some(beginning) = reader.beginning() {
-        gaps.push(Passed { after: None, resumed: Some(beginning.tick) });
+        gaps.push(SkippedGap { after: None, resumed: Some(beginning.tick) });
         resumed = Some(beginning.tick);
     }
     loop {
@@ -263,7 +263,7 @@ fn feed(
                     Ok(behind) => {
                         resumed = behind.as_ref().map(|behind| Tick(behind.state.tick));
                         if has_begun {
-                            gaps.push(Passed { after, resumed });
+                            gaps.push(SkippedGap { after, resumed });
                         }
                         last = behind?.state;
                     }

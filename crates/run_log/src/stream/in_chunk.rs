@@ -19,7 +19,7 @@ use crate::topics::{self, Topic};
 const MAX_REMOVED_BYTES: usize = Removed::DESCRIPTION.size + MAX_REMOVED_PER_MESSAGE * 4;
 
 /// A message found in the chunk: channel, number, time, range of its body.
-pub(super) struct Found {
+pub(super) struct MessageLocation {
     pub channel: u16,
     pub sequence: u32,
     pub log_time_ns: u64,
@@ -27,7 +27,7 @@ pub(super) struct Found {
 }
 
 impl MessageStream {
-    pub(super) fn find_in_chunk(&mut self) -> Result<Option<Found>, LogError> {
+    pub(super) fn find_in_chunk(&mut self) -> Result<Option<MessageLocation>, LogError> {
         loop {
             let chunk = self.records.chunk();
             if self.position == chunk.len() {
@@ -91,7 +91,7 @@ impl MessageStream {
         &mut self,
         header: &mcap::records::MessageHeader,
         data: Range<usize>,
-    ) -> Result<Option<Found>, LogError> {
+    ) -> Result<Option<MessageLocation>, LogError> {
         let Some(channel) = self.channels.get(&header.channel_id) else {
             // Declared in a skipped chunk; requested channels are checked at the end.
             if self.wanted.is_some() {
@@ -146,7 +146,7 @@ impl MessageStream {
             channel.bytes += body.len() as u64;
         }
         let (sequence, log_time_ns) = (header.sequence, header.log_time);
-        Ok(Some(Found { channel: header.channel_id, sequence, log_time_ns, body }))
+        Ok(Some(MessageLocation { channel: header.channel_id, sequence, log_time_ns, body }))
     }
 
     pub(super) fn damaged(&self, cause: String) -> LogError {

@@ -11,14 +11,14 @@ use crate::end::{END_RECORD, EndMarker, Ending, REPAIR_RECORD};
 use crate::error::LogError;
 use crate::header::{HEADER_RECORD, LogHeader, check_layouts};
 use crate::index::Summary;
-use crate::limits::Declared;
-use crate::opening::{HeaderCopy, Opened, Parts, open};
+use crate::limits::DeclarationCount;
+use crate::opening::{HeaderCopy, OpenedHeader, Parts, open};
 use crate::records::{FileRecord, Records};
 use crate::source::{LogSource, ReadSeek};
 use crate::topics::Topic;
 use crate::verdict::{Fault, Verdict};
 
-use in_chunk::Found;
+use in_chunk::MessageLocation;
 
 mod in_chunk;
 
@@ -83,7 +83,7 @@ pub struct MessageStream {
     chunks: u64,
     ending: Ending,
     repaired: bool,
-    declared: Declared,
+    declared: DeclarationCount,
     /// The second copy of the header, as far as it has been read.
     second: Parts,
     /// Whether the second copy has been reached, intact or not.
@@ -135,7 +135,7 @@ impl MessageStream {
         options: ReadOptions,
     ) -> Result<MessageStream, LogError> {
         let source = BufReader::with_capacity(1 << 16, source);
-        let Opened { header, metadata, records, first_is_bad, is_behind } = open(source, path)?;
+        let OpenedHeader { header, metadata, records, first_is_bad, is_behind } = open(source, path)?;
         if !options.allow_other_layouts {
             check_layouts(path, &metadata, &header)?;
         }
@@ -150,7 +150,7 @@ impl MessageStream {
             chunks: 0,
             ending: Ending::default(),
             repaired: false,
-            declared: Declared::default(),
+            declared: DeclarationCount::default(),
             second: Parts::default(),
             has_second: is_behind,
             header_fault: first_is_bad.map(|cause| (HeaderCopy::First, cause)),
@@ -261,7 +261,7 @@ impl MessageStream {
         self.wanted.as_ref().is_none_or(|wanted| wanted.iter().any(|name| name == topic))
     }
 
-    fn find(&mut self) -> Result<Option<Found>, LogError> {
+    fn find(&mut self) -> Result<Option<MessageLocation>, LogError> {
         loop {
             if self.done {
                 return Ok(None);

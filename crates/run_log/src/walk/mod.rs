@@ -16,7 +16,7 @@ use crate::bare::{BareRecords, is_bare};
 use crate::error::LogError;
 use crate::lengths::parse_record;
 use crate::limits::check_declaration;
-use crate::records::{Attached, RECORD_HEADER, attachment, check_magic, chunk_record, metadata};
+use crate::records::{AttachmentRecord, RECORD_HEADER, attachment, check_magic, chunk_record, metadata};
 use crate::seal::is_unbroken;
 use crate::unpack::unpack;
 
@@ -39,8 +39,8 @@ const LOOKAHEAD_BYTES: usize = RECORD_HEADER + 8 + 8 + 8 + 4 + 4 + 4 + 8;
 const _: () = assert!(LOOKAHEAD_BYTES < WINDOW);
 
 /// An item found by a walk, in file order.
-pub(crate) enum Piece<'a> {
-    Attachment(Attached),
+pub(crate) enum WalkItem<'a> {
+    Attachment(AttachmentRecord),
     Metadata {
         name: String,
         entries: BTreeMap<String, String>,
@@ -60,7 +60,7 @@ pub(crate) enum Piece<'a> {
     /// End of the data section; offset of the summary.
     DataEnd(u64),
     /// Not a record, or a record whose checksum is wrong.
-    Lost(Lost),
+    Lost(DamagedPiece),
     /// The file ends here, inside a record or before the end that the format requires; size of the incomplete
     /// record.
     Cut {
@@ -71,7 +71,7 @@ pub(crate) enum Piece<'a> {
 
 /// A damaged piece of a file.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Lost {
+pub struct DamagedPiece {
     /// First byte.
     pub offset: u64,
     /// Bytes.
@@ -87,7 +87,7 @@ pub struct Lost {
 pub(crate) fn walk<R: Read + Seek>(
     source: R,
     path: &Path,
-    visit: &mut dyn FnMut(Piece<'_>) -> Result<(), LogError>,
+    visit: &mut dyn FnMut(WalkItem<'_>) -> Result<(), LogError>,
 ) -> Result<(), LogError> {
     let source = BufReader::with_capacity(BUFFER_BYTES, source);
     let mut walker = Walker {
@@ -110,7 +110,7 @@ pub(crate) fn walk<R: Read + Seek>(
     }
     if wrong > 0 {
         let cause = "wrong magic number".to_string();
-        visit(Piece::Lost(Lost { offset: 0, bytes: MAGIC.len() as u64, cause }))?;
+        visit(WalkItem::Lost(DamagedPiece { offset: 0, bytes: MAGIC.len() as u64, cause }))?;
     }
     loop {
         let at = walker.at;
@@ -121,10 +121,10 @@ pub(crate) fn walk<R: Read + Seek>(
                 walker.end_bare_chunk(visit)?;
                 let found = walker.search(at + 1).map_err(|source| read_error(at, source))?;
                 let Some(found) = found else {
-                    return visit(Piece::Cut { offset: at, incomplete_bytes: walker.length - at });
+                    return visit(WalkItem::Cut { offset: at, incomplete_bytes: walker.length - at });
                 };
                 let cause = "not the start of a record".to_string();
-                visit(Piece::Lost(Lost { offset: at, bytes: found - at, cause }))?;
+                visit(WalkItem::Lost(DamagedPiece { offset: at, bytes: found - at, cause }))?;
                 walker.at = found;
                 continue;
             }
@@ -136,13 +136,13 @@ pub(crate) fn walk<R: Read + Seek>(
             Ok(()) => {
                 if opcode == op::DATA_END {
                     walker.in_data = false;
-                    visit(Piece::DataEnd(next))?;
+                    visit(WalkItem::DataEnd(next))?;
                 }
                 walker.at = next;
             }
             Err(cause) => {
                 let next = walker.behind(at, next).map_err(|source| read_error(next, source))?;
-                visit(Piece::Lost(Lost { offset: at, bytes: next - at, cause }))?;
+                visit(WalkItem::Lost(DamagedPiece { offset: at, bytes: next - at, cause }))?;
                 walker.at = next;
             }
         }
@@ -270,7 +270,7 @@ impl<R: Read + Seek> Walker<R> {
         path: &Path,
         opcode: u8,
         next: u64,
-        visit: &mut dyn FnMut(Piece<'_>) -> Result<(), LogError>,
+        visit: &mut dyn FnMut(WalkItem<'_>) -> Result<(), LogError>,
     ) -> Result<Result<(), String>, LogError> {
         match opcode {
             op::CHUNK => match parse_record(opcode, &self.record) {
@@ -279,20 +279,20 @@ impl<R: Read + Seek> Walker<R> {
                         return Ok(Err(cause));
                     }
                     self.bare.chunk();
-                    visit(Piece::ChunkBegin(self.at))?;
+                    visit(WalkItem::ChunkBegin(self.at))?;
                     of_chunk(path, &self.chunk, visit)
                 }
                 _ => Ok(Err("malformed chunk".to_string())),
             },
             op::METADATA => match metadata(&self.record) {
                 Ok((name, entries)) if is_unbroken(&entries) => {
-                    visit(Piece::Metadata { name, entries }).map(Ok)
+                    visit(WalkItem::Metadata { name, entries }).map(Ok)
                 }
                 Ok((name, _)) => Ok(Err(format!("wrong checksum in metadata record '{name}'"))),
                 Err(cause) => Ok(Err(cause)),
             },
             op::ATTACHMENT => match attachment(&self.record) {
-                Ok(attached) => visit(Piece::Attachment(attached)).map(Ok),
+                Ok(attached) => visit(WalkItem::Attachment(attached)).map(Ok),
                 Err(cause) => Ok(Err(cause)),
             },
             // If the header cannot be parsed, nothing is known about what follows.
@@ -313,7 +313,7 @@ impl<R: Read + Seek> Walker<R> {
         path: &Path,
         opcode: u8,
         next: u64,
-        visit: &mut dyn FnMut(Piece<'_>) -> Result<(), LogError>,
+        visit: &mut dyn FnMut(WalkItem<'_>) -> Result<(), LogError>,
     ) -> Result<Result<(), String>, LogError> {
         let body = self.at + RECORD_HEADER as u64;
         // Checking where the length leads has overwritten the record.
@@ -326,7 +326,7 @@ impl<R: Read + Seek> Walker<R> {
             return Ok(Err(cause));
         }
         if self.bare_bytes.is_none() {
-            visit(Piece::ChunkBegin(self.at))?;
+            visit(WalkItem::ChunkBegin(self.at))?;
         }
         *self.bare_bytes.get_or_insert(0) += next - self.at;
         of_record(path, opcode, &self.record, visit)
@@ -334,9 +334,9 @@ impl<R: Read + Seek> Walker<R> {
 
     fn end_bare_chunk(
         &mut self,
-        visit: &mut dyn FnMut(Piece<'_>) -> Result<(), LogError>,
+        visit: &mut dyn FnMut(WalkItem<'_>) -> Result<(), LogError>,
     ) -> Result<(), LogError> {
-        if self.bare_bytes.take().is_some() { visit(Piece::ChunkEnd) } else { Ok(()) }
+        if self.bare_bytes.take().is_some() { visit(WalkItem::ChunkEnd) } else { Ok(()) }
     }
 
     /// Returns the first byte at or after `from` that begins a chunk with a correct checksum, or the end
@@ -395,7 +395,7 @@ impl<R: Read + Seek> Walker<R> {
 fn of_chunk(
     path: &Path,
     mut rest: &[u8],
-    visit: &mut dyn FnMut(Piece<'_>) -> Result<(), LogError>,
+    visit: &mut dyn FnMut(WalkItem<'_>) -> Result<(), LogError>,
 ) -> Result<Result<(), String>, LogError> {
     while !rest.is_empty() {
         let Some((opcode, body, length)) = chunk_record(rest) else {
@@ -406,7 +406,7 @@ fn of_chunk(
             return Ok(Err(cause));
         }
     }
-    visit(Piece::ChunkEnd).map(Ok)
+    visit(WalkItem::ChunkEnd).map(Ok)
 }
 
 /// Passes on a schema, a channel or a message; other records carry nothing worth keeping.
@@ -414,7 +414,7 @@ fn of_record(
     path: &Path,
     opcode: u8,
     body: &[u8],
-    visit: &mut dyn FnMut(Piece<'_>) -> Result<(), LogError>,
+    visit: &mut dyn FnMut(WalkItem<'_>) -> Result<(), LogError>,
 ) -> Result<Result<(), String>, LogError> {
     match opcode {
         op::SCHEMA | op::CHANNEL => check_declaration(path, body)?,
@@ -422,9 +422,9 @@ fn of_record(
         _ => return Ok(Ok(())),
     }
     match parse_record(opcode, body) {
-        Ok(Record::Schema { header, data }) => visit(Piece::Schema { header, data: &data })?,
-        Ok(Record::Channel(channel)) => visit(Piece::Channel(channel))?,
-        Ok(Record::Message { header, data }) => visit(Piece::Message { header, data: &data })?,
+        Ok(Record::Schema { header, data }) => visit(WalkItem::Schema { header, data: &data })?,
+        Ok(Record::Channel(channel)) => visit(WalkItem::Channel(channel))?,
+        Ok(Record::Message { header, data }) => visit(WalkItem::Message { header, data: &data })?,
         Ok(_) => {}
         Err(cause) => return Ok(Err(cause)),
     }

@@ -7,7 +7,7 @@ use messages::*;
 use run_log::cat::{CatOptions, cat};
 use run_log::diff::{DiffReport, HeaderDifference, diff};
 use run_log::fields::Scalar;
-use run_log::segments::{Passed, SegmentOptions, verify_segments};
+use run_log::segments::{SegmentOptions, SkippedGap, verify_segments};
 use run_log::*;
 use zerocopy::IntoBytes;
 
@@ -98,7 +98,7 @@ fn a_replay_of_a_damaged_log_is_not_identical() {
     let mut reader = open_bytes(&write_log(&kept)).unwrap();
     let options = SegmentOptions { start: None, to_tick: None, threads: 1 };
     let report = verify_segments(&mut reader, &|| Ok(Toy::new()), &options);
-    let gap = Passed { after: Some(Tick(76)), resumed: None };
+    let gap = SkippedGap { after: Some(Tick(76)), resumed: None };
     assert_eq!((report.replay.identical_ticks, report.gaps), (76, vec![gap]));
 
     let mut reader = open_bytes(&write_log(&run_messages(60, None))).unwrap();

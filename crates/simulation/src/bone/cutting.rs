@@ -131,7 +131,7 @@ pub struct BurrContact {
 
 /// The tool's action on the bone in a tick.
 #[derive(Debug, Clone, Copy)]
-pub struct Work<'a> {
+pub struct TickLoads<'a> {
     /// The burr.
     pub burr: &'a BurrState,
     /// The balls behind the front one, if the cutter is longer than a ball.
@@ -143,7 +143,7 @@ pub struct Work<'a> {
     pub indentations: &'a [Indentation],
 }
 
-impl Work<'_> {
+impl TickLoads<'_> {
     /// Returns the radius where the cutter is widest, m.
     pub(super) fn widest_radius_m(&self) -> f64 {
         self.behind.iter().fold(self.burr.radius_m, |widest, ball| ball.radius_m.max(widest))

@@ -8,7 +8,7 @@ use super::voxels::Voxels;
 
 /// The kind of voxel to search for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Matter {
+pub enum VoxelKind {
     /// A voxel of bone.
     Bone,
     /// A voxel without bone, or a point outside the volume.
@@ -39,7 +39,7 @@ impl Voxels {
 
     /// Returns the distance of a world point from the faces of the nearest voxel of this kind, m; 0 inside
     /// one. `None` if there is no such voxel.
-    pub fn distance_m(&self, point_world_m: &Vector3<f64>, matter: Matter) -> Option<f64> {
+    pub fn distance_m(&self, point_world_m: &Vector3<f64>, matter: VoxelKind) -> Option<f64> {
         let geometry = self.geometry();
         let (dims, h) = (geometry.dims.map(|n| n as i64), geometry.spacing_m);
         let point = geometry.point_to_grid(point_world_m);
@@ -51,7 +51,7 @@ impl Voxels {
         // Start at the nearest voxel of the grid and visit the shells around it outward.
         let centre = [0, 1, 2].map(|a| own[a].clamp(0, dims[a] - 1));
         let (outside_m2, step_m) = (beyond_m2(centre), geometry.smallest_spacing_m());
-        if matter == Matter::Open && own != centre {
+        if matter == VoxelKind::Open && own != centre {
             return Some(0.0);
         }
         let mut nearest_m2 = f64::INFINITY;
@@ -64,7 +64,7 @@ impl Voxels {
             for_each_of_shell(centre, radius, dims, |voxel| {
                 let inside = (0..3).all(|a| (0..dims[a]).contains(&voxel[a]));
                 let bone = inside && self.is_mostly_solid(voxel);
-                if bone == (matter == Matter::Bone) {
+                if bone == (matter == VoxelKind::Bone) {
                     nearest_m2 = nearest_m2.min(beyond_m2(voxel));
                 }
             });
@@ -112,12 +112,12 @@ mod tests {
         let field = BoneField::new(geometry, &hu, BoneParameters::default()).unwrap();
         let voxels = field.voxels();
         for (at_m, matter, expected_m) in [
-            (8e-3, Matter::Bone, 3e-3),
-            (1.0, Matter::Bone, 0.995),
-            (4.9e-3, Matter::Bone, 0.0),
-            (0.0, Matter::Open, 5e-3),
-            (3e-3, Matter::Open, 2e-3),
-            (8e-3, Matter::Open, 0.0),
+            (8e-3, VoxelKind::Bone, 3e-3),
+            (1.0, VoxelKind::Bone, 0.995),
+            (4.9e-3, VoxelKind::Bone, 0.0),
+            (0.0, VoxelKind::Open, 5e-3),
+            (3e-3, VoxelKind::Open, 2e-3),
+            (8e-3, VoxelKind::Open, 0.0),
         ] {
             for axis in 0..3 {
                 let mut point = Vector3::zeros();
@@ -129,10 +129,10 @@ mod tests {
         // Bone up to the border.
         let full = BoneField::new(geometry, &vec![1000; n * n * n], BoneParameters::default()).unwrap();
         for (x_m, expected_m) in [(0.0, 10e-3), (9e-3, 1e-3), (11e-3, 0.0), (1.0, 0.0)] {
-            let found_m = full.voxels().distance_m(&Vector3::new(x_m, 0.0, 0.0), Matter::Open).unwrap();
+            let found_m = full.voxels().distance_m(&Vector3::new(x_m, 0.0, 0.0), VoxelKind::Open).unwrap();
             assert!((found_m - expected_m).abs() < 1e-12, "{x_m}: {found_m}");
         }
         let none = BoneField::new(geometry, &vec![0; n * n * n], BoneParameters::default()).unwrap();
-        assert_eq!(none.voxels().distance_m(&Vector3::zeros(), Matter::Bone), None);
+        assert_eq!(none.voxels().distance_m(&Vector3::zeros(), VoxelKind::Bone), None);
     }
 }

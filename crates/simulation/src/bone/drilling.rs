@@ -32,8 +32,8 @@
 //! receded out of reach.
 //!
 //! **Within a step.** The energy comes from the forces at the end of the step, and the voxels recede after
-//! the step. Within the step, the burr's contacts recede by the same amount ([`crate::contact_plane::Give`]);
-//! otherwise, each step would meet the bone of the previous step.
+//! the step. Within the step, the burr's contacts recede by the same amount
+//! ([`crate::contact_plane::RecessionLaw`]); otherwise, each step would meet the bone of the previous step.
 //!
 //! **Capacity.** A voxel's total energy is `u(HU) x volume`. In one tick it loses at most the part that lies
 //! within the grown burr, and recedes by at most `feed_per_revolution_max_m` per revolution. What a voxel
@@ -53,13 +53,13 @@ use pulp::Arch;
 use scene::MAX_CUTTER_BALLS;
 
 use super::BoneError;
-use super::cutting::{Work, check_time_step};
+use super::cutting::{TickLoads, check_time_step};
 use super::patch::Patch;
-use super::reach::{Press, PressedBall, ReachedVoxels};
+use super::reach::{BurrPress, PressedBall, ReachedVoxels};
 use super::removal::Removal;
 use super::strength::Place;
 use super::voxels::{Drilling, Voxels, check_volume};
-use super::yielding::{CrushReport, FIRST_NEAR, Near};
+use super::yielding::{BoneVoxel, CrushReport, FIRST_NEAR};
 
 /// Iterations of the energy sharing; the remainder is reported as unused.
 const SHARE_ROUNDS: usize = 8;
@@ -217,7 +217,7 @@ pub(super) struct DrillCache {
     /// Working memory: the burr's balls in a tick.
     pressed: Vec<PressedBall>,
     /// Working memory of [`Drilling::indent`].
-    crushed: Vec<Near>,
+    crushed: Vec<BoneVoxel>,
     /// Number of voxel edits that `reached` has seen.
     seen: u64,
 }
@@ -243,10 +243,10 @@ impl DrillCache {
         voxels: &mut Voxels,
         arch: Arch,
         hu: &[i16],
-        work: Work,
+        work: TickLoads,
         dt_s: f64,
     ) -> Result<GrindReport, BoneError> {
-        let Work { burr, contacts, indentations, .. } = work;
+        let TickLoads { burr, contacts, indentations, .. } = work;
         let parameters = *voxels.parameters();
         check_volume(voxels.geometry(), hu)?;
         burr.check(parameters.max_burr_radius_m)?;
@@ -255,7 +255,7 @@ impl DrillCache {
         if self.seen != voxels.journal().edits() {
             self.reached.forget();
         }
-        let press = Press::new(voxels, &work, dt_s, &mut self.pressed);
+        let press = BurrPress::new(voxels, &work, dt_s, &mut self.pressed);
         let is_ball = work.behind.is_empty();
         let mut power_w = if is_ball { parameters.cutting.power_of_contacts_w(burr, contacts) } else { 0.0 };
         let mut edit = voxels.drill();

@@ -18,12 +18,12 @@ use nalgebra::Vector3;
 
 use super::cutting::BurrContact;
 use super::drilling::DrillTick;
-use super::reach::Press;
+use super::reach::BurrPress;
 
 impl DrillTick<'_> {
     /// Returns the sum of edge pressure times area over the touched voxels, N. Without contacts the burr's
     /// direction is unknown, and each voxel counts with its whole area toward the burr.
-    pub(super) fn edge_force_n(&self, hu: &[i16], press: &Press, contacts: &[BurrContact]) -> f64 {
+    pub(super) fn edge_force_n(&self, hu: &[i16], press: &BurrPress, contacts: &[BurrContact]) -> f64 {
         let to_world = self.edit.geometry().direction_world_grid;
         let force_n: f64 = contacts.iter().map(|contact| contact.normal_force_n).sum();
         let mut edge_n = 0.0;

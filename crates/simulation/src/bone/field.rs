@@ -4,14 +4,14 @@ use nalgebra::Vector3;
 use pulp::Arch;
 
 use super::BoneError;
-use super::cutting::{BurrState, Work};
+use super::cutting::{BurrState, TickLoads};
 use super::drilling::{DrillCache, GrindReport};
 use super::grid::{GridGeometry, VoxelIndex};
 use super::parameters::BoneParameters;
 use super::query::ContactBuffer;
 use super::tracked::ContactCache;
 use super::voxels::{BoneSnapshot, Voxels};
-use super::yielding::{FIRST_NEAR, FindStrengths, MOST_PLANES, Near, Pressing};
+use super::yielding::{BoneVoxel, FIRST_NEAR, FindStrengths, MOST_PLANES, Pressing};
 
 /// The bone of one CT, for contact queries and drilling: the [`Voxels`] and one cache for each of the two.
 ///
@@ -23,7 +23,7 @@ pub struct BoneField {
     contact_cache: ContactCache,
     drill_cache: DrillCache,
     /// Working memory of [`Self::strengths_n`].
-    near: Vec<Near>,
+    near: Vec<BoneVoxel>,
     /// SIMD support of this CPU.
     arch: Arch,
 }
@@ -85,7 +85,7 @@ impl BoneField {
     /// # Errors
     /// A CT of the wrong size, or a burr that is not finite or too large; nothing has changed then.
     pub fn grind(&mut self, hu: &[i16], burr: &BurrState, dt_s: f64) -> Result<GrindReport, BoneError> {
-        self.wear(hu, Work { burr, behind: &[], contacts: &[], indentations: &[] }, dt_s)
+        self.wear(hu, TickLoads { burr, behind: &[], contacts: &[], indentations: &[] }, dt_s)
     }
 
     /// Drills and crushes for one tick: [`Self::grind`] after the bone under each indentation has receded
@@ -93,7 +93,7 @@ impl BoneField {
     ///
     /// # Errors
     /// Same as [`Self::grind`].
-    pub fn wear(&mut self, hu: &[i16], work: Work, dt_s: f64) -> Result<GrindReport, BoneError> {
+    pub fn wear(&mut self, hu: &[i16], work: TickLoads, dt_s: f64) -> Result<GrindReport, BoneError> {
         self.drill_cache.wear(&mut self.voxels, self.arch, hu, work, dt_s)
     }
 

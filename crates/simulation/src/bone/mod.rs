@@ -42,8 +42,8 @@ mod tracked;
 mod voxels;
 pub mod yielding;
 
-pub use cutting::{Ball, BurrContact, BurrState, CuttingLaw, Work};
-pub use distance::Matter;
+pub use cutting::{Ball, BurrContact, BurrState, CuttingLaw, TickLoads};
+pub use distance::VoxelKind;
 pub use drilling::GrindReport;
 pub use error::BoneError;
 pub use field::BoneField;

@@ -8,7 +8,7 @@ use nalgebra::Vector3;
 
 use super::gather::{Sphere, outside};
 use super::grid::GridGeometry;
-use super::query::{ContactKind, Look, VoxelEnd};
+use super::query::{ContactKind, SurfaceSource, VoxelEnd};
 use super::strength::Place;
 use super::voxels::Voxels;
 
@@ -355,7 +355,7 @@ impl Candidates {
     /// Returns the nearest surface among the candidates; the first one in case of a tie. `look` finds the
     /// surface at a voxel, which is never closer than the voxel itself.
     #[inline(always)]
-    pub fn nearest_surface(&mut self, look: &mut impl Look) -> Option<Surface> {
+    pub fn nearest_surface(&mut self, look: &mut impl SurfaceSource) -> Option<Surface> {
         let nearest = self.nearest()?;
         let mut best: Option<Surface> = None;
         let (mut voxel, mut place) = (nearest, 0);
@@ -402,7 +402,7 @@ impl Candidates {
     }
 
     #[inline(always)]
-    fn surface_at(&mut self, voxel: usize, look: &mut impl Look) -> Surface {
+    fn surface_at(&mut self, voxel: usize, look: &mut impl SurfaceSource) -> Surface {
         if let Some(surface) = self.surfaces.get(usize::from(self.surface_of[voxel])) {
             return *surface;
         }

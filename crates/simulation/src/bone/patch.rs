@@ -6,9 +6,9 @@
 
 use nalgebra::Vector3;
 
-use super::cutting::Work;
+use super::cutting::TickLoads;
 use super::drilling::DrillTick;
-use super::reach::Press;
+use super::reach::BurrPress;
 
 /// Fraction of the reach below which the cutter's depth in bone is ignored: such bone, left over from a wall
 /// that the cutter has passed, presses with a hundredth or less. It recedes ever more slowly, and a long wall
@@ -28,7 +28,7 @@ pub(super) struct Patch {
 impl DrillTick<'_> {
     /// Returns the mean lever arm in m of the contacts of a cutter of several balls, weighted by their
     /// forces. A cutter that touches nothing, or whose contacts are unknown, cuts with its end.
-    pub(super) fn lever_m(&mut self, press: &Press, work: &Work) -> f64 {
+    pub(super) fn lever_m(&mut self, press: &BurrPress, work: &TickLoads) -> f64 {
         let end_m = work.widest_radius_m() * (2.0 / 3.0);
         self.collect_patch(press);
         let to_grid = self.edit.geometry().direction_world_grid.transpose();
@@ -48,7 +48,7 @@ impl DrillTick<'_> {
         if force_n > 0.0 { torque_nm / force_n } else { end_m }
     }
 
-    fn collect_patch(&mut self, press: &Press) {
+    fn collect_patch(&mut self, press: &BurrPress) {
         self.scratch.patch.clear();
         let [front, .., back] = press.balls else { return };
         let along = front.centre - back.centre;

@@ -325,7 +325,7 @@ impl Voxels {
 
 /// Finds the smoothed surface at a voxel. A trait instead of a closure, because a closure would be compiled
 /// once, without the vector instructions of its caller.
-pub(super) trait Look {
+pub(super) trait SurfaceSource {
     /// Returns the surface at a voxel, which is never closer than the voxel itself.
     fn surface(&mut self, seed: &Seed) -> Surface;
 }
@@ -338,7 +338,7 @@ struct LookAt<'a> {
     cells: Option<&'a mut RememberedCells>,
 }
 
-impl Look for LookAt<'_> {
+impl SurfaceSource for LookAt<'_> {
     #[inline(always)]
     fn surface(&mut self, seed: &Seed) -> Surface {
         let direction = seed.offset * (1.0 / seed.length2.sqrt());

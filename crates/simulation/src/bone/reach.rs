@@ -13,7 +13,7 @@ use nalgebra::Vector3;
 use pulp::Arch;
 use scene::MAX_CUTTER_BALLS;
 
-use super::cutting::{Ball, CuttingLaw, Work};
+use super::cutting::{Ball, CuttingLaw, TickLoads};
 use super::gather::outside;
 use super::grid::{GridGeometry, VoxelIndex, floor_to_i64};
 use super::occupancy::{VoxelBox, WINDOW_VOXELS};
@@ -47,16 +47,16 @@ pub(super) struct PressedBall {
 
 /// The inputs that determine the burr's depth in a voxel and the energy that the voxel can absorb in a tick.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Press<'b> {
+pub(super) struct BurrPress<'b> {
     /// The burr's balls, from front to back.
     pub balls: &'b [PressedBall],
     /// Maximum recession of a surface in the tick, metres.
     pub recession_m: f64,
 }
 
-impl<'b> Press<'b> {
+impl<'b> BurrPress<'b> {
     /// Creates the inputs of one burr and tick; stores the balls in `into`.
-    pub fn new(voxels: &Voxels, work: &Work, dt_s: f64, into: &'b mut Vec<PressedBall>) -> Self {
+    pub fn new(voxels: &Voxels, work: &TickLoads, dt_s: f64, into: &'b mut Vec<PressedBall>) -> Self {
         let cutting = &voxels.parameters().cutting;
         let pressed = |ball: &Ball| PressedBall {
             centre: voxels.geometry().point_to_grid(&ball.centre_m),
@@ -182,7 +182,7 @@ impl ReachedVoxels {
         self.full_j.clear();
     }
 
-    fn holds(&self, press: &Press, slack_m: f64) -> bool {
+    fn holds(&self, press: &BurrPress, slack_m: f64) -> bool {
         let near = |(searched, ball): (&PressedBall, &PressedBall)| {
             searched.cut_m == ball.cut_m
                 && (ball.centre - searched.centre).norm_squared() <= slack_m * slack_m
@@ -191,7 +191,7 @@ impl ReachedVoxels {
     }
 
     /// Computes all depths and capacities, for each voxel with the ball that is deepest in it.
-    fn measure(&mut self, arch: Arch, press: &Press, spacing: [f64; 3]) {
+    fn measure(&mut self, arch: Arch, press: &BurrPress, spacing: [f64; 3]) {
         let count = self.index.len();
         let [of_depth, of_room_j, of_width_m] = &mut self.of_ball;
         self.deepest.clear();
@@ -226,7 +226,7 @@ impl ReachedVoxels {
     }
 
     /// Returns the ball that is deepest in a voxel.
-    pub fn ball_in<'b>(&self, voxel: usize, press: &Press<'b>) -> &'b PressedBall {
+    pub fn ball_in<'b>(&self, voxel: usize, press: &BurrPress<'b>) -> &'b PressedBall {
         let number = self.deepest.get(voxel).copied().unwrap_or(0);
         &press.balls[usize::from(number)]
     }
@@ -349,7 +349,7 @@ impl pulp::WithSimd for MostRecession<'_> {
 
 impl ReachedVoxels {
     /// Updates the lists for this tick.
-    pub fn bring(&mut self, voxels: &Voxels, arch: Arch, hu: &[i16], press: &Press) {
+    pub fn bring(&mut self, voxels: &Voxels, arch: Arch, hu: &[i16], press: &BurrPress) {
         let geometry = voxels.geometry();
         let slack_m = SLACK_VOXELS * geometry.smallest_spacing_m();
         if !self.holds(press, slack_m) {
@@ -360,7 +360,7 @@ impl ReachedVoxels {
         self.measure(arch, press, geometry.spacing_m);
     }
 
-    fn search(&mut self, voxels: &Voxels, hu: &[i16], press: &Press, slack_m: f64) {
+    fn search(&mut self, voxels: &Voxels, hu: &[i16], press: &BurrPress, slack_m: f64) {
         self.clear();
         let (occupancy, geometry) = (voxels.occupancy(), voxels.geometry());
         let spacing = geometry.spacing_m;

@@ -79,7 +79,7 @@ impl core::ops::AddAssign for CrushReport {
 
 /// Bone near a sphere's centre.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Near {
+pub(super) struct BoneVoxel {
     voxel: VoxelIndex,
     /// Distance from the centre to the voxel's surface, m.
     surface_m: f64,
@@ -158,7 +158,7 @@ pub(super) struct FindStrengths<'a> {
     pub hu: &'a [i16],
     pub pressing: &'a Pressing<'a>,
     /// Working memory.
-    pub near: &'a mut Vec<Near>,
+    pub near: &'a mut Vec<BoneVoxel>,
 }
 
 impl pulp::WithSimd for FindStrengths<'_> {
@@ -189,7 +189,7 @@ impl Voxels {
 
     /// Returns the strength of each contact, N. `hu` is the field's CT.
     #[inline(always)]
-    fn strengths_n(&self, hu: &[i16], pressing: &Pressing, near: &mut Vec<Near>) -> [f64; MOST_PLANES] {
+    fn strengths_n(&self, hu: &[i16], pressing: &Pressing, near: &mut Vec<BoneVoxel>) -> [f64; MOST_PLANES] {
         let normals = Normals::of(pressing.planes.iter().map(|plane| &plane.normal), self);
         let centre = self.geometry().point_to_grid(&pressing.centre_m);
         let (reach_m, depth_m) = (pressing.radius_m + SHELL_M, &pressing.depth_m);
@@ -223,7 +223,7 @@ impl Voxels {
     /// Lists every voxel of bone whose surface lies within `reach_m` of a centre in the grid's metric frame,
     /// in grid order.
     #[inline(always)]
-    fn list_near(&self, centre: &Vector3<f64>, reach_m: f64, list: &mut Vec<Near>) {
+    fn list_near(&self, centre: &Vector3<f64>, reach_m: f64, list: &mut Vec<BoneVoxel>) {
         list.clear();
         let (occupancy, geometry) = (self.occupancy(), self.geometry());
         let spacing = geometry.spacing_m;
@@ -256,7 +256,7 @@ impl Voxels {
     /// Returns a voxel of bone as seen from a centre; `None` if it is fully spent, or if the centre is the
     /// voxel's.
     #[inline(always)]
-    fn near(&self, centre: &Vector3<f64>, voxel: [i64; 3]) -> Option<Near> {
+    fn near(&self, centre: &Vector3<f64>, voxel: [i64; 3]) -> Option<BoneVoxel> {
         let geometry = self.geometry();
         let position = geometry.voxel_position(voxel);
         let from = [0, 1, 2].map(|axis| centre[axis] - position[axis]);
@@ -268,14 +268,14 @@ impl Voxels {
         }
         let surface_m = end.cut_distance.max(end.box2.sqrt());
         let direction = Vector3::from(from) / end.length2.sqrt();
-        Some(Near { voxel: geometry.index(voxel), surface_m, width_m: end.width, direction, spent })
+        Some(BoneVoxel { voxel: geometry.index(voxel), surface_m, width_m: end.width, direction, spent })
     }
 }
 
 /// Returns the distance of the nearest surface on the side of each plane, m; infinite if there is none within
 /// `reach_m`.
 #[inline(always)]
-fn nearest_surfaces(near: &[Near], reach_m: f64, normals: &Normals) -> [f64; MOST_PLANES] {
+fn nearest_surfaces(near: &[BoneVoxel], reach_m: f64, normals: &Normals) -> [f64; MOST_PLANES] {
     let mut nearest_m = [f64::INFINITY; MOST_PLANES];
     for near in near.iter().filter(|near| near.surface_m < reach_m) {
         if let Some((plane, _)) = normals.side(&near.direction) {
@@ -291,7 +291,7 @@ impl Drilling<'_> {
         &mut self,
         hu: &[i16],
         indentation: &Indentation,
-        near: &mut Vec<Near>,
+        near: &mut Vec<BoneVoxel>,
     ) -> CrushReport {
         let mut report = CrushReport::default();
         let normals = Normals::of([&indentation.normal].into_iter(), self);

@@ -18,7 +18,7 @@ const CLEARANCE_M: f64 = 50.0e-6;
 
 /// Sizes of a tool's state.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Room {
+pub(super) struct StateSizes {
     /// Number of coordinates, including those of the mount.
     pub freedoms: usize,
     /// Number of joint stops whose torque is stored between steps.
@@ -39,7 +39,7 @@ pub struct Common {
     pub(super) burr_turns: bool,
     /// SIMD support of this CPU.
     pub(super) arch: pulp::Arch,
-    room: Room,
+    room: StateSizes,
     pub(super) state: ManipulatorState,
     /// Proxy spheres, derived from `state`.
     pub(super) spheres: Vec<ProxySphere>,
@@ -67,7 +67,7 @@ impl Common {
         base: &BaseMotion,
         total_mass_kg: f64,
         first_frequency_rad_per_s: f64,
-        room: Room,
+        room: StateSizes,
     ) -> Self {
         let joints = parameters.joint_positions_m.len();
         let sphere_layout = spheres(&parameters);
@@ -113,7 +113,7 @@ impl Common {
 
     /// Returns true if a deserialised state belongs to this rung and size.
     pub(super) fn fits(&self, state: &ManipulatorState) -> bool {
-        let Room { freedoms, stops, contacts } = self.room;
+        let StateSizes { freedoms, stops, contacts } = self.room;
         let sizes = [state.position.len(), state.velocity.len(), state.stop_torque_nm.len()];
         state.rung == self.state.rung
             && sizes == [freedoms, freedoms, stops]

@@ -4,10 +4,10 @@
 //! (speculative contact), and at rest the overlap equals force / k_c. Any overlap beyond what the last
 //! contact force explains is pushed out at a bounded speed. A yielding obstacle carries no more than its
 //! strength: the sphere then penetrates deeper, and the obstacle recedes after the step. An obstacle being
-//! cut recedes within the step by the depth that the force cuts ([`crate::contact_plane::Give`]): the sphere
-//! penetrates deeper by that amount at the same force. Coulomb friction holds per contact: the impulse either
-//! stops the sliding or lies on the circle mu P_n and opposes the remaining sliding. The rows are solved
-//! together by Newton's method (`newton`) on the chain's own recursion (`chain`).
+//! cut recedes within the step by the depth that the force cuts ([`crate::contact_plane::RecessionLaw`]): the
+//! sphere penetrates deeper by that amount at the same force. Coulomb friction holds per contact: the impulse
+//! either stops the sliding or lies on the circle mu P_n and opposes the remaining sliding. The rows are
+//! solved together by Newton's method (`newton`) on the chain's own recursion (`chain`).
 
 mod chain;
 mod dense;

@@ -51,7 +51,7 @@ use nalgebra::{Isometry3, Vector3};
 use scene::MAX_CUTTER_BALLS;
 
 use articulated::{Articulated, Generalised};
-use common::Room;
+use common::StateSizes;
 use contact::ContactSolver;
 use coupling::Coupling;
 use geometry::{Configuration, Layout};
@@ -139,7 +139,7 @@ impl Manipulator {
         let mut rest = [0.0; MAX_JOINTS];
         rest[..parameters.joint_rest_rad.len()].copy_from_slice(&parameters.joint_rest_rad);
         let (channels, first) = (Channels::of(&parameters), parameters.first_frequency_rad_per_s());
-        let room = Room { freedoms: MAX_FREEDOMS, stops: MAX_JOINTS, contacts: MAX_CONTACTS };
+        let room = StateSizes { freedoms: MAX_FREEDOMS, stops: MAX_JOINTS, contacts: MAX_CONTACTS };
         let common = Common::new(Rung::Planar, parameters, base, layout.total_mass_kg, first, room);
         let mut manipulator = Self {
             damping: stiffness.map(|k| common.damping_s() * k),

@@ -50,7 +50,7 @@ impl CouplingReport {
 
 /// A contact plane on a free body.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Moving {
+pub(super) struct MovingPlane {
     /// Index in the list of planes.
     plane: usize,
     body: usize,
@@ -102,7 +102,7 @@ impl RigidScene {
             let Some(contact) = planes.get(plane) else { continue };
             if self.bodies[body_index].free {
                 let still_gap_m = contact.gap_m;
-                self.moving.push(Moving { plane, body: body_index, still_gap_m, pressed: false });
+                self.moving.push(MovingPlane { plane, body: body_index, still_gap_m, pressed: false });
             }
         }
         let mut changed = false;

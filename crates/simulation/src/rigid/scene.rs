@@ -5,7 +5,7 @@ use rapier3d_f64::dynamics::RigidBodyHandle;
 use serde::{Deserialize, Serialize};
 
 use super::body::{BodyMotion, BodyParameters};
-use super::coupling::{CouplingReport, Moving};
+use super::coupling::{CouplingReport, MovingPlane};
 use super::descent::{Descent, Inertia, Motion, Pair};
 use super::error::RigidError;
 use super::query::QueryShape;
@@ -64,7 +64,7 @@ pub struct RigidScene {
     /// plane.
     pub(super) plane_body: Vec<usize>,
     pub(super) first_plane: usize,
-    pub(super) moving: Vec<Moving>,
+    pub(super) moving: Vec<MovingPlane>,
     pub(super) descent: Descent,
     pub(super) report: CouplingReport,
 }

@@ -13,7 +13,7 @@ use serde::{Serialize, Serializer};
 use thiserror::Error;
 use zerocopy::{FromBytes, IntoBytes};
 
-use super::receding::Receding;
+use super::receding::RecessionState;
 use super::{
     BurrDriveState, Simulation, SimulationError, SimulationSnapshot, TendonDriveState, TubeDriveState,
 };
@@ -109,7 +109,7 @@ impl Simulation<'_> {
             Option<BoneSnapshot>,
             Option<RigidSnapshot>,
             TendonDriveState,
-            (f64, f64, f64, Receding),
+            (f64, f64, f64, RecessionState),
         );
         let unreadable = |cause: String| KeyframeError::Unreadable { cause };
         let (whole, rest): (Whole<'_>, _) =

@@ -44,15 +44,15 @@ use zerocopy::IntoBytes;
 use crate::arm::{Arm, ArmError, ArmSnapshot, Compliance, ComplianceState};
 use crate::bone::{
     Ball, BoneField, BoneSnapshot, BurrContact, BurrState, ContactBuffer, GridGeometry, Indentation,
-    VoxelIndex, Work,
+    TickLoads, VoxelIndex,
 };
 use crate::contact_plane::ContactPlane;
 use crate::manipulator::{AnyManipulator, BaseMotion, ManipulatorModel, ManipulatorState, StepReport};
 use crate::rigid::{RigidScene, RigidSnapshot, ToolDrive};
 use arm_in_bone::ArmWatch;
 use burr_drive::{BurrDrive, BurrDriveState};
-use move_tool::Reach;
-use receding::Receding;
+use move_tool::SearchRange;
+use receding::RecessionState;
 use tendon_drive::{TendonDrive, TendonDriveState};
 use tube_drive::{TubeDrive, TubeDriveState};
 
@@ -118,7 +118,7 @@ pub struct SimulationSnapshot {
     burr_speed_rad_per_s: f64,
     cutting_energy_j: f64,
     crushing_energy_j: f64,
-    receding: Receding,
+    receding: RecessionState,
     sensors: SensorArrayState,
     state: State,
 }
@@ -147,7 +147,7 @@ pub struct Simulation<'v> {
     /// Workspace: the balls of a longer cutter behind its front one.
     balls_behind: Vec<Ball>,
     /// Search range of each proxy sphere.
-    reach: Vec<Reach>,
+    reach: Vec<SearchRange>,
     /// Workspace: the tool before the tick.
     before: ManipulatorState,
     tendon: TendonDrive,
@@ -159,7 +159,7 @@ pub struct Simulation<'v> {
     cutting_energy_j: f64,
     crushing_energy_j: f64,
     /// How the bone under the burr receded in the last tick.
-    receding: Receding,
+    receding: RecessionState,
     /// Voxels that the last tick could not cut: out of memory.
     uncut_voxels: usize,
     /// Contacts that exceeded the capacity in the last tick.
@@ -372,9 +372,9 @@ impl<'v> Simulation<'v> {
             normal_force_n: self.burr_contacts.iter().map(|contact| contact.normal_force_n).sum(),
         };
         let (behind, contacts) = (&self.balls_behind, &self.burr_contacts);
-        let work = Work { burr: &burr, behind, contacts, indentations: &self.indentations };
+        let work = TickLoads { burr: &burr, behind, contacts, indentations: &self.indentations };
         let report = bone.field.wear(&bone.hu, work, self.dt_s)?;
-        self.receding = Receding::after(&report, burr.speed_rad_s.abs() * self.dt_s);
+        self.receding = RecessionState::after(&report, burr.speed_rad_s.abs() * self.dt_s);
         self.load_burr(report.lever_m);
         self.cutting_energy_j += report.energy_used_j;
         self.crushing_energy_j += report.crushed.energy_j;

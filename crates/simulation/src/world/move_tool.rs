@@ -48,7 +48,7 @@ const MAX_REACH_M: f64 = 0.05;
 
 /// Start position of a sphere in the tick, and the search distance for its planes.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Reach {
+pub(super) struct SearchRange {
     /// Start position, world, m.
     from_m: Vector3<f64>,
     margin_m: f64,
@@ -62,10 +62,10 @@ pub(super) struct Reach {
     jump_count: usize,
 }
 
-impl Reach {
+impl SearchRange {
     /// Returns the state of a sphere that has not moved yet.
-    pub fn none() -> Reach {
-        Reach {
+    pub fn none() -> SearchRange {
+        SearchRange {
             from_m: Vector3::zeros(),
             margin_m: 0.0,
             presses: false,

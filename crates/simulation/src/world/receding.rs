@@ -9,26 +9,26 @@
 use serde::{Deserialize, Serialize};
 
 use crate::bone::GrindReport;
-use crate::contact_plane::Give;
+use crate::contact_plane::RecessionLaw;
 
 /// The cutting law at the bone that the burr touched in the last tick.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
-pub(super) struct Receding {
+pub(super) struct RecessionState {
     /// Force below which nothing is cut, N.
     edge_n: f64,
     /// Depth per newton above it and per radian of burr rotation, m/(N rad).
     m_per_n_rad: f64,
 }
 
-impl Receding {
+impl RecessionState {
     /// Returns the law after a tick in which the burr turned by `turned_rad`.
-    pub fn after(report: &GrindReport, turned_rad: f64) -> Receding {
+    pub fn after(report: &GrindReport, turned_rad: f64) -> RecessionState {
         let m_per_n_rad = if turned_rad > 0.0 { report.recession_m_per_n / turned_rad } else { 0.0 };
-        Receding { edge_n: report.edge_force_n, m_per_n_rad }
+        RecessionState { edge_n: report.edge_force_n, m_per_n_rad }
     }
 
     /// Returns the recession law for a step in which the burr turns by `turned_rad`, limited to `most_m`.
-    pub fn give(&self, turned_rad: f64, most_m: f64) -> Give {
-        Give { from_n: self.edge_n, m_per_n: self.m_per_n_rad * turned_rad, most_m }
+    pub fn give(&self, turned_rad: f64, most_m: f64) -> RecessionLaw {
+        RecessionLaw { from_n: self.edge_n, m_per_n: self.m_per_n_rad * turned_rad, most_m }
     }
 }

@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
 use crate::common::arm::{
-    DT_S, Uniform, Used, about_pivot, finish_looking, guided_arm, run, seven_joint_arm,
+    DT_S, Uniform, UsedLimits, about_pivot, finish_looking, guided_arm, run, seven_joint_arm,
 };
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use simulation::arm::{Arm, ArmCommand, ArmMode, ArmState};
@@ -103,7 +103,7 @@ fn three_thousand_accepted_targets_of_seven_joints_exceed_no_limit() {
 /// Sends targets to an arm until `targets` are accepted; returns the number refused.
 fn try_targets(start: impl Fn() -> Arm, targets: usize) -> usize {
     let mut uniform = Uniform(22);
-    let mut used = Used::default();
+    let mut used = UsedLimits::default();
     let mut tool = UsedByTool::default();
     let mut accepted = [0usize; 8];
     let mut refused = 0;

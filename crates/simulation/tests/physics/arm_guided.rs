@@ -2,7 +2,9 @@
 //! every kind that change at any tick.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
-use crate::common::arm::{DT_S, Uniform, Used, about_pivot, finish_looking, guided_arm, run, t_flange_tool};
+use crate::common::arm::{
+    DT_S, Uniform, UsedLimits, about_pivot, finish_looking, guided_arm, run, t_flange_tool,
+};
 use nalgebra::{Isometry3, Point3, SVector, Vector3};
 use simulation::arm::{Arm, ArmCommand, ArmError, ArmMode, Joints, six_joints};
 use std::f64::consts::PI;
@@ -33,7 +35,7 @@ fn rates_are_reached_and_kept_and_a_joint_stops_at_the_end_of_its_range() {
     let mut arm = guided_arm();
     let rates = six_joints([0.4, -0.3, 0.9, 0.0, -0.2, 1.1]);
     arm.command(ArmCommand::ServoJv { qd_rad_s: rates }).unwrap();
-    let mut used = Used::default();
+    let mut used = UsedLimits::default();
     let mut elbow_stops_at_tick = None;
     for tick in 0..4_000 {
         let before = *arm.state();

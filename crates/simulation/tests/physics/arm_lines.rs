@@ -1,6 +1,6 @@
 //! Straight lines of the tool's base: on the line, at the requested speed, stopped, extended and left.
 
-use crate::common::arm::{DT_S, Uniform, Used, arm, finish, move_cp, moved, rest_to_rest_s};
+use crate::common::arm::{DT_S, Uniform, UsedLimits, arm, finish, move_cp, moved, rest_to_rest_s};
 use nalgebra::{Isometry3, Vector3};
 use simulation::arm::{ArmCommand, ArmMode, ArmState, six_joints};
 
@@ -25,7 +25,7 @@ fn off_line(state: &ArmState, from: &Isometry3<f64>, to: &Isometry3<f64>) -> (f6
 fn the_flange_stays_on_its_line() {
     let mut uniform = Uniform(7);
     let (mut off_m, mut off_rad, mut accepted) = (0.0f64, 0.0f64, 0);
-    let mut used = Used::default();
+    let mut used = UsedLimits::default();
     for _ in 0..60 {
         let mut arm = arm();
         let from = arm.state().t_world_tool;
@@ -66,7 +66,7 @@ fn from_the_placed_base_an_insertion_of_100_mm_works_in_every_direction() {
             shift[axis] = length_m;
             let goal = moved(&arm.state().t_world_tool, shift, Vector3::zeros());
             arm.command(move_cp(goal)).unwrap();
-            finish(&mut arm, &mut Used::default());
+            finish(&mut arm, &mut UsedLimits::default());
         }
     }
 }
@@ -83,7 +83,7 @@ fn a_slow_insertion_keeps_its_speed() {
         max_angular_speed_rad_s: None,
     };
     arm.command(command).unwrap();
-    let ticks = finish(&mut arm, &mut Used::default());
+    let ticks = finish(&mut arm, &mut UsedLimits::default());
     let expected_s = rest_to_rest_s(0.01, speed_m_s, 0.5, 5.0);
     println!("10 mm at 0.5 mm/s: {ticks} ticks, closed form {expected_s:.4} s");
     assert!((ticks as f64 * DT_S - expected_s).abs() <= DT_S + 1e-9);
@@ -158,7 +158,7 @@ fn a_line_can_be_extended_and_left() {
     for _ in 0..400 {
         arm.step();
     }
-    let mut used = Used::default();
+    let mut used = UsedLimits::default();
     let slower = [(0.03, 0.03 - 0.5 * 0.5 / (2.0 * 5.0)), (0.001, 0.0)];
     for (speed_m_s, least_m_s) in slower {
         let speed = Some(speed_m_s);
@@ -207,7 +207,7 @@ fn a_line_begun_in_joint_motion_waits_for_the_stop() {
     let mut arm = arm();
     let goal = moved(&arm.state().t_world_tool, Vector3::new(0.03, 0.02, 0.05), Vector3::zeros());
     let q_rad = six_joints(std::array::from_fn(|i| arm.state().q_rad[i] + 0.5));
-    let mut used = Used::default();
+    let mut used = UsedLimits::default();
     arm.command(ArmCommand::ServoJp { q_rad, speed_fraction: 1.0 }).unwrap();
     for _ in 0..150 {
         arm.step();

@@ -1,6 +1,6 @@
 //! Jerk-limited motion of the arm: limits, straight lines, refusals, snapshots.
 
-use crate::common::arm::{DT_S, Uniform, Used, arm, finish, move_cp, moved, rest_to_rest_s};
+use crate::common::arm::{DT_S, Uniform, UsedLimits, arm, finish, move_cp, moved, rest_to_rest_s};
 use nalgebra::Vector3;
 use simulation::arm::{
     Arm, ArmCommand, ArmError, ArmMode, ArmParameters, ArmState, AxisLimits, AxisState, Goal, Joints,
@@ -31,7 +31,7 @@ fn ruckig_takes_the_closed_form_time_from_rest_to_rest() {
 #[test]
 fn joint_moves_keep_their_limits_end_exactly_and_in_proportion() {
     let mut uniform = Uniform(5);
-    let mut used = Used::default();
+    let mut used = UsedLimits::default();
     for _ in 0..40 {
         let mut arm = arm();
         let start = arm.state().q_rad;
@@ -64,7 +64,7 @@ fn joint_moves_keep_their_limits_end_exactly_and_in_proportion() {
 fn a_hostile_servo_never_leaves_the_limits() {
     let mut uniform = Uniform(6);
     let mut arm = arm();
-    let mut used = Used::default();
+    let mut used = UsedLimits::default();
     for tick in 0..100_000 {
         if uniform.between(0.0, 1.0) < if tick < 50_000 { 0.05 } else { 0.001 } {
             let q_rad = six_joints(std::array::from_fn(|i| {
@@ -117,7 +117,7 @@ fn servo_cp_reaches_its_pose() {
     let home = arm.state().t_world_tool;
     for _ in 0..20 {
         let goal = moved(&home, uniform.vector(0.1), uniform.vector(0.4));
-        let mut used = Used::default();
+        let mut used = UsedLimits::default();
         arm.command(ArmCommand::ServoCp { t_world_tool: goal, speed_fraction: 0.8 }).unwrap();
         finish(&mut arm, &mut used);
         used.check(1e-9);

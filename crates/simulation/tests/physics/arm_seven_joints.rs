@@ -6,7 +6,7 @@ use simulation::arm::{Arm, ArmCommand, ArmError, ArmState, Joints, six_joints};
 
 use crate::common;
 use crate::common::arm::{
-    DT_S, Uniform, Used, about_pivot, finish, finish_looking, move_cp, moved, seven_joint_arm,
+    DT_S, Uniform, UsedLimits, about_pivot, finish, finish_looking, move_cp, moved, seven_joint_arm,
 };
 
 /// Between two ticks the joints move by their mean rate, and the tool's velocity is the Jacobian times it.
@@ -45,7 +45,7 @@ fn on_a_path_the_redundant_joint_stands_and_the_tool_is_where_the_path_says() {
         let (mut off, mut worst) = (0.0f64, 0.0f64);
         for command in commands {
             arm.command(command).unwrap();
-            let mut used = Used::default();
+            let mut used = UsedLimits::default();
             for tick in 0.. {
                 let before = *arm.state();
                 arm.step();
@@ -152,7 +152,7 @@ fn all_seven_joints_are_commanded_and_six_refuse_a_seventh() {
     }
     let mut other = seven_joint_arm("");
     other.restore(&arm.snapshot()).unwrap();
-    let mut used = Used::default();
+    let mut used = UsedLimits::default();
     finish(&mut arm, &mut used);
     finish(&mut other, &mut used);
     used.check(1e-8);

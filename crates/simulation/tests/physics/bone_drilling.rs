@@ -8,7 +8,7 @@ use nalgebra::Vector3;
 use simulation::bone::cutting::lever_share;
 use simulation::bone::{
     BoneError, BoneField, BoneParameters, BurrContact, BurrState, ContactBuffer, CuttingLaw, GridGeometry,
-    MaterialLaw, VoxelIndex, Work,
+    MaterialLaw, TickLoads, VoxelIndex,
 };
 
 /// 2250 rpm, the speed of the published curved-drilling experiments.
@@ -200,7 +200,7 @@ fn a_burr_whose_edges_only_plough_cuts_nothing() {
     let mut tick = |normal_force_n: f64| {
         let contacts = [BurrContact { normal_force_n, ..up }];
         let burr = burr(normal_force_n);
-        let work = Work { burr: &burr, behind: &[], contacts: &contacts, indentations: &[] };
+        let work = TickLoads { burr: &burr, behind: &[], contacts: &contacts, indentations: &[] };
         block.field.wear(&block.hu, work, 1.0e-3).unwrap()
     };
     let edge_n = tick(1.0e-3).edge_force_n;

@@ -12,7 +12,7 @@ use crate::common::feed;
 /// Length of a short feed, m: 4 mm through air, the rest in bone.
 const SHORT_M: f64 = 7.0e-3;
 
-fn fed(voxel_mm: f64, insertion_m: f64) -> (feed::Fed, f64) {
+fn fed(voxel_mm: f64, insertion_m: f64) -> (feed::FeedResult, f64) {
     let block = feed::Block::new(voxel_mm * 1e-3);
     let mut simulation = Simulation::new(&feed::scene("planar"), Some(block.ct())).unwrap();
     let fed = feed::feed(&mut simulation, insertion_m);
@@ -27,7 +27,7 @@ fn fed(voxel_mm: f64, insertion_m: f64) -> (feed::Fed, f64) {
 fn a_straight_feed_has_the_same_path_and_depth_at_every_voxel_size() {
     for (voxel_mm, insertion_m) in [(0.12, 36.0e-3), (0.06, 20.0e-3)] {
         let ((coarse, coarse_mm3), (fine, fine_mm3)) = (fed(0.25, insertion_m), fed(voxel_mm, insertion_m));
-        let depth = |fed: &feed::Fed| fed.end.t_world_tip.position_m[2];
+        let depth = |fed: &feed::FeedResult| fed.end.t_world_tip.position_m[2];
         let apart_m = fine.apart_m(&coarse);
         println!(
             "{voxel_mm} mm: depth {:.3} mm, path {:.3} mm apart, {fine_mm3:.1} mm³, {:.2} N",

@@ -2,7 +2,7 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
 use crate::common::arm::{
-    DT_S, Uniform, Used, about_pivot, finish, finish_looking, move_cp, moved, rest_to_rest_s, run,
+    DT_S, Uniform, UsedLimits, about_pivot, finish, finish_looking, move_cp, moved, rest_to_rest_s, run,
     t_flange_tool,
 };
 use nalgebra::{Isometry3, Vector3};
@@ -105,7 +105,7 @@ fn derivatives_agree(three: &[ArmState; 3], jerk_m_s3: f64) -> bool {
 fn any_commands_keep_travel_limits_orientation_and_derivatives_and_a_snapshot_continues() {
     let (mut arm, mut uniform) = (gantry(), Uniform(11));
     let start = arm.state().t_world_tool;
-    let (mut used, mut accepted, mut refused) = (Used::default(), 0, 0);
+    let (mut used, mut accepted, mut refused) = (UsedLimits::default(), 0, 0);
     let mut last = [*arm.state(); 3];
     for _ in 0..400 {
         match arm.command(any_command(&mut uniform, &arm)) {

@@ -9,7 +9,7 @@ use nalgebra::{Matrix3, Rotation3, Vector3};
 use simulation::bone::yielding::MOST_PLANES;
 use simulation::bone::{
     BoneField, BoneParameters, BurrState, ContactBuffer, GridGeometry, Indentation, MaterialLaw, Pressing,
-    Removal, Work,
+    Removal, TickLoads,
 };
 use simulation::contact_plane::ContactPlane;
 use simulation::{CtView, Simulation};
@@ -132,7 +132,11 @@ fn press(voxel_m: f64, turn: &Rotation3<f64>, up: &Vector3<f64>, to_m: f64) -> P
             }
         }
         let report = field
-            .wear(&hu, Work { burr: &NO_BURR, behind: &[], contacts: &[], indentations: &indentations }, 1e-3)
+            .wear(
+                &hu,
+                TickLoads { burr: &NO_BURR, behind: &[], contacts: &[], indentations: &indentations },
+                1e-3,
+            )
             .unwrap();
         pressed.absorbed_j += report.crushed.energy_j;
         pressed.work_j += force_n * step_m;

@@ -16,15 +16,15 @@ use std::time::{Duration, Instant};
 use ipc_types::messages::Part;
 use ipc_types::process::{EndRequest, session_scene};
 use ipc_types::scene::Scene;
-use ipc_types::session::{HalfMadeSweeper, Session};
+use ipc_types::session::{SegmentSweeper, Session};
 use run_log::EndReason;
 
 use crate::board::Board;
 use crate::channels::{Channels, INFO};
 use crate::error::ViewerError;
-use crate::info::{ArmLooks, Origin, ToolShape, info};
-use crate::left::Left;
-use crate::server::{Door, Server};
+use crate::info::{ArmMeshes, Origin, ToolShape, info};
+use crate::left::IdleTimer;
+use crate::server::{ListeningPort, Server};
 use crate::services::{Call, Calls, Request};
 use crate::slice::NO_VOLUME;
 use crate::surface::bone::volume_box;
@@ -53,13 +53,13 @@ const HUB_DIED: &str = "the hub has died: its launcher and the run are gone";
 /// The session cannot be joined.
 pub fn view(
     folder: &Path,
-    door: &Door,
-    shapes: impl FnOnce(&Scene) -> (ToolShape, ArmLooks),
+    door: &ListeningPort,
+    shapes: impl FnOnce(&Scene) -> (ToolShape, ArmMeshes),
     ready: impl FnOnce(),
     end: &EndRequest,
 ) -> Result<Option<PathBuf>, ViewerError> {
     // The viewer must end even if the host was killed while it was creating a segment.
-    let _sweeper = HalfMadeSweeper::after_host(folder);
+    let _sweeper = SegmentSweeper::after_host(folder);
     let session = Session::join(folder)?;
     let mut log = FollowedLog::of(folder);
     // A short run may be over, and its folder deleted, before the next poll.
@@ -119,7 +119,7 @@ struct Live {
 
 /// How a session ended.
 #[derive(Clone, Copy, PartialEq, Eq)]
-enum Ended {
+enum SessionEnd {
     /// The run reported its end.
     Heard,
     /// The host removed the session, or another program cleaned up after a host that died; only the log has
@@ -130,7 +130,7 @@ enum Ended {
 }
 
 impl Live {
-    fn watch(&mut self, session: &Session, end: &EndRequest) -> Result<Ended, ViewerError> {
+    fn watch(&mut self, session: &Session, end: &EndRequest) -> Result<SessionEnd, ViewerError> {
         let mut alive_seen = Instant::now();
         loop {
             self.log.look();
@@ -143,11 +143,11 @@ impl Live {
                 self.dispatch(call);
             }
             if self.has_said_its_end(session) {
-                return Ok(Ended::Heard);
+                return Ok(SessionEnd::Heard);
             }
             if end.is_set() {
                 self.board.notice("info", "the viewer was stopped");
-                return Ok(Ended::Otherwise);
+                return Ok(SessionEnd::Otherwise);
             }
             if alive_seen.elapsed() > ALIVE_LOOK || self.subscriptions.run_has_ended() {
                 alive_seen = Instant::now();
@@ -161,24 +161,24 @@ impl Live {
 
     /// Determines how a session whose host is gone has ended. A host that ends regularly removes its session
     /// before it releases it.
-    fn without_host(&mut self, session: &Session) -> Result<Ended, ViewerError> {
+    fn without_host(&mut self, session: &Session) -> Result<SessionEnd, ViewerError> {
         // Messages sent since the last poll.
         self.subscriptions.poll(&self.board)?;
         if self.has_said_its_end(session) {
-            return Ok(Ended::Heard);
+            return Ok(SessionEnd::Heard);
         }
         if session.is_announced() {
             self.board.notice("error", HUB_DIED);
-            return Ok(Ended::Otherwise);
+            return Ok(SessionEnd::Otherwise);
         }
         if !self.log.is_known() {
             self.board.notice(
                 "warning",
                 "the session is gone without reporting how its run ended; it was not recorded",
             );
-            return Ok(Ended::Otherwise);
+            return Ok(SessionEnd::Otherwise);
         }
-        Ok(Ended::Unheard)
+        Ok(SessionEnd::Unheard)
     }
 
     /// Returns whether the run has reported its end. A killed host leaves its announcement behind; the
@@ -192,11 +192,11 @@ impl Live {
     }
 
     /// Waits for the log of an ended run while a client is connected.
-    fn whole_log(&mut self, ended: Ended, end: &EndRequest) -> Option<PathBuf> {
+    fn whole_log(&mut self, ended: SessionEnd, end: &EndRequest) -> Option<PathBuf> {
         let began = Instant::now();
         // A page that was showing the plan of a short run may still be reconnecting.
-        let mut left = Left::default();
-        while ended != Ended::Otherwise && !end.is_set() && began.elapsed() < LOG_LIMIT {
+        let mut left = IdleTimer::default();
+        while ended != SessionEnd::Otherwise && !end.is_set() && began.elapsed() < LOG_LIMIT {
             if !self.log.is_known() || left.is_over(self.board.client_count()) {
                 return None;
             }
@@ -206,7 +206,7 @@ impl Live {
                     self.board.notice("error", HUB_DIED);
                     return None;
                 }
-                if ended == Ended::Unheard {
+                if ended == SessionEnd::Unheard {
                     self.board.notice("info", RUN_ENDED);
                 }
                 self.board.go_on();

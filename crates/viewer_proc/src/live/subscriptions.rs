@@ -9,7 +9,7 @@ use ipc_types::messages::{
     Command, ControllerIndex, DrrReply, DrrRequest, DrrStatus, Event, Frame, FrameTiming, Latched, Part,
     Phase, Progress, Removed, RunControl, RunControlReply, RunStatus, SensorReading, State, TickTiming,
 };
-use ipc_types::ports::{PortError, Received, Subscriber};
+use ipc_types::ports::{PortError, ReceivedMessage, Subscriber};
 use ipc_types::scene::Scene;
 use ipc_types::session::{Session, SessionError};
 use run_log::{Logged, Topic, command_topic};
@@ -76,7 +76,7 @@ fn forward<M: Message>(
     mut see: impl FnMut(&M),
 ) -> Result<usize, PortError> {
     let Some(channel) = board.channels().id(topic) else { return Ok(0) };
-    let publish = |received: &Received<M>| {
+    let publish = |received: &ReceivedMessage<M>| {
         board.publish_cdr(topic, time_ns(received.message()), &[received.bytes()]);
     };
     let (mut count, mut decimation) = (0, Decimation::new(board.wanted(), channel));

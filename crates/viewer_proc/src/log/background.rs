@@ -21,7 +21,7 @@ const LOOK_PERIOD: Duration = Duration::from_millis(20);
 const NOTE_EVERY: u64 = 4096;
 
 /// A result of the background thread.
-pub(super) enum Found {
+pub(super) enum BackgroundResult {
     /// Outline of the complete run lane.
     Outline(Box<Outline>),
     /// Marks of the timing lane.
@@ -45,7 +45,7 @@ pub(super) struct Reader {
     /// Set when the viewer ends.
     pub(super) over: Arc<AtomicBool>,
     /// Receives the results; `None` for a second log, of which only fields are shown.
-    pub(super) found: Option<Sender<Found>>,
+    pub(super) found: Option<Sender<BackgroundResult>>,
 }
 
 impl Reader {
@@ -80,7 +80,7 @@ impl Reader {
         self.over.load(Ordering::Relaxed)
     }
 
-    fn tell(&self, found: Found) {
+    fn tell(&self, found: BackgroundResult) {
         if let Some(sender) = &self.found {
             // The viewer may be ending.
             let _ = sender.send(found);
@@ -121,7 +121,7 @@ impl Reader {
         let stream =
             self.pass(&self.run, topics, |topic, time_ns, body| outline.add(topic, time_ns, body))?;
         outline.end(&stream.verdict());
-        self.tell(Found::Outline(Box::new(outline)));
+        self.tell(BackgroundResult::Outline(Box::new(outline)));
         Ok(())
     }
 
@@ -133,7 +133,7 @@ impl Reader {
                 self.series.add_miss(time_ns, letter);
             }
         })?;
-        self.tell(Found::Marks(events.marks()));
+        self.tell(BackgroundResult::Marks(events.marks()));
         Ok(())
     }
 }

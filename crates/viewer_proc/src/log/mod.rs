@@ -26,14 +26,14 @@ use voxel_grid::Ct;
 use crate::board::Board;
 use crate::channels::{Channels, INFO};
 use crate::error::ViewerError;
-use crate::info::{ArmLooks, Origin, ToolShape, info};
-use crate::left::Left;
+use crate::info::{ArmMeshes, Origin, ToolShape, info};
+use crate::left::IdleTimer;
 use crate::live::CALL_QUEUE;
 use crate::scene_update::Drawer;
-use crate::server::{Door, Server};
-use background::{Found, Reader, divergence};
+use crate::server::{ListeningPort, Server};
+use background::{BackgroundResult, Reader, divergence};
 use file::LogFile;
-use playback::{LogPlayback, Logs, Scenery, Shown};
+use playback::{LogPlayback, Logs, Scenery, ShownLog};
 use series::LogSeries;
 
 /// The logs to view.
@@ -51,9 +51,9 @@ pub struct LogOptions {
 pub type VolumeSource<'a> = dyn Fn(&Scene) -> Result<Option<Ct>, String> + Sync + 'a;
 
 /// Callbacks into the command line program.
-pub struct SceneHelp<'a> {
+pub struct SceneCallbacks<'a> {
     /// Returns the shapes of tool and arm.
-    pub shapes: &'a dyn Fn(&Scene) -> (ToolShape, ArmLooks),
+    pub shapes: &'a dyn Fn(&Scene) -> (ToolShape, ArmMeshes),
     /// Loads the volume.
     pub volume: &'a VolumeSource<'a>,
 }
@@ -62,7 +62,7 @@ pub struct SceneHelp<'a> {
 struct OpenLog {
     path: PathBuf,
     header: LogHeader,
-    shown: Shown,
+    shown: ShownLog,
 }
 
 impl OpenLog {
@@ -74,10 +74,10 @@ impl OpenLog {
         let timing = Some(timing_of(&path)).filter(|path| path.exists());
         let timing = timing.and_then(|path| LogFile::open(&path).ok());
         let series = Arc::new(LogSeries::new(run.bounds_ns(), header.dt_ns));
-        Ok(OpenLog { path, header, shown: Shown { run, timing, series } })
+        Ok(OpenLog { path, header, shown: ShownLog { run, timing, series } })
     }
 
-    fn reader(&self, over: &Arc<AtomicBool>, found: Option<Sender<Found>>) -> Reader {
+    fn reader(&self, over: &Arc<AtomicBool>, found: Option<Sender<BackgroundResult>>) -> Reader {
         Reader {
             header: self.header.clone(),
             run: self.path.clone(),
@@ -100,8 +100,8 @@ fn timing_of(run: &Path) -> PathBuf {
 /// A log cannot be played.
 pub fn view(
     options: &LogOptions,
-    door: &Door,
-    help: &SceneHelp<'_>,
+    door: &ListeningPort,
+    help: &SceneCallbacks<'_>,
     ready: impl FnOnce(),
     end: &EndRequest,
 ) -> Result<(), ViewerError> {
@@ -135,7 +135,7 @@ pub fn view(
         },
     };
     let mut playback = LogPlayback::new(board, logs, header.dt_ns, scenery, finding);
-    let left = options.until_left.then(Left::default);
+    let left = options.until_left.then(IdleTimer::default);
     ready();
     std::thread::scope(|scope| {
         let serving = scope.spawn(|| server.serve());
@@ -151,25 +151,30 @@ pub fn view(
 }
 
 /// Loads the volume of the log's scene and checks that it is the run's.
-fn find_volume(scene: &Scene, header: &LogHeader, volume: &VolumeSource<'_>, found: &Sender<Found>) {
+fn find_volume(
+    scene: &Scene,
+    header: &LogHeader,
+    volume: &VolumeSource<'_>,
+    found: &Sender<BackgroundResult>,
+) {
     let refused = match volume(scene) {
         Ok(Some(ct)) if header.volume_sha256.is_none_or(|sha256| sha256 == ct.sha256) => {
             // The viewer may be ending.
-            let _ = found.send(Found::Volume(Box::new(ct.volume)));
+            let _ = found.send(BackgroundResult::Volume(Box::new(ct.volume)));
             return;
         }
         Ok(Some(_)) => Some("the scene's volume is not that of the run: the SHA-256 differs".to_owned()),
         Ok(None) => None,
         Err(text) => Some(text),
     };
-    let _ = found.send(Found::NoVolume(refused));
+    let _ = found.send(BackgroundResult::NoVolume(refused));
 }
 
-fn find_divergence(both: Option<(PathBuf, PathBuf)>, found: &Sender<Found>, over: &AtomicBool) {
+fn find_divergence(both: Option<(PathBuf, PathBuf)>, found: &Sender<BackgroundResult>, over: &AtomicBool) {
     let Some((first, second)) = both else { return };
     let _ = found.send(match divergence(&first, &second, over) {
-        Ok(Some(mark)) => Found::Divergence(mark),
+        Ok(Some(mark)) => BackgroundResult::Divergence(mark),
         Ok(None) => return,
-        Err(error) => Found::Notice(format!("the two logs cannot be compared: {error}")),
+        Err(error) => BackgroundResult::Notice(format!("the two logs cannot be compared: {error}")),
     });
 }

@@ -13,7 +13,7 @@ use serde_json::{Value, json};
 use voxel_grid::Volume;
 use zerocopy::FromBytes;
 
-use super::background::Found;
+use super::background::BackgroundResult;
 use super::bone::LogBone;
 use super::compare::{comparison, first_difference};
 use super::file::{LogFile, Logged, PlayError, Reading};
@@ -23,7 +23,7 @@ use super::series::{Lane, LogSeries, SeriesRequest};
 use crate::board::Board;
 use crate::channels::{COMPARE, FRAME_STATE, INFO, PLAYBACK, SECOND, SECOND_TOPICS, VIEW_STATE};
 use crate::info::VolumeBox;
-use crate::left::Left;
+use crate::left::IdleTimer;
 use crate::scene_update::Drawer;
 use crate::services::{Call, Calls, Reply, Request};
 use crate::slice::{NO_VOLUME, Slicer};
@@ -54,21 +54,21 @@ const SERIES_QUEUE: usize = 16;
 const ANSWER_LOOK: Duration = Duration::from_millis(100);
 
 /// A log being shown.
-pub(super) struct Shown {
+pub(super) struct ShownLog {
     pub(super) run: LogFile,
     pub(super) timing: Option<LogFile>,
     pub(super) series: Arc<LogSeries>,
 }
 
 /// Both logs, for the thread that answers field requests.
-pub(super) type Logs = Arc<(Shown, Option<Shown>)>;
+pub(super) type Logs = Arc<(ShownLog, Option<ShownLog>)>;
 
 pub(super) struct LogPlayback {
     board: Arc<Board>,
     logs: Logs,
     player: Player,
     /// Receives the background results. A result waits here until the other one that it needs has arrived.
-    found: Receiver<Found>,
+    found: Receiver<BackgroundResult>,
     outline: Option<Outline>,
     volume: Option<Volume>,
     threshold_hu: i16,
@@ -87,14 +87,14 @@ pub(super) struct LogPlayback {
     undrawn: bool,
     /// Time of the last jump, until its history has been sent.
     jumped: Option<Instant>,
-    told: Option<(Instant, Told)>,
+    told: Option<(Instant, PlaybackStatus)>,
     /// Whether the marks have changed since they were last published.
     new_marks: bool,
 }
 
 /// The playback status last published.
 #[derive(Clone, PartialEq)]
-struct Told {
+struct PlaybackStatus {
     time_ns: u64,
     playing: bool,
     speed: f64,
@@ -122,7 +122,7 @@ impl LogPlayback {
         logs: Logs,
         dt_ns: u64,
         scenery: Scenery,
-        found: Receiver<Found>,
+        found: Receiver<BackgroundResult>,
     ) -> LogPlayback {
         let (begin_ns, end_ns) = logs.0.run.bounds_ns();
         // The longer of two logs sets the length.
@@ -154,7 +154,7 @@ impl LogPlayback {
         called: &Calls,
         end: &EndRequest,
         over: &AtomicBool,
-        left: Option<Left>,
+        left: Option<IdleTimer>,
     ) -> Result<(), PlayError> {
         let (asked, asking) = mpsc::sync_channel(SERIES_QUEUE);
         let logs = Arc::clone(&self.logs);
@@ -171,7 +171,7 @@ impl LogPlayback {
         called: &Calls,
         asked: &SyncSender<Call>,
         end: &EndRequest,
-        mut left: Option<Left>,
+        mut left: Option<IdleTimer>,
     ) -> Result<(), PlayError> {
         let mut last = Instant::now();
         let board = Arc::clone(&self.board);
@@ -217,32 +217,32 @@ impl LogPlayback {
         let _ = call.answer.send(outcome);
     }
 
-    fn take(&mut self, found: Found) -> Result<(), PlayError> {
+    fn take(&mut self, found: BackgroundResult) -> Result<(), PlayError> {
         match found {
-            Found::Outline(outline) => {
+            BackgroundResult::Outline(outline) => {
                 outline.notices.iter().for_each(|text| self.board.notice("warning", text));
                 self.add_marks(outline.marks.clone());
                 self.outline = Some(*outline);
             }
-            Found::Marks(marks) => self.add_marks(marks),
-            Found::Divergence(mut mark) => {
+            BackgroundResult::Marks(marks) => self.add_marks(marks),
+            BackgroundResult::Divergence(mut mark) => {
                 if let Some(second) = &self.logs.1 {
                     mark.text += &first_difference(&self.logs.0.run, &second.run, mark.time_ns)?;
                 }
                 self.add_marks(vec![mark]);
             }
-            Found::Volume(volume) => {
+            BackgroundResult::Volume(volume) => {
                 self.board.publish_json(INFO, &(self.info)(&volume_box(&volume.grid)));
                 self.volume = Some(*volume);
             }
-            Found::NoVolume(refusal) => match refusal {
+            BackgroundResult::NoVolume(refusal) => match refusal {
                 Some(text) => {
                     self.no_slices = OTHER_VOLUME;
                     self.board.notice("warning", &format!("the bone is not shown: {text}"));
                 }
                 None => self.no_slices = NO_VOLUME,
             },
-            Found::Notice(text) => self.board.notice("warning", &text),
+            BackgroundResult::Notice(text) => self.board.notice("warning", &text),
         }
         // The bone needs both its voxels and the times at which they were drilled.
         if self.volume.is_some()
@@ -375,7 +375,7 @@ impl LogPlayback {
     /// Publishes the position if it has changed, with the state and the comparison at that time, so that
     /// slider, readouts and table agree. Publishes the marks only if they have changed.
     fn tell(&mut self) -> Result<(), PlayError> {
-        let now = Told {
+        let now = PlaybackStatus {
             time_ns: self.player.time_ns(),
             playing: self.player.playing,
             speed: self.player.speed,

@@ -60,25 +60,25 @@ pub(crate) struct Shared {
 /// An open port and its token. What is shown there can change (a scene, its run, the run's log); page and
 /// address stay the same.
 #[derive(Debug)]
-pub struct Door {
+pub struct ListeningPort {
     listener: std::net::TcpListener,
     address: SocketAddr,
     token: String,
     options: ServerOptions,
 }
 
-impl Door {
+impl ListeningPort {
     /// Opens the port.
     ///
     /// # Errors
     /// [`ViewerError::Port`], [`ViewerError::Token`].
-    pub fn open(options: &ServerOptions) -> Result<Door, ViewerError> {
+    pub fn open(options: &ServerOptions) -> Result<ListeningPort, ViewerError> {
         let wanted = SocketAddr::new(options.bind, options.port);
         let port_error = |cause: std::io::Error| ViewerError::Port { address: wanted, cause };
         let listener = std::net::TcpListener::bind(wanted).map_err(port_error)?;
         listener.set_nonblocking(true).map_err(port_error)?;
         let address = listener.local_addr().map_err(port_error)?;
-        Ok(Door { listener, address, token: random_token()?, options: options.clone() })
+        Ok(ListeningPort { listener, address, token: random_token()?, options: options.clone() })
     }
 
     /// Returns the page's URL, with the token that permits watching and control.
@@ -110,7 +110,7 @@ impl Server {
     /// # Errors
     /// [`ViewerError::Port`]: the system is out of file handles.
     pub fn behind(
-        door: &Door,
+        door: &ListeningPort,
         name: &str,
         board: Arc<Board>,
         calls: mpsc::SyncSender<Call>,

@@ -18,7 +18,7 @@ use tokio_tungstenite::tungstenite::protocol::frame::coding::CloseCode;
 use tokio_tungstenite::tungstenite::{Error, Message};
 use viewer_proc::ServerOptions;
 use viewer_proc::channels::{INFO, NOTICE, SURFACE};
-use viewer_proc::server::{Door, MAX_CLIENTS};
+use viewer_proc::server::{ListeningPort, MAX_CLIENTS};
 use viewer_proc::services::{Action, Reply, Request, SLICE};
 use viewer_proc::slice::{ENCODING, MOST_UNDER_WAY};
 use zerocopy::IntoBytes;
@@ -411,7 +411,7 @@ fn a_port_in_use_is_named() {
         watch_by_anyone: false,
         page_folder: None,
     };
-    let error = Door::open(&options).unwrap_err();
+    let error = ListeningPort::open(&options).unwrap_err();
     assert!(error.is_bad_input());
     let text = error.to_string();
     assert!(text.contains(&format!("127.0.0.1:{port}")) && text.contains("--port"), "{text}");

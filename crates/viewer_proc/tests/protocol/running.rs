@@ -17,7 +17,7 @@ use tokio_tungstenite::{WebSocketStream, client_async};
 use viewer_proc::ServerOptions;
 use viewer_proc::board::Board;
 use viewer_proc::channels::Channels;
-use viewer_proc::server::{Door, Server};
+use viewer_proc::server::{ListeningPort, Server};
 
 const LIMIT: Duration = Duration::from_secs(20);
 
@@ -42,7 +42,7 @@ impl Running {
             watch_by_anyone,
             page_folder: None,
         };
-        let door = Door::open(&options).unwrap();
+        let door = ListeningPort::open(&options).unwrap();
         let server = Server::behind(&door, "test", Arc::clone(&board), calls, Arc::clone(&over)).unwrap();
         let (address, token) = (door.address(), door.token().to_owned());
         assert_eq!(door.url(), format!("http://{address}/#token={token}"));

@@ -4,7 +4,7 @@ use super::file::DicomFile;
 use super::pixels;
 use super::slice::Slice;
 use crate::error::{Field, VolumeError};
-use crate::options::Slices;
+use crate::options::SliceHandling;
 use crate::rectify::{self, rectify};
 use crate::scalar::HuSink;
 use crate::volume::{
@@ -37,7 +37,7 @@ const NAMES: GeometryFields = GeometryFields {
 pub(super) fn assemble(
     path: &Path,
     mut slices: Vec<Slice>,
-    how: Slices,
+    how: SliceHandling,
     mut notes: Vec<String>,
 ) -> Result<(Volume, VolumeInfo), VolumeError> {
     check_same(path, &slices)?;
@@ -65,7 +65,7 @@ pub(super) fn assemble(
     let askew = straight.is_err() || distance.is_err();
     let dims = [first.columns, first.rows, slices.len()];
     voxel_count(path, "Columns, Rows, number of slices", dims)?;
-    if how == Slices::AsTheyLie || slices.len() == 1 {
+    if how == SliceHandling::AsTheyLie || slices.len() == 1 {
         straight?;
     } else if askew {
         let read = read_pixels(&slices, &mut notes)?;

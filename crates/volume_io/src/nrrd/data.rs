@@ -9,7 +9,7 @@ use crate::text_header::{read_ascii, wrong};
 use std::path::Path;
 
 /// Description of the stored form, for display.
-pub(super) struct Stored {
+pub(super) struct StoredForm {
     pub encoding: String,
     pub voxels: String,
 }
@@ -21,7 +21,7 @@ impl Header<'_> {
         count: usize,
         sink: &mut HuSink,
         notes: &mut Vec<String>,
-    ) -> Result<Stored, VolumeError> {
+    ) -> Result<StoredForm, VolumeError> {
         let scalar = self.scalar()?;
         let encoding = self.require("encoding", "raw, gzip, bzip2, hex or ascii")?.to_lowercase();
         let codec = match encoding.as_str() {
@@ -37,13 +37,13 @@ impl Header<'_> {
             read_each(self.path, "data file", &files, count, |file, part| {
                 read_ascii(&file.path, self.behind_lines(file)?, part, sink)
             })?;
-            return Ok(Stored { encoding, voxels: scalar.name().into() });
+            return Ok(StoredForm { encoding, voxels: scalar.name().into() });
         };
         let layout = Layout { scalar, endian: self.endian(scalar)?, scale: Scale::IDENTITY };
         read_each(self.path, "data file", &files, count, |file, part| {
             self.read_binary(file, layout, codec, part, sink, notes)
         })?;
-        Ok(Stored { encoding, voxels: layout.scalar.describe(layout.endian) })
+        Ok(StoredForm { encoding, voxels: layout.scalar.describe(layout.endian) })
     }
 
     /// The data files in order; the header's own file for attached data.

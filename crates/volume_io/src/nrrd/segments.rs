@@ -9,7 +9,7 @@ use crate::error::VolumeError;
 use crate::options::Label;
 
 /// The requested voxels.
-pub(super) struct Wanted {
+pub(super) struct SegmentSelection {
     /// Index along the layer axis.
     pub layer: usize,
     /// Voxel value inside.
@@ -34,7 +34,7 @@ pub(super) fn wanted(
     axes: &Axes,
     label: Option<&Label>,
     notes: &mut Vec<String>,
-) -> Result<Option<Wanted>, VolumeError> {
+) -> Result<Option<SegmentSelection>, VolumeError> {
     let segments = segments(header)?;
     let layers = axes.other.map_or(1, |other| other.size);
     let refuse =
@@ -50,7 +50,7 @@ pub(super) fn wanted(
         Some(Label::Value(value)) if layers > 1 => {
             Err(refuse(format!("label {value} is ambiguous: there are {layers} layers")))
         }
-        Some(Label::Value(value)) => Ok(Some(Wanted { layer: 0, value: *value })),
+        Some(Label::Value(value)) => Ok(Some(SegmentSelection { layer: 0, value: *value })),
         Some(Label::Name(name)) => {
             let mut found = segments.iter().filter(|segment| segment.name == *name);
             let Some(segment) = found.next() else {
@@ -65,7 +65,7 @@ pub(super) fn wanted(
                     segment.layer
                 )));
             }
-            Ok(Some(Wanted { layer: segment.layer, value: segment.value }))
+            Ok(Some(SegmentSelection { layer: segment.layer, value: segment.value }))
         }
     }
 }

@@ -5,7 +5,7 @@
 
 use crate::common::dicom_bytes::{DicomSlice, write_series};
 use std::path::{Path, PathBuf};
-use volume_io::{Label, ReadOptions, Slices, VolumeError, read, read_as};
+use volume_io::{Label, ReadOptions, SliceHandling, VolumeError, read, read_as};
 
 fn refuse(bytes: &[u8]) -> VolumeError {
     let folder = tempfile::tempdir().unwrap();
@@ -82,13 +82,13 @@ fn choices_for_dicom_are_said_to_have_no_effect_elsewhere() {
     let noted = |options: &ReadOptions| read_as(&path, options).unwrap().1.notes.join("\n");
     let series = noted(&ReadOptions { series: Some("1.2.3".to_owned()), ..ReadOptions::default() });
     assert!(series.contains("`volume.series`") && !series.contains("rectify"), "{series}");
-    let slices = noted(&ReadOptions { slices: Slices::Rectify, ..ReadOptions::default() });
+    let slices = noted(&ReadOptions { slices: SliceHandling::Rectify, ..ReadOptions::default() });
     assert!(slices.contains("`volume.resample`") && !slices.contains("series`"), "{slices}");
     let neither = noted(&ReadOptions::default());
     assert!(!neither.contains("no effect"), "{neither}");
     write_series(folder.path(), &stack(&[0.0, 2.0]));
     std::fs::remove_file(path).unwrap();
-    let of_dicom = ReadOptions { slices: Slices::Rectify, ..ReadOptions::default() };
+    let of_dicom = ReadOptions { slices: SliceHandling::Rectify, ..ReadOptions::default() };
     let info = read_as(folder.path(), &of_dicom).unwrap().1.to_string();
     assert!(!info.contains("no effect"), "{info}");
 }

@@ -20,7 +20,7 @@ use crate::ray::RayFan;
 use crate::slice_ordered::Images;
 use crate::solids::SolidLayer;
 use crate::tool::Tool;
-use crate::tool_layer::{DisplacedBy, PlacedTool};
+use crate::tool_layer::{DisplacedAnatomy, PlacedTool};
 
 /// One frame of a batch.
 #[derive(Debug)]
@@ -132,7 +132,8 @@ impl DrrRenderer {
         let bone = self.bone.as_ref().map(|layer| layer.field(view, &self.removed));
         arm.draw(shot.tool.arm.as_ref(), c_arm, &fan);
         let projector = self.parameters.projector;
-        let tool_pixels = tool.draw(&fan, &DisplacedBy { projector, tissue: &tissue, bone: bone.as_ref() });
+        let tool_pixels =
+            tool.draw(&fan, &DisplacedAnatomy { projector, tissue: &tissue, bone: bone.as_ref() });
         let metal = Metal { tool, arm, aluminium_per_m: self.aluminium_per_m };
         exposure.expose(anatomy, metal, width, window, shot.seed, &mut shot.output);
         Ok(FrameReport { kind: RenderKind::Full, rays_traced: c_arm.pixels(), tool_pixels, window })

@@ -11,12 +11,12 @@ use crate::slice_ordered::{SliceOrdered, Update};
 
 /// How much of a layer was computed for a frame.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Computed {
+pub(super) struct LayerWork {
     pub kind: RenderKind,
     pub pixels: usize,
 }
 
-impl Computed {
+impl LayerWork {
     /// The more complete of the two; `self` if they are equal.
     pub fn or_more(self, other: Self) -> Self {
         if other.pixels > self.pixels { other } else { self }
@@ -96,7 +96,7 @@ impl Layer {
         c_arm: &CArm,
         image: &mut Vec<f64>,
         pool: &rayon::ThreadPool,
-    ) -> Result<Option<Computed>, DrrError> {
+    ) -> Result<Option<LayerWork>, DrrError> {
         let Some(slices) = &mut self.slices else { return Ok(None) };
         let fresh = image.is_empty();
         image.resize(c_arm.pixels(), 0.0);
@@ -108,9 +108,9 @@ impl Layer {
             Some(update) => update,
         };
         Ok(Some(match update {
-            Update::Full => Computed { kind: RenderKind::Full, pixels: c_arm.pixels() },
-            Update::Changed(pixels) => Computed { kind: RenderKind::Incremental, pixels },
-            Update::Unchanged => Computed { kind: RenderKind::Cached, pixels: 0 },
+            Update::Full => LayerWork { kind: RenderKind::Full, pixels: c_arm.pixels() },
+            Update::Changed(pixels) => LayerWork { kind: RenderKind::Incremental, pixels },
+            Update::Unchanged => LayerWork { kind: RenderKind::Cached, pixels: 0 },
         }))
     }
 }

@@ -25,10 +25,10 @@ use crate::slice_ordered::SliceOrdered;
 use crate::solids::SolidLayer;
 use crate::spectrum::SpectrumTable;
 use crate::tool::Tool;
-use crate::tool_layer::{DisplacedBy, PlacedTool};
+use crate::tool_layer::{DisplacedAnatomy, PlacedTool};
 use batch::Lane;
-use layer::{Computed, Layer};
-use standing::{DirtyMarker, Standing};
+use layer::{Layer, LayerWork};
+use standing::{CachedView, DirtyMarker};
 
 /// Renders frames of one CT. Holds small data derived from the CT, the removed voxels, and the C-arm's cache.
 pub struct DrrRenderer {
@@ -44,9 +44,9 @@ pub struct DrrRenderer {
     arm: SolidLayer,
     aluminium_per_m: f64,
     pool: rayon::ThreadPool,
-    standing: Option<Standing>,
+    standing: Option<CachedView>,
     /// Memory for the next one-off frame; while one is being rendered, the cached image.
-    aside: Option<Standing>,
+    aside: Option<CachedView>,
     /// One per thread, created by the first batch.
     lanes: Vec<Mutex<Lane>>,
 }
@@ -116,7 +116,7 @@ impl DrrRenderer {
             pool.install(|| slices.prepare(view, removed, c_arm))?;
         }
         if self.standing.is_none() {
-            self.standing = Some(Standing::written_to(&self.grid, c_arm, with_bone));
+            self.standing = Some(CachedView::written_to(&self.grid, c_arm, with_bone));
         }
         self.exposure.prepare(c_arm.pixels());
         Ok(())
@@ -142,7 +142,7 @@ impl DrrRenderer {
     pub fn line_integrals(&self) -> Vec<f64> {
         let metal = Metal { tool: &self.tool, arm: &self.arm, aluminium_per_m: self.aluminium_per_m };
         let attenuation =
-            |s: &Standing| self.exposure.attenuations(s.images(), metal, s.c_arm.columns as usize);
+            |s: &CachedView| self.exposure.attenuations(s.images(), metal, s.c_arm.columns as usize);
         self.standing.as_ref().map_or(Vec::new(), attenuation)
     }
 
@@ -224,9 +224,9 @@ impl DrrRenderer {
         let mut standing = match self.standing.take() {
             Some(s) if s.c_arm == *c_arm => s,
             Some(s) => s.of_another(&self.grid, c_arm),
-            None => Standing::new(&self.grid, c_arm),
+            None => CachedView::new(&self.grid, c_arm),
         };
-        let Computed { kind, pixels: rays_traced } = self.update_anatomy(view, &mut standing)?;
+        let LayerWork { kind, pixels: rays_traced } = self.update_anatomy(view, &mut standing)?;
         if kind != RenderKind::Cached {
             let window = self.parameters.display.window;
             standing.window = self.exposure.with_anatomy(standing.images(), |a| window_limits(window, a));
@@ -235,7 +235,7 @@ impl DrrRenderer {
         let tissue = self.tissue.field(view, &self.removed);
         let bone = self.bone.as_ref().map(|layer| layer.field(view, &self.removed));
         let anatomy =
-            DisplacedBy { projector: self.parameters.projector, tissue: &tissue, bone: bone.as_ref() };
+            DisplacedAnatomy { projector: self.parameters.projector, tissue: &tissue, bone: bone.as_ref() };
         let (placed, arm, exposure) = (&mut self.tool, &mut self.arm, &mut self.exposure);
         let aluminium_per_m = self.aluminium_per_m;
         let tool_pixels = self.pool.install(|| {
@@ -290,8 +290,8 @@ impl DrrRenderer {
     fn update_anatomy(
         &mut self,
         view: &VolumeView<'_>,
-        standing: &mut Standing,
-    ) -> Result<Computed, DrrError> {
+        standing: &mut CachedView,
+    ) -> Result<LayerWork, DrrError> {
         let fresh = standing.anatomy.is_empty();
         if fresh || !standing.traced {
             let Self { tissue, bone, removed, pool, .. } = self;

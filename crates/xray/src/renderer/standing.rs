@@ -14,7 +14,7 @@ const REACH_JOSEPH: f64 = 1.0 + 1e-3;
 const REACH_SIDDON: f64 = 0.5 + 1e-3;
 
 /// The cached anatomy of one C-arm.
-pub(super) struct Standing {
+pub(super) struct CachedView {
     pub c_arm: CArm,
     pub fan: RayFan,
     /// True if rays are traced individually; only then is `dirty` used.
@@ -29,7 +29,7 @@ pub(super) struct Standing {
     pub window: WindowLimits,
 }
 
-impl Standing {
+impl CachedView {
     pub fn images(&self) -> Anatomy<'_> {
         Anatomy { total: &self.anatomy, bone_m: &self.bone_m }
     }
@@ -83,7 +83,7 @@ pub(super) struct DirtyMarker<'a> {
 }
 
 impl<'a> DirtyMarker<'a> {
-    pub fn new(standing: &'a mut Standing, grid: &Grid, projector: Projector) -> Self {
+    pub fn new(standing: &'a mut CachedView, grid: &Grid, projector: Projector) -> Self {
         let reach = match projector {
             Projector::Siddon => REACH_SIDDON,
             _ => REACH_JOSEPH,

@@ -2,8 +2,8 @@
 
 use rayon::prelude::*;
 
-use super::layer::Computed;
-use super::standing::Standing;
+use super::layer::LayerWork;
+use super::standing::CachedView;
 use super::{DrrRenderer, Projector, RenderKind};
 use crate::carm::CArm;
 use crate::grid::VolumeView;
@@ -23,7 +23,7 @@ impl DrrRenderer {
     }
 
     /// Updates the anatomy's line integrals.
-    pub(super) fn trace_anatomy(&self, view: &VolumeView<'_>, standing: &mut Standing) -> Computed {
+    pub(super) fn trace_anatomy(&self, view: &VolumeView<'_>, standing: &mut CachedView) -> LayerWork {
         let tissue = self.tissue.field(view, &self.removed);
         let bone = self.bone.as_ref().map(|layer| layer.field(view, &self.removed));
         if standing.anatomy.is_empty() {
@@ -31,10 +31,10 @@ impl DrrRenderer {
             if let Some(bone) = &bone {
                 self.trace_all(bone, standing.c_arm, &standing.fan, &mut standing.bone_m);
             }
-            return Computed { kind: RenderKind::Full, pixels: standing.anatomy.len() };
+            return LayerWork { kind: RenderKind::Full, pixels: standing.anatomy.len() };
         }
         if standing.dirty_list.is_empty() {
-            return Computed { kind: RenderKind::Cached, pixels: 0 };
+            return LayerWork { kind: RenderKind::Cached, pixels: 0 };
         }
         let mut list = core::mem::take(&mut standing.dirty_list);
         // Neighbouring rays in sequence share cache lines; the order does not affect the result.
@@ -50,7 +50,7 @@ impl DrrRenderer {
         let traced = list.len();
         list.clear();
         standing.dirty_list = list;
-        Computed { kind: RenderKind::Incremental, pixels: traced }
+        LayerWork { kind: RenderKind::Incremental, pixels: traced }
     }
 
     pub(super) fn trace_all(

@@ -11,13 +11,13 @@ use crate::ray::RayFan;
 /// Inverse of the parameter at which the ray of sample (i, j) meets the detector, `constant + i per_column +
 /// j per_row`; the parameter is 0 at the source and 1 in the image's plane.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct BeforeDetector {
+pub(crate) struct DetectorClip {
     constant: f64,
     per_column: f64,
     per_row: f64,
 }
 
-impl BeforeDetector {
+impl DetectorClip {
     /// Computes the coefficients for the samples of an image.
     pub fn new(fan: &RayFan, plan: &Plan) -> Self {
         let normal = fan.detector_normal();

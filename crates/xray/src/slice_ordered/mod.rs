@@ -46,10 +46,10 @@ use crate::grid::{Grid, VolumeView};
 use crate::machine::Machine;
 use crate::ray::RayFan;
 use crate::removal::RemovedVoxels;
-use occupied::Occupied;
+use occupied::OccupiedBox;
 use parts::{Part, parts_of, samples_of};
 use plan::{MAX_PIXELS, Rays, WEIGHT_BITS};
-use standing::{Show, Standing, Threads};
+use standing::{CachedImages, SumsConversion, Threads};
 use store::{Change, Source, Store, Values};
 use warp::{Rect, pixels_of};
 
@@ -70,10 +70,10 @@ pub struct SliceOrdered {
     unit_per_m: f64,
     store: Store,
     /// Bounding box of the stored voxels that attenuate.
-    occupied: Occupied,
-    standing: Option<Standing>,
+    occupied: OccupiedBox,
+    standing: Option<CachedImages>,
     /// After [`SliceOrdered::step_aside`] the previous cache; otherwise memory for the next one-off frame.
-    aside: Option<Standing>,
+    aside: Option<CachedImages>,
     /// Memory for the first frame, already written once: the first access to a page is slow.
     fresh: (Vec<i64>, Vec<f32>),
     /// Voxels changed since the last frame, in order; not yet applied to the copies.
@@ -131,7 +131,7 @@ impl SliceOrdered {
 
     /// Bytes held.
     pub fn memory(&self) -> SliceOrderedMemory {
-        let images: usize = self.standing.iter().chain(&self.aside).map(Standing::bytes).sum();
+        let images: usize = self.standing.iter().chain(&self.aside).map(CachedImages::bytes).sum();
         let image = images + size_of_val(&*self.fresh.0) + size_of_val(&*self.fresh.1);
         SliceOrderedMemory {
             copies: self.store.copy_bytes(),
@@ -293,7 +293,7 @@ impl SliceOrdered {
         let parts = self.parts(&fan, c_arm);
         parts.iter().try_for_each(|part| self.ensure(view, removed, part.plan.axes.slow))?;
         self.check_memory(samples_of(&parts))?;
-        let mut standing = Standing { c_arm: *c_arm, fan, parts, sums, image: image_floats };
+        let mut standing = CachedImages { c_arm: *c_arm, fan, parts, sums, image: image_floats };
         self.cost.full_ns = self.sum(&mut standing);
         self.develop(&mut standing, image);
         self.standing = Some(standing);
@@ -301,8 +301,8 @@ impl SliceOrdered {
     }
 
     /// Sums all slices of the parts; returns how long it took, ns.
-    fn sum(&self, standing: &mut Standing) -> f64 {
-        let Standing { parts, sums, image, .. } = standing;
+    fn sum(&self, standing: &mut CachedImages) -> f64 {
+        let CachedImages { parts, sums, image, .. } = standing;
         let samples = samples_of(parts);
         let began_ns = self.machine.now_ns();
         // Every sample is overwritten.
@@ -313,7 +313,7 @@ impl SliceOrdered {
     }
 
     /// Sharpens the sums of all parts and warps them to the detector.
-    fn develop(&self, standing: &mut Standing, image: &mut [f64]) {
+    fn develop(&self, standing: &mut CachedImages, image: &mut [f64]) {
         let show = self.show(Threads::Pool);
         for part in 0..standing.parts.len() {
             let plan = &standing.parts[part].plan;
@@ -378,9 +378,9 @@ impl SliceOrdered {
         if written == 0 { Update::Unchanged } else { Update::Changed(written) }
     }
 
-    fn show(&self, threads: Threads) -> Show {
+    fn show(&self, threads: Threads) -> SumsConversion {
         let unit = f64::from(i32::from(self.store.widening()) << WEIGHT_BITS);
-        Show {
+        SumsConversion {
             instructions: self.options.instructions,
             alpha: self.options.alpha(),
             scale_per_m: self.unit_per_m / unit,

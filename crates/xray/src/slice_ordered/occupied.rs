@@ -8,12 +8,12 @@ use crate::vector::Vec3;
 
 /// Voxels `low..end` along each axis; those outside attenuate nothing. Empty if nothing does.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct Occupied {
+pub(crate) struct OccupiedBox {
     low: [usize; 3],
     end: [usize; 3],
 }
 
-impl Occupied {
+impl OccupiedBox {
     const NOTHING: Self = Self { low: [usize::MAX; 3], end: [0; 3] };
 
     /// Computes the box of the voxels, x fastest, for which `attenuates` is true; voxels below `least` never

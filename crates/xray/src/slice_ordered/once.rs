@@ -4,7 +4,7 @@ use rayon::prelude::*;
 
 use super::SliceOrdered;
 use super::parts::samples_of;
-use super::standing::Standing;
+use super::standing::CachedImages;
 use crate::carm::CArm;
 use crate::error::DrrError;
 use crate::grid::VolumeView;
@@ -52,7 +52,7 @@ impl SliceOrdered {
         let fan = RayFan::new(&self.store_grid, c_arm);
         let parts = self.parts(&fan, c_arm);
         let Images { sums, image: floats } = core::mem::take(images);
-        let mut standing = Standing { c_arm: *c_arm, fan, parts, sums, image: floats };
+        let mut standing = CachedImages { c_arm: *c_arm, fan, parts, sums, image: floats };
         self.sum(&mut standing);
         self.develop(&mut standing, image);
         *images = Images { sums: standing.sums, image: standing.image };

@@ -19,10 +19,10 @@
 //! are 5.27 fixed point. These integers define the weights, so every implementation of the sum gives the same
 //! bits.
 
-use super::before::BeforeDetector;
+use super::before::DetectorClip;
 use super::copies::CELL;
 use super::footprint::visible_groups;
-use super::occupied::Occupied;
+use super::occupied::OccupiedBox;
 use crate::carm::PixelBox;
 use crate::ray::RayFan;
 use crate::vector::Vec3;
@@ -177,7 +177,7 @@ impl Slice {
 /// The rays that share intermediate images: those to a rectangle of the detector.
 #[derive(Clone, Copy)]
 pub(crate) struct Rays<'a> {
-    pub occupied: &'a Occupied,
+    pub occupied: &'a OccupiedBox,
     pub fan: &'a RayFan,
     pub pixels: PixelBox,
     pub oversampling: f64,
@@ -201,7 +201,7 @@ pub(crate) struct Plan {
     /// For each eight rows, the groups that a pixel of the detector reads, half-open.
     pub visible: Vec<(usize, usize)>,
     /// The detector's plane, if part of the volume lies behind it.
-    pub before: Option<BeforeDetector>,
+    pub before: Option<DetectorClip>,
 }
 
 /// Range of slices across an axis that are summed into one image.
@@ -349,12 +349,12 @@ impl Plan {
         [plan.columns, plan.rows] = size;
         plan.visible = visible_groups(footprint, size);
         let is_before = rays.fan.is_before_detector(&occupied.corners());
-        plan.before = (!is_before).then(|| BeforeDetector::new(rays.fan, &plan));
+        plan.before = (!is_before).then(|| DetectorClip::new(rays.fan, &plan));
         plan.slices = (a..=b).map(|k| plan.slice(k, range.depth(source, k) / far_depth, occupied)).collect();
         Some(plan)
     }
 
-    fn slice(&self, index: usize, ratio: f64, occupied: &Occupied) -> Slice {
+    fn slice(&self, index: usize, ratio: f64, occupied: &OccupiedBox) -> Slice {
         let step = fixed(ratio / self.oversampling).min(MAX_STEP);
         let axes = [self.axes.u, self.axes.v];
         let start = [0, 1].map(|m| fixed(self.source[axes[m]] * (1.0 - ratio)) + self.first[m] * step);
@@ -430,7 +430,7 @@ fn ends(mut of: impl Iterator<Item = usize>) -> Option<(usize, usize)> {
 }
 
 /// True if rays between the corners meet the occupied box at a depth, in slices, before the detector's plane.
-fn is_met(occupied: &Occupied, source: Vec3, corners: &[Vec3; 4], axes: Axes, depth: f64) -> bool {
+fn is_met(occupied: &OccupiedBox, source: Vec3, corners: &[Vec3; 4], axes: Axes, depth: f64) -> bool {
     // At most five samples next to a ray are read, each at most 1.25 voxels from the next.
     const BESIDE: f64 = 8.0;
     let farthest = corners.iter().map(|d| d[axes.slow].abs()).fold(0.0, f64::max);

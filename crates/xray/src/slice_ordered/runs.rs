@@ -63,12 +63,12 @@ pub(super) struct TileRows {
     /// For each cell, the level of all its voxels in all the lines, or [`MIXED`].
     pub levels: Vec<u8>,
     pub runs: Vec<Run>,
-    pub summed: Summed,
+    pub summed: TileColumns,
 }
 
 /// The samples of a tile that are summed in a slice; ranges are half-open.
 #[derive(Debug, Default)]
-pub(super) struct Summed {
+pub(super) struct TileColumns {
     /// Columns of each row.
     pub columns: [(usize, usize); TILE_ROWS],
     /// Groups with any of these columns, and groups whose rows all have all columns.
@@ -76,7 +76,7 @@ pub(super) struct Summed {
     pub whole: (usize, usize),
 }
 
-impl Summed {
+impl TileColumns {
     #[inline(always)]
     fn of(plan: &Plan, slice: &Slice, first_row: usize) -> Self {
         if !plan.meets_detector(slice, first_row) {
@@ -120,7 +120,7 @@ impl TileRows {
     ) -> bool {
         self.runs.clear();
         self.levels.clear();
-        self.summed = Summed::of(plan, slice, first_row);
+        self.summed = TileColumns::of(plan, slice, first_row);
         if self.summed.any.0 >= self.summed.any.1 {
             return false;
         }

@@ -21,7 +21,7 @@ pub(super) enum Threads {
 }
 
 /// The cached images of one C-arm.
-pub(super) struct Standing {
+pub(super) struct CachedImages {
     pub c_arm: CArm,
     pub fan: RayFan,
     pub parts: Vec<Part>,
@@ -31,7 +31,7 @@ pub(super) struct Standing {
     pub image: Vec<f32>,
 }
 
-impl Standing {
+impl CachedImages {
     /// Bytes of the sums and the image.
     pub fn bytes(&self) -> usize {
         size_of_val(&*self.sums) + size_of_val(&*self.image)
@@ -40,7 +40,7 @@ impl Standing {
 
 /// Conversion of sums to line integrals.
 #[derive(Clone, Copy)]
-pub(super) struct Show {
+pub(super) struct SumsConversion {
     pub instructions: Instructions,
     /// Strength of the sharpening.
     pub alpha: f64,
@@ -49,10 +49,10 @@ pub(super) struct Show {
     pub threads: Threads,
 }
 
-impl Show {
+impl SumsConversion {
     /// Sharpens a rectangle of a part's sums.
-    pub fn sharpen(self, standing: &mut Standing, part: usize, rect: &Rect) {
-        let Standing { parts, sums, image, .. } = standing;
+    pub fn sharpen(self, standing: &mut CachedImages, part: usize, rect: &Rect) {
+        let CachedImages { parts, sums, image, .. } = standing;
         let Some(part) = parts.get(part) else { return };
         let (plan, samples) = (&part.plan, part.samples());
         let (Some(sums), Some(image)) = (sums.get(samples.clone()), image.get_mut(samples)) else { return };
@@ -72,7 +72,7 @@ impl Show {
     }
 
     /// Warps the images to a rectangle of the detector.
-    pub fn draw(self, standing: &Standing, detector: &PixelBox, out: &mut [f64]) {
+    pub fn draw(self, standing: &CachedImages, detector: &PixelBox, out: &mut [f64]) {
         for part in &standing.parts {
             if let Some(detector) = detector.within(&part.pixels) {
                 self.draw_part(standing, part, &detector, out);
@@ -80,7 +80,7 @@ impl Show {
         }
     }
 
-    fn draw_part(self, standing: &Standing, part: &Part, detector: &PixelBox, out: &mut [f64]) {
+    fn draw_part(self, standing: &CachedImages, part: &Part, detector: &PixelBox, out: &mut [f64]) {
         let Self { instructions, scale_per_m, threads, .. } = self;
         let Some(image) = standing.image.get(part.samples()) else { return };
         let warp = Warp { plan: &part.plan, fan: &standing.fan, image, blend: part.blend, scale_per_m };

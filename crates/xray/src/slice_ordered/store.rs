@@ -8,12 +8,12 @@ use super::Machine;
 use super::copies::{Copy3, Voxel, copy_elements};
 use super::instructions::Instructions;
 use super::kernel::{TILES, Work};
-use super::occupied::Occupied;
+use super::occupied::OccupiedBox;
 use super::options::CellShares;
 use super::parts::Part;
 use super::plan::{Axes, TILE_ROWS};
 use super::splat::{Splatter, slices_until_flush};
-use super::standing::Standing;
+use super::standing::CachedImages;
 use crate::attenuation::MuTable;
 use crate::error::DrrError;
 use crate::grid::{Grid, VolumeView};
@@ -142,14 +142,14 @@ impl Store {
     }
 
     /// The box of the stored voxels that attenuate.
-    pub fn occupied(&self, view: &VolumeView<'_>, values: &Values) -> Occupied {
+    pub fn occupied(&self, view: &VolumeView<'_>, values: &Values) -> OccupiedBox {
         match self {
             Self::Whole(_) => {
                 let attenuates = |hu: i16| values.of(hu) > 0;
-                Occupied::of(view.grid().dims(), view.hu(), least_hu(attenuates), attenuates)
+                OccupiedBox::of(view.grid().dims(), view.hu(), least_hu(attenuates), attenuates)
             }
             Self::Preview { blocks, .. } => {
-                Occupied::of(blocks.dims, &blocks.sums, 1, |sum| blocks.value(sum) > 0)
+                OccupiedBox::of(blocks.dims, &blocks.sums, 1, |sum| blocks.value(sum) > 0)
             }
         }
     }
@@ -189,7 +189,7 @@ impl Store {
     }
 
     /// Applies changes to the current C-arm's sums, if there are any, and to the copies.
-    pub fn apply(&mut self, standing: Option<&mut Standing>, changes: &[Change]) {
+    pub fn apply(&mut self, standing: Option<&mut CachedImages>, changes: &[Change]) {
         with_copies!(self, copies => match standing {
             Some(standing) => copies.splat(standing, changes),
             None => copies.set_all(changes),
@@ -243,8 +243,8 @@ impl<T: Voxel> Copies<T> {
         self.by_slow.iter_mut().flatten().for_each(|copy| copy.set(voxel, value));
     }
 
-    fn splat(&mut self, standing: &mut Standing, changes: &[Change]) {
-        let Standing { parts, sums, .. } = standing;
+    fn splat(&mut self, standing: &mut CachedImages, changes: &[Change]) {
+        let CachedImages { parts, sums, .. } = standing;
         let mut splatter = Splatter::default();
         for &Change { linear, value } in changes {
             let voxel = self.voxel_of(linear);

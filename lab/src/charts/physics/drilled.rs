@@ -8,7 +8,7 @@ use voxel_grid::Ct;
 use trabecula::failure::Failure;
 use trabecula::launcher::volume_source;
 use trabecula::plan::Settings;
-use trabecula::plan::measure::against::{Compared, References, Run, against_reference, path};
+use trabecula::plan::measure::against::{ReferenceComparison, References, Run, against_reference, path};
 use trabecula::scenes::BuiltIn;
 
 /// The feed of 28 mm at 1.5 mm/s, before the tool retracts.
@@ -47,7 +47,11 @@ impl Drilling {
     ///
     /// # Errors
     /// The physics refuses the settings.
-    pub fn compare(&self, settings: &Settings, references: &mut References) -> Result<Compared, Failure> {
+    pub fn compare(
+        &self,
+        settings: &Settings,
+        references: &mut References,
+    ) -> Result<ReferenceComparison, Failure> {
         Ok(against_reference(&Run::new(&self.with(settings), Some(self.ct())), references)?)
     }
 

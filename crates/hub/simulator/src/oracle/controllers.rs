@@ -1,6 +1,6 @@
 //! A controller's part of u_k: a latch kept in parallel to the hub's.
 
-use hub::Incoming;
+use hub::IncomingMessage;
 use hub::rate_limit::Connection;
 use messages::{ArmMode, BurrMode, Command, CommandSource, ControllerIndex, Latched, TubeMode};
 use scene::{Drives, Mode};
@@ -22,8 +22,8 @@ pub(super) struct Slot {
 
 impl Oracle {
     /// Records that the hub takes a command.
-    pub fn command(&mut self, index: ControllerIndex, incoming: &Incoming<Command>, form: Form) {
-        let Incoming::Message(command, connection) = incoming else {
+    pub fn command(&mut self, index: ControllerIndex, incoming: &IncomingMessage<Command>, form: Form) {
+        let IncomingMessage::Message(command, connection) = incoming else {
             self.refused += 1;
             return;
         };

@@ -2,7 +2,7 @@
 //! between the hub and its surroundings.
 
 use hub::rate_limit::Connection;
-use hub::{Incoming, Note, Report, Start};
+use hub::{IncomingMessage, Note, Report, Start};
 use messages::{
     ControlAction, ControlStatus, ControllerIndex, EventCode, Keyframe, Latched, Part, Phase, Plant, Removed,
     RunControl, RunControlReply, RunStatus, SensorReading, Severity, State, TickTiming,
@@ -124,9 +124,9 @@ impl Oracle {
     }
 
     /// Records that the hub takes a request to run control.
-    pub fn request(&mut self, incoming: &Incoming<RunControl>, now_ns: u64) {
+    pub fn request(&mut self, incoming: &IncomingMessage<RunControl>, now_ns: u64) {
         self.passed_over();
-        if let Incoming::Message(request, connection) = incoming {
+        if let IncomingMessage::Message(request, connection) = incoming {
             self.request = Some((*request, *connection, now_ns));
         }
     }

@@ -3,7 +3,7 @@
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
-use delivery::viewer::{Outgoing, Published};
+use delivery::viewer::{ChannelMessage, OutgoingMessage};
 
 use crate::plan::MS;
 use crate::viewer::{NOTICES, NOTICES_KEPT, STREAMS};
@@ -64,7 +64,7 @@ impl WatcherAccount {
 
     /// Records that a message is published, and offered to the client if it is connected; `count` is the
     /// number of subscriptions that it was offered to.
-    pub fn published(&mut self, message: &Published, count: Option<usize>) {
+    pub fn published(&mut self, message: &ChannelMessage, count: Option<usize>) {
         let (number, bytes) = (number_of(&message.payload), message.payload.len());
         self.kept.insert((message.channel, message.slot), (number, bytes));
         if message.channel == NOTICES && message.slot >= NOTICES_KEPT {
@@ -134,7 +134,7 @@ impl WatcherAccount {
     }
 
     /// Records that the client is sent some messages: at most `batch_bytes` of streams and one of the others.
-    pub fn delivered(&mut self, messages: &[Outgoing], batch_bytes: usize) {
+    pub fn delivered(&mut self, messages: &[OutgoingMessage], batch_bytes: usize) {
         let had_newest = !self.newest.is_empty();
         let (mut bytes, mut others) = (0, 0);
         for message in messages {
@@ -153,7 +153,7 @@ impl WatcherAccount {
         expect!(self, others == sent, format!("{others} messages of other channels, expected {sent}"));
     }
 
-    fn delivered_of_stream(&mut self, message: &Outgoing) {
+    fn delivered_of_stream(&mut self, message: &OutgoingMessage) {
         let due = self.stream.pop_front();
         self.waiting_bytes -= due.map_or(0, |due| due.bytes);
         let (subscription, number) = (message.subscription, number_of(&message.payload));
@@ -164,7 +164,7 @@ impl WatcherAccount {
         self.in_order((subscription, 0), number);
     }
 
-    fn delivered_newest(&mut self, message: &Outgoing) {
+    fn delivered_newest(&mut self, message: &OutgoingMessage) {
         let (subscription, number) = (message.subscription, number_of(&message.payload));
         let matches =
             |((of, _), (due, _)): &(&(u32, u32), &(u64, usize))| *of == subscription && *due == number;

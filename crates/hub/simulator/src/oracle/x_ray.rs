@@ -3,14 +3,14 @@
 
 use std::collections::VecDeque;
 
-use delivery::x_ray::{Due, Refusal, RemovedLost, RemovedSince};
+use delivery::x_ray::{DueFrame, Refusal, RemovalDelta, RemovalLoss};
 use hub::rate_limit::Connection;
 use messages::{DrrRequest, DrrStatus, GeometryChoice, Restores, Tick};
 use scene::Mode;
 
 use super::{RATION, RATION_NS};
 use crate::plan::Plan;
-use crate::x_ray_plan::Asked;
+use crate::x_ray_plan::SentRequest;
 
 /// Jobs that wait for the renderer. One more is being rendered, and in lockstep a blocked process holds one
 /// more.
@@ -23,9 +23,9 @@ const WAITING: usize = 64;
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum FrameCause {
     /// It is due.
-    Due(Due),
+    Due(DueFrame),
     /// It is due at the last state of a run that is over.
-    Last(Due),
+    Last(DueFrame),
 }
 
 /// Outcome of a request.
@@ -39,12 +39,12 @@ pub enum Answer {
 
 /// A set of voxels, identified by a sum over its members.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-struct Gone {
+struct VoxelSet {
     count: u64,
     sum: u64,
 }
 
-impl Gone {
+impl VoxelSet {
     fn add(&mut self, voxels: &[u32]) {
         let mixed = |voxel: &u32| {
             let word = (u64::from(*voxel) + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
@@ -63,16 +63,16 @@ pub struct FrameAccount {
     pub failure: Option<String>,
     /// Whether the DRR process's queue of removed voxels overflowed.
     pub removed_dropped: bool,
-    predrilled: Gone,
-    gone: Gone,
+    predrilled: VoxelSet,
+    gone: VoxelSet,
     /// Voxels removed at each tick.
-    gone_at: Vec<Gone>,
+    gone_at: Vec<VoxelSet>,
     /// Voxels removed in the frames.
-    rendered: Gone,
+    rendered: VoxelSet,
     /// The next frame at the scene's rate is due in this period or later.
     next_period: u64,
     shown_tick: Option<u64>,
-    waiting: VecDeque<Asked>,
+    waiting: VecDeque<SentRequest>,
     in_flight: usize,
     /// Frames so far.
     pub frames: u64,
@@ -82,7 +82,7 @@ pub struct FrameAccount {
     /// The last state's tick, once the process has refused the waiting requests.
     over_at: Option<Tick>,
     /// A request that was refused at the end though the last state could have answered it.
-    refused_though_due: Option<Asked>,
+    refused_though_due: Option<SentRequest>,
 }
 
 impl FrameAccount {
@@ -116,8 +116,8 @@ impl FrameAccount {
     }
 
     /// Records that the DRR process has taken a request.
-    pub fn request(&mut self, asked: &Asked, answer: &Answer, now_ns: u64) {
-        let Asked { from, request, .. } = asked;
+    pub fn request(&mut self, asked: &SentRequest, answer: &Answer, now_ns: u64) {
+        let SentRequest { from, request, .. } = asked;
         self.taken.retain(|(_, at_ns)| at_ns + RATION_NS > now_ns);
         let taken = self.taken.iter().filter(|(other, _)| other == from).count();
         let Answer::Given(given) = answer else {
@@ -141,8 +141,8 @@ impl FrameAccount {
         }
     }
 
-    fn expected(&self, asked: &Asked) -> Result<(), Refusal> {
-        let Asked { from, sender, request } = asked;
+    fn expected(&self, asked: &SentRequest) -> Result<(), Refusal> {
+        let SentRequest { from, sender, request } = asked;
         if request.requester != DrrRequest::requester_of(*sender) {
             return Err(Refusal::OtherSender { claimed: request.requester });
         }
@@ -174,7 +174,7 @@ impl FrameAccount {
     }
 
     /// Records that the DRR process hands a frame of this tick to the renderer.
-    pub fn frame(&mut self, tick: u64, cause: FrameCause, since: &RemovedSince) {
+    pub fn frame(&mut self, tick: u64, cause: FrameCause, since: &RemovalDelta) {
         let most = if self.is_lockstep() { JOBS_WAITING + 1 } else { 0 };
         let (in_flight, is_last) = (self.in_flight, matches!(cause, FrameCause::Last(_)));
         expect!(self, is_last || in_flight <= most, {
@@ -182,19 +182,22 @@ impl FrameAccount {
         });
         let is_unshown = is_last && self.shown_tick != Some(tick) && !self.waits_for(tick);
         match cause {
-            FrameCause::Due(Due::Requested(request)) | FrameCause::Last(Due::Requested(request)) => {
+            FrameCause::Due(DueFrame::Requested(request))
+            | FrameCause::Last(DueFrame::Requested(request)) => {
                 self.requested(tick, &request);
             }
-            FrameCause::Last(Due::Scheduled) if self.period_due(tick).is_none() => {
+            FrameCause::Last(DueFrame::Scheduled) if self.period_due(tick).is_none() => {
                 expect!(self, is_unshown, format!("tick {tick} is shown a second time at the end"));
             }
-            FrameCause::Due(Due::Scheduled) | FrameCause::Last(Due::Scheduled) => self.scheduled(tick),
+            FrameCause::Due(DueFrame::Scheduled) | FrameCause::Last(DueFrame::Scheduled) => {
+                self.scheduled(tick)
+            }
         }
         self.in_flight += 1;
         self.frames += 1;
         self.shown_tick = Some(tick);
         if since.restores == Restores::Drilled {
-            self.rendered = Gone::default();
+            self.rendered = VoxelSet::default();
         }
         self.rendered.add(&since.voxels);
         let (shown, gone) = (self.rendered, self.gone_at.get(tick as usize).copied());
@@ -249,7 +252,7 @@ impl FrameAccount {
     }
 
     /// Records that the DRR process ends because removed voxels are missing.
-    pub fn failed(&mut self, lost: &RemovedLost) {
+    pub fn failed(&mut self, lost: &RemovalLoss) {
         let dropped = self.removed_dropped;
         expect!(self, dropped, format!("ended though nothing was lost: {lost}"));
     }

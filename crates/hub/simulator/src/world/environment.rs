@@ -1,6 +1,6 @@
 //! The hub's view of its surroundings: its ports, and what it publishes.
 
-use hub::{Environment, Incoming, Note, Outputs, Report, Start};
+use hub::{Environment, IncomingMessage, Note, Outputs, Report, Start};
 use messages::{
     Blame, Command, ControllerIndex, Keyframe, Latched, Removed, RunControl, RunControlReply, RunStatus,
     SensorReading, State, TickTiming,
@@ -78,7 +78,10 @@ impl Environment for World {
         self.end_requested
     }
 
-    fn receive_command(&mut self, controller: ControllerIndex) -> Result<Option<Incoming<Command>>, String> {
+    fn receive_command(
+        &mut self,
+        controller: ControllerIndex,
+    ) -> Result<Option<IncomingMessage<Command>>, String> {
         self.moment();
         let Some((incoming, form)) = self.controllers[controller.slot()].commands.pop_front() else {
             return Ok(None);
@@ -87,7 +90,7 @@ impl Environment for World {
         Ok(Some(incoming))
     }
 
-    fn receive_control(&mut self) -> Result<Option<Incoming<RunControl>>, String> {
+    fn receive_control(&mut self) -> Result<Option<IncomingMessage<RunControl>>, String> {
         self.moment();
         self.oracle.passed_over();
         let incoming = self.control.pop_front();

@@ -5,7 +5,7 @@ use messages::{ControllerIndex, Part};
 
 use super::{LAUNCHER_NOTICES_NS, World};
 use crate::actors::Consumer;
-use crate::drr::Looked;
+use crate::drr::QueuePass;
 
 impl World {
     /// Processes a consumer's queues; returns the time until which it is then blocked, as the DRR process is
@@ -18,8 +18,8 @@ impl World {
         self.hand_out_frames();
         self.deliver_frame_history();
         match looked {
-            Ok(Looked::Done) => None,
-            Ok(Looked::Blocked { until_ns }) => Some(until_ns),
+            Ok(QueuePass::Done) => None,
+            Ok(QueuePass::Blocked { until_ns }) => Some(until_ns),
             Err(lost) => {
                 self.frames.failed(&lost);
                 self.kill(Part::Drr, LAUNCHER_NOTICES_NS);
@@ -55,8 +55,8 @@ impl World {
         let mut now_ns = self.now_ns.get();
         loop {
             match drr.look(now_ns, &mut self.frames) {
-                Ok(Looked::Done) => break,
-                Ok(Looked::Blocked { until_ns }) => now_ns = until_ns,
+                Ok(QueuePass::Done) => break,
+                Ok(QueuePass::Blocked { until_ns }) => now_ns = until_ns,
                 Err(lost) => return self.frames.failed(&lost),
             }
         }

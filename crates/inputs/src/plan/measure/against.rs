@@ -38,7 +38,7 @@ impl<'a> Run<'a> {
 
 /// Why a comparison gave no result.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum NotCompared {
+pub enum ComparisonError {
     /// The physics refuses the scene or a step.
     #[error("{0}")]
     Run(String),
@@ -47,15 +47,15 @@ pub enum NotCompared {
     Reference(String),
 }
 
-impl From<NotCompared> for Failure {
-    fn from(cause: NotCompared) -> Failure {
+impl From<ComparisonError> for Failure {
+    fn from(cause: ComparisonError) -> Failure {
         Failure::failed(cause)
     }
 }
 
 /// Error of a run, and its cost.
 #[derive(Debug, Clone)]
-pub struct Compared {
+pub struct ReferenceComparison {
     /// Path error, r.m.s. over the run.
     pub path_mm: f64,
     /// Largest path error, r.m.s., over all shorter runs, excluding the first 0.1 s.
@@ -90,9 +90,9 @@ fn said(scene: &Scene, cause: &dyn core::fmt::Display) -> String {
 }
 
 /// Runs a scene's controllers and calls `see` after every tick with the run, u_k and the step time, ns.
-fn play(run: &Run, mut see: impl FnMut(&Simulation, &Latched, u64)) -> Result<(), NotCompared> {
+fn play(run: &Run, mut see: impl FnMut(&Simulation, &Latched, u64)) -> Result<(), ComparisonError> {
     let Run { scene, ct, tensions_n } = *run;
-    let failed = |cause: &dyn core::fmt::Display| NotCompared::Run(said(scene, cause));
+    let failed = |cause: &dyn core::fmt::Display| ComparisonError::Run(said(scene, cause));
     let simulation = Simulation::new(scene, ct).map_err(|cause| failed(&cause))?;
     let mut run = InProcess::new(scene, simulation);
     let mut controllers = Vec::new();
@@ -151,14 +151,14 @@ impl References {
         scene: &Scene,
         ct: Option<CtView>,
         latched: Vec<Latched>,
-    ) -> Result<&[Vector3<f64>], NotCompared> {
+    ) -> Result<&[Vector3<f64>], ComparisonError> {
         let settings = settings_of(scene);
         let same = |known: &Known| known.scene == settings && known.latched.as_bytes() == latched.as_bytes();
         let place = match self.known.iter().position(same) {
             Some(place) => place,
             None => {
                 let refused =
-                    |cause: simulation::SimulationError| NotCompared::Reference(said(scene, &cause));
+                    |cause: simulation::SimulationError| ComparisonError::Reference(said(scene, &cause));
                 let mut reference = Reference::new(scene, ct).map_err(refused)?;
                 let mut burr_m = Vec::new();
                 for latched in &latched {
@@ -177,7 +177,10 @@ impl References {
 ///
 /// # Errors
 /// The physics refuses the scene or a step.
-pub fn against_reference(run: &Run, references: &mut References) -> Result<Compared, NotCompared> {
+pub fn against_reference(
+    run: &Run,
+    references: &mut References,
+) -> Result<ReferenceComparison, ComparisonError> {
     let Run { scene, ct, .. } = *run;
     let (mut all, mut own, mut nanoseconds) = (Vec::new(), Vec::new(), Vec::new());
     play(run, |run, latched, step_ns| {
@@ -187,7 +190,7 @@ pub fn against_reference(run: &Run, references: &mut References) -> Result<Compa
     })?;
     let reference = references.burr_m(scene, ct, all)?;
     let (mut mean, us_per_ms) = (Mean::default(), median(nanoseconds, scene.run.dt_ms));
-    let mut compared = Compared {
+    let mut compared = ReferenceComparison {
         path_mm: 0.0,
         worst_path_mm: 0.0,
         end_mm: 0.0,
@@ -216,7 +219,7 @@ pub fn against_reference(run: &Run, references: &mut References) -> Result<Compa
 ///
 /// # Errors
 /// The physics refuses the scene or a step.
-pub fn path(run: &Run) -> Result<(Vec<Vector3<f64>>, f64), NotCompared> {
+pub fn path(run: &Run) -> Result<(Vec<Vector3<f64>>, f64), ComparisonError> {
     let scene = run.scene;
     let (every, mut path, mut nanoseconds) = (every(scene), Vec::new(), Vec::new());
     play(run, |run, latched, step_ns| {

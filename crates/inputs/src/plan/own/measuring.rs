@@ -14,7 +14,7 @@ use super::candidates;
 use super::cases::{Case, Part, cases};
 use super::tool::OwnTool;
 use crate::failure::Failure;
-use crate::plan::measure::against::{NotCompared, References, Run, against_reference, distance_mm};
+use crate::plan::measure::against::{ComparisonError, References, Run, against_reference, distance_mm};
 use crate::plan::measure::block::Block;
 use crate::plan::measure::trials::{block, larger};
 use crate::plan::table::{Row, Settings};
@@ -158,7 +158,7 @@ fn compared(tool: &OwnTool, piece: &Piece) -> Result<Found, Failure> {
                 Off { path_mm: compared.worst_path_mm, end_mm: compared.end_mm, burr_m: compared.burr_m }
             }
             Err(cause) => {
-                if let NotCompared::Reference(cause) = cause {
+                if let ComparisonError::Reference(cause) = cause {
                     found.lost = Some(cause);
                 }
                 Off { path_mm: f64::NAN, end_mm: f64::NAN, burr_m: Vec::new() }

@@ -11,7 +11,7 @@ mod step;
 
 use nalgebra::{Isometry3, Matrix4, Vector3, Vector4};
 
-use super::common::{Common, Room};
+use super::common::{Common, StateSizes};
 use super::contact::ContactSolver;
 use super::error::{ManipulatorError, check};
 use super::geometry::{BurrBody, SphereLayout};
@@ -91,7 +91,7 @@ impl ConstantCurvature {
             limit_rad: joints * p.joint_limit_rad,
             stiffness_nm_per_rad: p.joint_stop_stiffness_nm_per_rad / joints,
         };
-        let room = Room { freedoms: 4, stops: 1, contacts: MAX_CONTACTS };
+        let room = StateSizes { freedoms: 4, stops: 1, contacts: MAX_CONTACTS };
         let common = Common::new(Rung::ConstantCurvature, parameters, base, total, first, room);
         let along = |s: &SphereLayout| match s.link {
             0 => s.along_m,

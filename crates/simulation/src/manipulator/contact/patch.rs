@@ -8,7 +8,7 @@
 
 use super::chain::{Square, add_outer, add_scaled, dot};
 use super::laws::ContactRow;
-use crate::contact_plane::Give;
+use crate::contact_plane::RecessionLaw;
 
 /// Maximum iterations toward the root; each leaves fewer pressing contacts.
 const ROOT_STEPS: usize = 32;
@@ -39,7 +39,7 @@ pub(super) enum BackLaw<const N: usize> {
 
 impl Patch {
     /// Creates the law for a step of `dt` s.
-    pub fn new(give: &Give, dt: f64) -> Patch {
+    pub fn new(give: &RecessionLaw, dt: f64) -> Patch {
         Patch { from: give.from_n * dt, slope: give.m_per_n / (dt * dt), most: give.most_m / dt }
     }
 

@@ -23,7 +23,7 @@ mod tendons;
 
 use nalgebra::Isometry3;
 
-use super::common::{Common, Room};
+use super::common::{Common, StateSizes};
 use super::contact::{ContactSolver, Dense, Factor};
 use super::error::{ManipulatorError, check};
 use super::geometry::Layout;
@@ -35,9 +35,9 @@ use super::tendon::Channels;
 use super::{MAX_CONTACTS, MAX_JOINTS};
 use basis::Basis;
 use operator::Dynamics;
-use shape::{Links, Motion, OfFlexures, Shape};
+use shape::{FlexureArray, Links, Motion, Shape};
 use spheres::SphereWork;
-use tendons::{Bent, Tendons};
+use tendons::{BendSums, Tendons};
 
 /// Number of freedoms of the mount, base x, y, z, which come first.
 const MOUNT: usize = 3;
@@ -53,16 +53,16 @@ pub struct MomentModes<const N: usize> {
     links: Links,
     basis: Basis<N>,
     /// Bending stiffness (N m/rad) and unloaded angle (rad) of the flexures; 1 and 0 past the last.
-    stiffness: OfFlexures,
-    rest: OfFlexures,
+    stiffness: FlexureArray,
+    rest: FlexureArray,
     /// Damping of the flexures over their stiffness, s.
     damping_s: f64,
     /// This and the following fields are derived from the state: angles (rad) and rates (rad/s) of the
     /// flexures, links.
-    bend: [OfFlexures; 2],
+    bend: [FlexureArray; 2],
     shape: Shape,
     motion: Motion,
-    bent: Bent,
+    bent: BendSums,
     /// Number of flexures beyond their stops.
     stopped: usize,
     /// This and the following fields are workspace.
@@ -114,7 +114,7 @@ impl<const N: usize> MomentModes<N> {
         rest[..parameters.joint_rest_rad.len()].copy_from_slice(&parameters.joint_rest_rad);
         let first = parameters.first_frequency_rad_per_s();
         let (basis, channels) = (Basis::new(&parameters), Channels::of(&parameters));
-        let room = Room { freedoms: N, stops: 0, contacts: MAX_CONTACTS };
+        let room = StateSizes { freedoms: N, stops: 0, contacts: MAX_CONTACTS };
         let common = Common::new(Rung::Modal, parameters, base, layout.total_mass_kg, first, room);
         let mut tool = Self {
             basis,
@@ -124,7 +124,7 @@ impl<const N: usize> MomentModes<N> {
             bend: [[0.0; MAX_JOINTS]; 2],
             shape: Shape::new(),
             motion: Motion::new(),
-            bent: Bent::NONE,
+            bent: BendSums::NONE,
             stopped: 0,
             sphere_work: SphereWork::new(&common.sphere_layout),
             common,
@@ -157,7 +157,7 @@ impl<const N: usize> MomentModes<N> {
 
     /// Returns the angles of the flexures for amplitudes `x`, rad.
     #[inline(always)]
-    fn angles(&self, x: &[f64; N]) -> OfFlexures {
+    fn angles(&self, x: &[f64; N]) -> FlexureArray {
         let mut q = self.basis.angles(x);
         for (q, rest) in q.iter_mut().zip(&self.rest) {
             *q += rest;
@@ -175,7 +175,7 @@ impl<const N: usize> MomentModes<N> {
         }
         let mount = Self::mount_of(&x);
         self.shape.update(&self.links, &self.bend[0], &mount);
-        self.bent = Bent::of(&self.shape);
+        self.bent = BendSums::of(&self.shape);
         let rate = Self::mount_of(&v);
         self.motion.update(&self.links, &self.shape, &self.bend[1], &rate);
         let Common { spheres, sphere_layout, state, parameters, .. } = &mut self.common;

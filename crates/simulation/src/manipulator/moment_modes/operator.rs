@@ -14,7 +14,7 @@ use nalgebra::Vector3;
 
 use super::MOUNT;
 use super::basis::Basis;
-use super::shape::{LINKS, Links, Motion, OfFlexures, OfLinks, Shape};
+use super::shape::{FlexureArray, LINKS, LinkArray, Links, Motion, Shape};
 use crate::manipulator::MAX_JOINTS;
 use crate::manipulator::contact::{Square, lanes, lanes_mut};
 use crate::manipulator::loads::Frame;
@@ -44,37 +44,37 @@ pub(super) struct Dynamics<const N: usize> {
 
 /// Contributions of the flexures to a shape's dynamics.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct OnFlexures<'a> {
+pub(super) struct FlexureLoads<'a> {
     /// Torques, N m.
-    pub torque: &'a OfFlexures,
+    pub torque: &'a FlexureArray,
     /// Stiffnesses of single flexures in the operator, times the step squared, N m s²/rad.
-    pub stiffness: &'a OfFlexures,
+    pub stiffness: &'a FlexureArray,
 }
 
 /// Forces on the links (N), their moments at the base origin about y (N m), and the links' centres of mass
 /// (m).
 #[derive(Debug, Clone)]
 struct Forces {
-    x: OfLinks,
-    y: OfLinks,
-    z: OfLinks,
-    moment: OfLinks,
-    centre_x: OfLinks,
-    centre_z: OfLinks,
+    x: LinkArray,
+    y: LinkArray,
+    z: LinkArray,
+    moment: LinkArray,
+    centre_x: LinkArray,
+    centre_z: LinkArray,
 }
 
 /// Per flexure: momentum (m_y, p_x, p_z) of everything distal per unit of its rate, half its own part of the
 /// mass matrix, and its torque.
 #[derive(Debug, Clone)]
 struct Distal {
-    momentum: [OfFlexures; 3],
-    half: OfFlexures,
-    torque: OfFlexures,
+    momentum: [FlexureArray; 3],
+    half: FlexureArray,
+    torque: FlexureArray,
     /// First moments (x, z), inertia about the origin, force (x, z) and moment of everything distal; 0 past
     /// the last.
-    behind: [OfFlexures; 6],
+    behind: [FlexureArray; 6],
     /// Inertia of each link about the origin, kg m².
-    about: OfLinks,
+    about: LinkArray,
 }
 
 impl Forces {
@@ -138,7 +138,7 @@ impl<const N: usize> Dynamics<N> {
         simd: S,
         (links, basis): (&Links, &Basis<N>),
         (shape, motion, lateral): (&Shape, &Motion, [f64; 2]),
-        on: OnFlexures<'_>,
+        on: FlexureLoads<'_>,
         frame: &Frame,
     ) {
         self.force = [0.0; N];
@@ -211,7 +211,7 @@ impl<const N: usize> Dynamics<N> {
     /// Sweeps from tip to base: accumulates the momentum and the load of everything distal to each flexure.
     /// Sets the forces on the mount.
     #[inline(always)]
-    fn sweep_inward(&mut self, links: &Links, shape: &Shape, on: OnFlexures<'_>) {
+    fn sweep_inward(&mut self, links: &Links, shape: &Shape, on: FlexureLoads<'_>) {
         let (f, out) = (&self.forces, &mut self.distal);
         for l in 0..LINKS {
             let squared = f.centre_x[l] * f.centre_x[l] + f.centre_z[l] * f.centre_z[l];

@@ -6,9 +6,9 @@ use crate::manipulator::geometry::{Layout, Planar};
 /// Capacity for links, the shaft first; a multiple of the vector length of four.
 pub(super) const LINKS: usize = 36;
 /// One number per link.
-pub(super) type OfLinks = [f64; LINKS];
+pub(super) type LinkArray = [f64; LINKS];
 /// One number per flexure; 0 past the last.
-pub(super) type OfFlexures = [f64; MAX_JOINTS];
+pub(super) type FlexureArray = [f64; MAX_JOINTS];
 
 /// Half angle, rad, up to which the series below are exact to rounding: the first omitted term is 0.25^13 /
 /// 13!.
@@ -20,15 +20,15 @@ pub(super) struct Links {
     /// Number of flexures, one less than links.
     pub joints: usize,
     /// Length up to the next flexure, m.
-    pub length_m: OfLinks,
-    pub mass_kg: OfLinks,
+    pub length_m: LinkArray,
+    pub mass_kg: LinkArray,
     /// Distance from the link's origin to its centre of mass, m.
-    pub centre_m: OfLinks,
+    pub centre_m: LinkArray,
     /// Inertia about the centre of mass, axis y.
-    pub inertia_kg_m2: OfLinks,
+    pub inertia_kg_m2: LinkArray,
     pub total_mass_kg: f64,
     /// Mass of everything distal to each flexure.
-    pub behind_kg: OfFlexures,
+    pub behind_kg: FlexureArray,
 }
 
 impl Links {
@@ -41,7 +41,7 @@ impl Links {
         let mut length_m = [0.0; LINKS];
         length_m[0] = layout.first_joint_m;
         length_m[1..=layout.joints].copy_from_slice(&layout.length_m[..layout.joints]);
-        let mass_kg: OfLinks = of(|body| body.mass_kg);
+        let mass_kg: LinkArray = of(|body| body.mass_kg);
         let behind_kg = core::array::from_fn(|j| mass_kg[j + 1..].iter().sum());
         Self {
             joints: layout.joints,
@@ -59,14 +59,14 @@ impl Links {
 #[derive(Debug, Clone)]
 pub(super) struct Shape {
     /// Sine and cosine of half of each flexure's angle.
-    pub half_sin: OfFlexures,
-    pub half_cos: OfFlexures,
+    pub half_sin: FlexureArray,
+    pub half_cos: FlexureArray,
     /// Origin of each link: the displaced base origin, then the flexure centres, m.
-    pub x: OfLinks,
-    pub z: OfLinks,
+    pub x: LinkArray,
+    pub z: LinkArray,
     /// Direction of each link: sine and cosine of its angle to base z.
-    pub sin: OfLinks,
-    pub cos: OfLinks,
+    pub sin: LinkArray,
+    pub cos: LinkArray,
 }
 
 impl Shape {
@@ -85,7 +85,7 @@ impl Shape {
     /// Updates every link from the flexures' angles `q` (rad) and the mount's displacement (base axes x, y,
     /// z, m).
     #[inline(always)]
-    pub fn update(&mut self, links: &Links, q: &OfFlexures, mount: &[f64; 3]) {
+    pub fn update(&mut self, links: &Links, q: &FlexureArray, mount: &[f64; 3]) {
         half_angles(q, &mut self.half_sin, &mut self.half_cos);
         (self.x[0], self.z[0]) = (mount[0], mount[2]);
         let (mut x, mut z) = (mount[0], mount[2] + links.length_m[0]);
@@ -112,13 +112,13 @@ impl Shape {
 #[derive(Debug, Clone)]
 pub(super) struct Motion {
     /// Angular velocity, rad/s.
-    pub omega: OfLinks,
+    pub omega: LinkArray,
     /// Velocity of the link's origin, m/s.
-    pub vx: OfLinks,
-    pub vz: OfLinks,
+    pub vx: LinkArray,
+    pub vz: LinkArray,
     /// Velocity-product acceleration of the link's origin, m/s².
-    pub ax: OfLinks,
-    pub az: OfLinks,
+    pub ax: LinkArray,
+    pub az: LinkArray,
 }
 
 impl Motion {
@@ -129,7 +129,7 @@ impl Motion {
 
     /// Updates every link from the flexures' rates (rad/s) and the mount's velocity (base axes x, y, z, m/s).
     #[inline(always)]
-    pub fn update(&mut self, links: &Links, shape: &Shape, rate: &OfFlexures, mount: &[f64; 3]) {
+    pub fn update(&mut self, links: &Links, shape: &Shape, rate: &FlexureArray, mount: &[f64; 3]) {
         let joints = links.joints.min(MAX_JOINTS);
         for i in 0..joints {
             self.omega[i + 1] = self.omega[i] + rate[i];
@@ -154,7 +154,7 @@ impl Motion {
 /// terms of the power series suffice, in branch-free loops; if any angle is larger, the library functions are
 /// used.
 #[inline(always)]
-fn half_angles(q: &OfFlexures, sin: &mut OfFlexures, cos: &mut OfFlexures) {
+fn half_angles(q: &FlexureArray, sin: &mut FlexureArray, cos: &mut FlexureArray) {
     let mut small = true;
     for q in q {
         // False for a NaN.
@@ -188,7 +188,7 @@ mod tests {
     fn the_series_are_the_library_s_functions_to_rounding() {
         for k in 0..=1000 {
             let largest = 2.0 * SERIES_UP_TO_RAD * (f64::from(k) / 1000.0);
-            let q: OfFlexures = core::array::from_fn(|i| largest * (i as f64 / 15.5 - 1.0));
+            let q: FlexureArray = core::array::from_fn(|i| largest * (i as f64 / 15.5 - 1.0));
             let (mut sin, mut cos) = ([0.0; MAX_JOINTS], [0.0; MAX_JOINTS]);
             half_angles(&q, &mut sin, &mut cos);
             for i in 0..MAX_JOINTS {

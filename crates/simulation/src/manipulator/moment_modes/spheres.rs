@@ -3,7 +3,7 @@
 use nalgebra::Vector3;
 
 use super::MOUNT;
-use super::shape::{LINKS, Links, Motion, OfLinks, Shape};
+use super::shape::{LINKS, LinkArray, Links, Motion, Shape};
 use crate::manipulator::geometry::{SphereKind, SphereLayout};
 use crate::manipulator::state::{BaseMotion, ProxySphere};
 use crate::manipulator::{MAX_JOINTS, MAX_SPHERES};
@@ -13,7 +13,7 @@ use crate::manipulator::{MAX_JOINTS, MAX_SPHERES};
 #[derive(Debug, Clone)]
 pub(super) struct SphereWork {
     /// Distance of each segment's sphere from its link's origin, m.
-    segment_m: OfLinks,
+    segment_m: LinkArray,
     /// Number of spheres before the first segment's, that is, on the shaft.
     before: usize,
     /// Positions x, z, m, and their rates relative to the base, m/s.

@@ -3,8 +3,8 @@
 
 use nalgebra::Vector3;
 
-use super::operator::OnFlexures;
-use super::tendons::{Bent, Tendons};
+use super::operator::FlexureLoads;
+use super::tendons::{BendSums, Tendons};
 use super::{MOUNT, MomentModes};
 use crate::manipulator::common::Common;
 use crate::manipulator::contact::BaseDrive;
@@ -156,7 +156,7 @@ impl<const N: usize> MomentModes<N> {
         let (q, y, bent) = match at.stage {
             // At the start, y is h v.
             Stage::Start => (self.bend[0], self.bend[1].map(|rate| at.h * rate), self.bent),
-            Stage::Trial => (self.angles(at.x), self.basis.angles(at.y), Bent::of(&self.trial.0)),
+            Stage::Trial => (self.angles(at.x), self.basis.angles(at.y), BendSums::of(&self.trial.0)),
         };
         let start = (&self.shape, &self.motion);
         let trial = (&self.trial.0, &self.trial.1);
@@ -181,7 +181,7 @@ impl<const N: usize> MomentModes<N> {
             torque[i] = self.tendons.torque[i] - pressed * beyond - (own + pressed) * y[i];
             stiffness[i] = at.h * at.h * (own + pressed);
         }
-        let on = OnFlexures { torque: &torque, stiffness: &stiffness };
+        let on = FlexureLoads { torque: &torque, stiffness: &stiffness };
         let of = (shape, motion, [at.x[1], at.v[1]]);
         self.dynamics.evaluate(simd, (&self.links, &self.basis), of, on, frame);
         self.add_springs(&at);

@@ -2,21 +2,21 @@
 //! here.
 
 use super::basis::Basis;
-use super::shape::{OfFlexures, Shape};
+use super::shape::{FlexureArray, Shape};
 use crate::manipulator::state::TendonCommand;
 use crate::manipulator::tendon::{Channels, TendonMemory, base_tension, sign};
 use crate::manipulator::{MAX_JOINTS, MAX_TENDONS};
 
 /// Sums over the flexures from which all take-ups are computed.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Bent {
+pub(super) struct BendSums {
     /// Sum of the sines of half the angles.
     sin: f64,
     /// Sum of 1 minus the cosines of half the angles.
     versed: f64,
 }
 
-impl Bent {
+impl BendSums {
     /// Sums of the straight tool.
     pub const NONE: Self = Self { sin: 0.0, versed: 0.0 };
 
@@ -46,9 +46,9 @@ impl Bent {
 pub(super) struct Tendons<const N: usize> {
     pub channels: Channels,
     /// Torque on each flexure, N m.
-    pub torque: OfFlexures,
+    pub torque: FlexureArray,
     /// Stiffness -d torque_i / d q_i at constant tension and sliding state, N m/rad.
-    pub stiffness: OfFlexures,
+    pub stiffness: FlexureArray,
     /// Slope d take-up / d freedom of each pulling tendon, and gradient -d force / d take-up.
     pub slope: [[f64; N]; MAX_TENDONS],
     pub gradient: [[f64; N]; MAX_TENDONS],
@@ -81,7 +81,7 @@ impl<const N: usize> Tendons<N> {
     pub fn evaluate(
         &mut self,
         basis: &Basis<N>,
-        (shape, bent, q, v): (&Shape, &Bent, &OfFlexures, &[f64; N]),
+        (shape, bent, q, v): (&Shape, &BendSums, &FlexureArray, &[f64; N]),
         command: &TendonCommand,
         memory: &[TendonMemory; MAX_TENDONS],
     ) {
@@ -125,7 +125,7 @@ impl<const N: usize> Tendons<N> {
         &mut self,
         basis: &Basis<N>,
         t: usize,
-        (q, slope, curvature): (&OfFlexures, &OfFlexures, &OfFlexures),
+        (q, slope, curvature): (&FlexureArray, &FlexureArray, &FlexureArray),
         v: &[f64; N],
         (tension, sliding, stretched): (f64, f64, bool),
     ) {

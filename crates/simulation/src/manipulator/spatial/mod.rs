@@ -20,7 +20,7 @@ mod tendon;
 
 use nalgebra::{Isometry3, Rotation3, Translation3, UnitQuaternion};
 
-use super::common::{Common, Room};
+use super::common::{Common, StateSizes};
 use super::contact::ContactSolver;
 use super::coupling::Coupling;
 use super::error::ManipulatorError;
@@ -84,7 +84,7 @@ impl<const D: usize> SpatialChain<D> {
         }
         let (tendon, first) =
             (TendonLoad::new(freedoms, &parameters), parameters.first_frequency_rad_per_s());
-        let room = Room { freedoms, stops: freedoms, contacts: MAX_CONTACTS };
+        let room = StateSizes { freedoms, stops: freedoms, contacts: MAX_CONTACTS };
         let common = Common::new(Self::RUNG, parameters, base, layout.total_mass_kg, first, room);
         let damper = |(k, stiffness): (usize, &f64)| {
             common.mount_damping.get(k).copied().unwrap_or_else(|| common.damping_s() * stiffness)

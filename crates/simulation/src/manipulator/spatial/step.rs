@@ -74,7 +74,7 @@ struct Diagonals<'a> {
     diagonal: &'a mut [f64],
 }
 
-/// Sets out[i] = f(i) for every degree of freedom.
+/// Sets `out[i] = f(i)` for every degree of freedom.
 fn fill(out: &mut [f64], f: impl Fn(usize) -> f64) {
     for (i, out) in out.iter_mut().enumerate() {
         *out = f(i);

@@ -4,7 +4,7 @@ use nalgebra::Vector3;
 use scene::{Drives, Predrill, WIDEST_HOLE_MM};
 
 use super::Start;
-use crate::bone::{Matter, Voxels};
+use crate::bone::{VoxelKind, Voxels};
 use crate::manipulator::{ManipulatorModel, ProxySphere, SphereKind};
 
 /// Coordinate magnitude below which a start may have been given in metres, mm.
@@ -33,7 +33,7 @@ impl Start<'_> {
     pub(super) fn burr_gap_m(&self) -> Option<f64> {
         let voxels = self.voxels()?;
         let gap_m =
-            |ball: &ProxySphere| Some(voxels.distance_m(&ball.centre_m, Matter::Bone)? - ball.radius_m);
+            |ball: &ProxySphere| Some(voxels.distance_m(&ball.centre_m, VoxelKind::Bone)? - ball.radius_m);
         self.burr().filter_map(gap_m).min_by(f64::total_cmp)
     }
 
@@ -122,7 +122,7 @@ pub(super) fn start_far_from_bone(start: &Start) -> Option<String> {
 
 pub(super) fn burr_in_bone(start: &Start) -> Option<String> {
     let voxels = start.voxels()?;
-    let depths_m = start.burr().filter_map(|ball| voxels.distance_m(&ball.centre_m, Matter::Open));
+    let depths_m = start.burr().filter_map(|ball| voxels.distance_m(&ball.centre_m, VoxelKind::Open));
     let depth_m = depths_m.max_by(f64::total_cmp).filter(|depth_m| *depth_m > SHALLOW_M)?;
     let depth_mm = depth_m * 1e3;
     Some(format!(
@@ -132,7 +132,7 @@ pub(super) fn burr_in_bone(start: &Start) -> Option<String> {
 
 pub(super) fn shaft_in_bone(start: &Start) -> Option<String> {
     let voxels = start.voxels()?;
-    let depth_m = start.tube().filter_map(|sphere| voxels.distance_m(&sphere.centre_m, Matter::Open));
+    let depth_m = start.tube().filter_map(|sphere| voxels.distance_m(&sphere.centre_m, VoxelKind::Open));
     let depth_mm = 1e3 * depth_m.fold(0.0, f64::max);
     (depth_mm > SHALLOW_M * 1e3).then(|| {
         format!("puts the shaft up to {depth_mm:.1} mm inside bone; add a `[[predrill]]` hole along it")

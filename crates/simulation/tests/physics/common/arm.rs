@@ -85,14 +85,14 @@ pub fn about_pivot(
 /// Largest fractions of the joint limits used between two ticks: position excess (rad), velocity,
 /// acceleration, jerk.
 #[derive(Default, Debug)]
-pub struct Used {
+pub struct UsedLimits {
     pub beyond_rad: f64,
     pub velocity: f64,
     pub acceleration: f64,
     pub jerk: f64,
 }
 
-impl Used {
+impl UsedLimits {
     pub fn add(&mut self, arm: &Arm, before: &ArmState) {
         let limits = &arm.parameters().joint_limits;
         let s = arm.state();
@@ -119,7 +119,7 @@ impl Used {
 }
 
 /// Steps until done; returns the number of ticks.
-pub fn finish(arm: &mut Arm, used: &mut Used) -> usize {
+pub fn finish(arm: &mut Arm, used: &mut UsedLimits) -> usize {
     let mut ticks = 0;
     while ticks == 0 || !arm.state().done {
         let before = *arm.state();
@@ -133,7 +133,7 @@ pub fn finish(arm: &mut Arm, used: &mut Used) -> usize {
 
 /// Steps until done, passing every state to `look`; returns the number of ticks.
 pub fn finish_looking(arm: &mut Arm, mut look: impl FnMut(&ArmState)) -> usize {
-    let mut used = Used::default();
+    let mut used = UsedLimits::default();
     for ticks in 1..400_000 {
         let before = *arm.state();
         arm.step();

@@ -82,7 +82,7 @@ pub fn latched(tick: u64, insertion_m: f64) -> Latched {
 
 /// Result of a feed.
 #[derive(Debug, Clone)]
-pub struct Fed {
+pub struct FeedResult {
     /// The state at the end.
     pub end: State,
     /// Position of the burr's front every 100 ticks, m.
@@ -95,17 +95,17 @@ pub struct Fed {
     pub most_removed: usize,
 }
 
-impl Fed {
+impl FeedResult {
     /// Largest distance between two paths at equal times, m.
-    pub fn apart_m(&self, other: &Fed) -> f64 {
+    pub fn apart_m(&self, other: &FeedResult) -> f64 {
         self.path_m.iter().zip(&other.path_m).map(|(a, b)| (a - b).norm()).fold(0.0, f64::max)
     }
 }
 
 /// Feeds over `insertion_m`.
-pub fn feed(simulation: &mut Simulation<'_>, insertion_m: f64) -> Fed {
+pub fn feed(simulation: &mut Simulation<'_>, insertion_m: f64) -> FeedResult {
     let ticks = ticks(insertion_m);
-    let mut fed = Fed {
+    let mut fed = FeedResult {
         end: *simulation.state(),
         path_m: Vec::new(),
         most_force_n: 0.0,

@@ -96,7 +96,7 @@ struct Series {
 }
 
 #[derive(Debug, Default)]
-struct Found {
+struct SeriesTable {
     series: BTreeMap<FieldName, Series>,
     /// Time and letter of the cause, in log order.
     misses: Vec<(u64, char)>,
@@ -112,7 +112,7 @@ pub(super) struct LogSeries {
     begin_ns: u64,
     end_ns: u64,
     dt_ns: u64,
-    found: Mutex<Found>,
+    found: Mutex<SeriesTable>,
 }
 
 /// Position of misses in a time span.

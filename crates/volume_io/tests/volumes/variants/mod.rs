@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use test_support::limited::Limited;
 use test_support::python;
-use volume_io::{Label, ReadOptions, Slices, read_as};
+use volume_io::{Label, ReadOptions, SliceHandling, read_as};
 use voxel_grid::Volume;
 
 const PACKAGES: [&str; 8] = [
@@ -67,7 +67,7 @@ fn options(case: &Value) -> ReadOptions {
         Value::String(name) => Some(Label::Name(name.clone())),
         number => Some(Label::Value(number.as_i64().unwrap() as i16)),
     };
-    let slices = if given["rectify"] == true { Slices::Rectify } else { Slices::AsTheyLie };
+    let slices = if given["rectify"] == true { SliceHandling::Rectify } else { SliceHandling::AsTheyLie };
     let series = given["series"].as_str().map(str::to_owned);
     ReadOptions { label, slices, series, ..ReadOptions::default() }
 }
