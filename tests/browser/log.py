@@ -162,7 +162,7 @@ def answers_odd_requests(page: Page) -> None:
     field = {"topic": "/state", "field": "bend_rad"}
     good = {"fields": [field], "from_ns": 0, "to_ns": 10**9, "columns": 10}
     odd = [({"to_ns": 0}, "empty"), ({"columns": 0}, "columns"), ({"columns": 10**6}, "columns"), ({"fields": [field] * 99}, "fields"),
-           ({"fields": [{"topic": "/nothing", "field": "x"}]}, "/nothing"), ({"fields": [{"topic": "/state", "field": "hash"}]}, "not one number"),
+           ({"fields": [{"topic": "/nothing", "field": "x"}]}, "/nothing"), ({"fields": [{"topic": "/state", "field": "hash"}]}, "not a scalar"),
            ({"second": True}, "second"), ({"from_ns": -1}, "malformed")]
     for change, word in odd:
         answer = page.page.evaluate(ask, {**good, **change})

@@ -65,7 +65,7 @@ fn bad_commands(sequence: u64, tick: u64) -> Vec<(Command, &'static str)> {
         ),
         (Command { arm_mode: 9, ..good }, "`arm_mode` is 9, expected 0 none"),
         (Command { tube_mode: 3, ..good }, "`tube_mode` is 3, expected 0 none"),
-        (Command { tube_mode: 2, ..good }, "`tube_mode` drives the tube, which the scene does not give"),
+        (Command { tube_mode: 2, ..good }, "`tube_mode` drives the tube, which the scene does not assign"),
         (Command { sequence: sequence - 1, ..good }, "`sequence` is 150, expected more than 150"),
         (Command { sequence: 1, ..good }, "`sequence` is 1, expected more than 150"),
         (
@@ -75,7 +75,7 @@ fn bad_commands(sequence: u64, tick: u64) -> Vec<(Command, &'static str)> {
         (Command { state_tick: tick + 1, ..good }, "`state_tick` is 151, but the newest state is 150"),
         (
             Command { burr_mode: BURR_SPEED, ..good },
-            "`burr_mode` drives the burr, which the scene does not give",
+            "`burr_mode` drives the burr, which the scene does not assign",
         ),
     ]
 }

@@ -66,7 +66,7 @@ fn logs_are_packed_joined_split_and_exported() {
     assert_replays(&path("runs/run2.mcap"));
     assert_eq!(fs::read(path("runs/run1.mcap")).unwrap(), fs::read(folder.join("run.mcap")).unwrap());
     let done = trabecula(&[&"log", &"info", &path("both.mcap")]);
-    assert!(done.code == Some(2) && done.err.contains("holds 2 runs"), "{}", done.err);
+    assert!(done.code == Some(2) && done.err.contains("contains 2 runs"), "{}", done.err);
     let done = trabecula(&[&"log", &"split", &folder, &"-o", &path("runs of one")]);
     assert!(done.code == Some(2) && done.err.contains("contains a single run; expected"), "{}", done.err);
     assert!(!path("runs of one").exists());
@@ -182,5 +182,5 @@ fn the_drilled_ct_is_written_while_the_run_goes_on() {
     assert!(gone_in() >= early);
     fs::remove_file(&file).unwrap();
     let done = drilled(&[&"--tick", &"999999999"], &ended.folder);
-    assert!(done.code == Some(2) && done.err.contains("the log ends at tick"), "{}", done.err);
+    assert!(done.code == Some(2) && done.err.contains("is past the end of the log at tick"), "{}", done.err);
 }

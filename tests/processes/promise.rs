@@ -106,7 +106,7 @@ fn promise_3_closed_loop_stops_at_the_first_difference_and_names_it() {
     // Programs that are not controllers, and invalid names.
     let run = |text: &str| trabecula(&[&"replay", &original, &"--controller", &text]);
     failed(&run("false"), 1, &["tick 0: controller `holder` ended"]);
-    failed(&run("/no/such/program"), 2, &["no program `/no/such/program`"]);
+    failed(&run("/no/such/program"), 2, &["program `/no/such/program` not found"]);
     failed(&run("'unclosed"), 2, &["an unclosed quote"]);
 }
 

@@ -52,7 +52,7 @@ fn a_controller_program_that_dies_is_started_again_and_the_run_goes_on() {
     let mut said = Vec::new();
     wait_for("two new starts", || {
         said.extend(client.events().into_iter().filter(|(code, _)| *code == EVENT_RUN).map(|(_, text)| text));
-        said.iter().any(|text| text.contains("start 2 of 1000 follows")).then_some(())
+        said.iter().any(|text| text.contains("restarting (2 of 1000)")).then_some(())
     });
     assert!(said.iter().any(|text| text.contains("`short_lived` ended (exit status: 7)")), "{said:?}");
     client.ask(CONTROL_STOP, 0);

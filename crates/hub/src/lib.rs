@@ -16,8 +16,8 @@
 //! ```text
 //! connect:  publish x_0 until every consumer and every controller has answered
 //! tick k:   obey run control (pause, step, reset, stop)
-//!           real time: wait for the deadline t_0 + k dt          lockstep: wait for every controller's answer to x_k
-//!           u_k := latch                                          (validated; late commands held, then the safe one)
+//!           real time: wait for the deadline t_0 + k dt  lockstep: wait for every controller's answer to x_k
+//!           u_k := latch                                 (validated; late commands held, then the safe one)
 //!           publish u_k
 //!           x_{k+1}, h_{k+1} := step(x_k, u_k)
 //!           publish removed voxels, then x_{k+1}; wake sleeping readers

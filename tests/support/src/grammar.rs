@@ -35,7 +35,8 @@ pub fn assert_helpful(command_line: &Command, forwarded: &[&str]) {
         assert!(!lines.is_empty(), "{path}: no examples");
         for line in lines {
             let words: Vec<&str> = line.split(' ').collect();
-            assert!(line.starts_with(&format!("trabecula {path}")), "{path}: {line}");
+            let own = format!("{} {path}", command_line.get_name());
+            assert!(line.starts_with(&own), "{path}: {line}");
             if let Err(error) = command_line.clone().try_get_matches_from(words) {
                 panic!("{line}: {error}");
             }

@@ -6,8 +6,8 @@ import { product, rotate, subtract } from "/assets/vector.js";
 /** @typedef {{position_m: import("/assets/vector.js").Vector, orientation_xyzw: import("/assets/vector.js").Quaternion}} Part */
 
 /**
- * Returns the frames of the arm's links, from the base to the one before the flange; empty without an arm. Frame i + 1 is frame i
- * rotated about its z by joint i + 1, then moved by part i.
+ * Returns the frames of the arm's links, from the base to the one before the flange; empty without an arm.
+ * Frame i + 1 is frame i rotated about its z by joint i + 1, then moved by part i.
  * @param {Pose} flange @param {number[]} angles joint angles in radians @param {Part[]} parts of `/view/info` @returns {Pose[]}
  */
 export function armFrames(flange, angles, parts) {

@@ -140,8 +140,8 @@ export function plotsPng(panel, colours) {
 }
 
 /**
- * Returns the samples of the shown span as CSV, one row per time: for each line the mean, and the minimum and maximum that the row
- * covers. Numbers are in the messages' units, which are suffixes of the field names.
+ * Returns the samples of the shown span as CSV, one row per time: for each line the mean, and the minimum and
+ * maximum that the row covers. Numbers are in the messages' units, which are suffixes of the field names.
  * @param {import("/assets/plots_panel.js").PlotsPanel} panel @returns {string}
  */
 export function plotsCsv(panel) {

@@ -48,7 +48,8 @@ function meets({ origin, direction }, low, size) {
 }
 
 /**
- * Returns the distance to the nearest triangle of a block behind the cut (Möller and Trumbore, 1997), or infinity.
+ * Returns the distance to the nearest triangle of a block behind the cut (Möller and Trumbore, 1997), or
+ * infinity.
  * @param {Ray} ray @param {{origin: number[], scale: number, positions: Uint16Array, indices: Uint32Array}} block
  * @param {number[]} cut x, y, z, w of the plane in front of which the bone is cut away; zeros: no cut
  */

@@ -242,7 +242,8 @@ export class PlanEdit {
 }
 
 /**
- * Draws labelled rings. @param {CanvasRenderingContext2D} context @param {Handle[]} handles @param {(point: Vector) => number[] | undefined} at pixels, and
+ * Draws labelled rings. @param {CanvasRenderingContext2D} context @param {Handle[]} handles @param {(point:
+ * Vector) => number[] | undefined} at pixels, and
  *   distance from the image plane, if there is one @param {number} ratio
  */
 export function drawHandles(context, handles, at, ratio) {

@@ -2,8 +2,8 @@
 
 /**
  * @typedef {{spacing: number, at: (time: number) => number | undefined, last?: () => number | undefined,
- *   each: (from: number, to: number, columns: number, draw: (time: number, low: number, high: number, mean: number) => void) => void}} Samples
- *   `spacing`: seconds covered by a sample; 0: unknown.
+ *   each: (from: number, to: number, columns: number, draw: (time: number, low: number, high: number, mean:
+ *   number) => void) => void}} Samples `spacing`: seconds covered by a sample; 0: unknown.
  * @typedef {{name: import("/assets/log_series.js").FieldName, label: string, samples: Samples, scale: number, colour: string,
  *   dashed?: boolean}} Line  `colour` names a custom property of the style sheet.
  * @typedef {{from: number, to: number, cursor?: number, now?: number}} Times  seconds; `now`: position in a log

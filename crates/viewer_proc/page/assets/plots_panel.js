@@ -43,7 +43,8 @@ export class PlotsPanel {
   /**
    * @param {HTMLElement} place @param {import("/assets/model.js").Model} model
    * @param {{changed: () => void, ask: (request: object) => Promise<any>, subscribe: (topics: Set<string>) => void,
-   *   channels: () => Iterable<import("/assets/connection.js").Channel>, seek: (seconds: number) => void}} page
+   *   channels: () => Iterable<import("/assets/connection.js").Channel>, seek: (seconds: number) => void}}
+   *   page
    */
   constructor(place, model, page) {
     this.place = place;

@@ -30,8 +30,8 @@ function blocks(text) {
 }
 
 /**
- * Returns the offsets of all scalars, such as `t_world_link[3].position_m[0]`, up to the first sequence of variable length.
- * Offsets count from the start of the payload, its CDR header included.
+ * Returns the offsets of all scalars, such as `t_world_link[3].position_m[0]`, up to the first sequence of
+ * variable length. Offsets count from the start of the payload, its CDR header included.
  * @param {string} text a `ros2msg` schema @returns {Layout}
  */
 export function layoutOf(text) {

@@ -38,7 +38,8 @@ function hull(points) {
 }
 
 /**
- * Returns the section of a closed cylinder: the hull of the points where the plane crosses the edges of an inscribed prism.
+ * Returns the section of a closed cylinder: the hull of the points where the plane crosses the edges of an
+ * inscribed prism.
  * @param {Plane} plane @param {Vector} from @param {Vector} to @param {number} radius metres @returns {Point[]} empty: nothing
  */
 export function cutCylinder(plane, from, to, radius) {

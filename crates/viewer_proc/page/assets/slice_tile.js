@@ -180,7 +180,8 @@ export class SliceTile {
   /**
    * @param {Plane} plane @param {number} field
    * @param {{poses?: import("/assets/tool_model.js").Poses, tool?: any, path: Vector[], target?: Vector, cursor?: Vector,
-   *   measures: import("/assets/measure.js").Measures, handles: import("/assets/plan_edit.js").Handle[]}} scene
+   *   measures: import("/assets/measure.js").Measures, handles: import("/assets/plan_edit.js").Handle[]}}
+   *   scene
    */
   draw(plane, field, scene) {
     const { ratio } = this;
@@ -361,7 +362,8 @@ export function outlined(context, text, x, y, colour, ratio) {
 }
 
 /**
- * Draws distances over an image. @param {CanvasRenderingContext2D} context @param {import("/assets/measure.js").Measures} measures
+ * Draws distances over an image. @param {CanvasRenderingContext2D} context @param
+ * {import("/assets/measure.js").Measures} measures
  * @param {(point: Vector) => number[] | undefined} at pixels of a point; undefined: not visible @param {number} ratio
  */
 export function drawMeasures(context, measures, at, ratio) {

@@ -39,8 +39,9 @@ export function decodeImage(data, start = 4) {
 }
 
 /**
- * Returns the window that spreads the grey levels of bone. Leaves out values at the ends of the detector's range (air, metal) and a fraction
- * of the pixels at the dense end and at the other one, where soft tissue may be as bright as air.
+ * Returns the window that spreads the grey levels of bone. Leaves out values at the ends of the detector's
+ * range (air, metal) and a fraction of the pixels at the dense end and at the other one, where soft tissue
+ * may be as bright as air.
  * @param {Image} image @param {boolean} [denseIsBright] @returns {Window}
  */
 export function automaticWindow({ pixels }, denseIsBright = false) {
