@@ -131,14 +131,10 @@ fn skip(reason: &str) {
     println!("\n*** SKIPPED: the page in a browser: {reason} ***\n");
 }
 
-/// Runs the checks, and repeats them if they fail: a browser that renders in software, on a shared machine,
-/// is sometimes late. Checks that fail twice have failed.
-fn twice(attempt: impl Fn() -> Result<(), String>) {
+/// Runs checks while no other test uses the browser.
+fn alone(checks: impl FnOnce() -> Result<(), String>) {
     let _alone = ONE_AT_A_TIME.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
-    if let Err(first) = attempt() {
-        println!("*** once more, since: {first}");
-        attempt().unwrap();
-    }
+    checks().unwrap();
 }
 
 /// Runs one kind of checks; the error says which one failed and why.
@@ -194,7 +190,7 @@ impl Drop for SetAtEnd<'_> {
 #[test]
 fn a_live_run_is_watched_and_driven_from_the_page() {
     let Some(python) = browser_python() else { return };
-    twice(|| {
+    alone(|| {
         let place = Place::new();
         let run: Run = place.start(&live_scene());
         let session = run.session();
@@ -226,7 +222,7 @@ fn a_live_run_is_watched_and_driven_from_the_page() {
 #[test]
 fn a_run_that_ends_becomes_its_log_on_the_page() {
     let Some(python) = browser_python() else { return };
-    twice(|| {
+    alone(|| {
         let place = Place::new();
         let run: Run = place.start(&live_scene());
         let mut viewer = Viewer::start(&place, &[&"--session", &run.session()]);
@@ -245,14 +241,14 @@ fn logs_are_scrubbed_and_compared_on_the_page() {
     let first = record(&place, "first", &recorded_scene(6.0, 1.0));
     // The shorter of the two.
     let second = record(&place, "second", &recorded_scene(4.0, 0.7));
-    twice(|| check(&python, "log", &Viewer::start(&place, &[&first]), &[]));
-    twice(|| check(&python, "two", &Viewer::start(&place, &[&first, &second]), &[]));
+    alone(|| check(&python, "log", &Viewer::start(&place, &[&first]), &[]));
+    alone(|| check(&python, "two", &Viewer::start(&place, &[&first, &second]), &[]));
 }
 
 #[test]
 fn a_scene_is_shown_on_the_page_before_its_run() {
     let Some(python) = browser_python() else { return };
-    twice(|| {
+    alone(|| {
         let place = Place::new();
         let file = place.path("scene.toml");
         fs::write(&file, planned_scene()).unwrap();
@@ -271,11 +267,11 @@ fn an_arm_is_drawn_with_its_meshes() {
     let Some(python) = browser_python() else { return };
     let place = Place::new();
     let scene = Path::new(env!("CARGO_MANIFEST_DIR")).join("configs/examples/arm_urdf.toml");
-    twice(|| check(&python, "arm", &Viewer::start(&place, &[&scene]), &[]));
+    alone(|| check(&python, "arm", &Viewer::start(&place, &[&scene]), &[]));
     let output = place.path("arm");
     let done =
         trabecula(&[&"run", &scene, &"--output", &output, &"--quiet", &"--set", &"run.duration_s=0.1"]);
     assert_eq!(done.code, Some(0), "{}", done.err);
     let log = fs::read_dir(output).unwrap().flatten().next().unwrap().path();
-    twice(|| check(&python, "arm", &Viewer::start(&place, &[&log]), &[]));
+    alone(|| check(&python, "arm", &Viewer::start(&place, &[&log]), &[]));
 }

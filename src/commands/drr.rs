@@ -44,10 +44,10 @@ pub struct DrrArguments {
     /// DICOM secondary angle, degrees: positive is cranial.
     #[arg(long, allow_negative_numbers = true)]
     secondary_deg: Option<f64>,
-    /// Distance from the source to the isocentre.
+    /// Distance from the source to the isocentre; default: 700.
     #[arg(long)]
     source_isocentre_mm: Option<f64>,
-    /// Distance from the source to the detector.
+    /// Distance from the source to the detector; default: 1000.
     #[arg(long)]
     source_detector_mm: Option<f64>,
     /// Point that the C-arm rotates about, in the patient frame (LPS); default: the volume's centre.
