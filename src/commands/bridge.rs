@@ -159,6 +159,7 @@ fn igtl(arguments: &IgtlArguments, end: &EndRequest) -> Result<(), Failure> {
 
 fn ros2(arguments: &Ros2Arguments, end: &EndRequest) -> Result<(), Failure> {
     let options = arguments.options()?;
+    ros2::bound_memory();
     let ready = |ready: Ready| {
         let reach = match ready.is_closed {
             Some(true) => "this machine only",
@@ -236,8 +237,8 @@ impl IgtlArguments {
             controller: self.controller.clone(),
             peers,
             permission,
-            rate_hz: within("--rate", self.rate, 0.1, 1000.0)?,
             watch_with_token: self.watch_with_token,
+            rate_hz: within("--rate", self.rate, 0.1, 1000.0)?,
             approach_m_per_s: within("--approach", self.approach, 0.01, 250.0)? / 1000.0,
             feed_m_per_s: within("--feed", self.feed, 0.01, 20.0)? / 1000.0,
             burr_rad_per_s: within("--burr", self.burr, 0.0, 60_000.0)? * core::f64::consts::PI / 30.0,
