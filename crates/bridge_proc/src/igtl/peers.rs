@@ -12,7 +12,7 @@ use super::peer::{Gate, Peer};
 use super::{IgtlError, IgtlOptions, PeerEndpoint, Summary};
 
 /// Maximum number of peers at a time that only watch. At the limit a new one replaces the oldest of the
-/// address that has the most, so that idle connections lock nobody out; owners are never replaced.
+/// address that has the most, so that idle connections keep no other peer out; owners are never replaced.
 const MOST_WATCHERS: usize = 16;
 /// How often the shutdown checks whether everything has been sent.
 const SENT_PERIOD: Duration = Duration::from_millis(5);
