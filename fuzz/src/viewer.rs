@@ -36,7 +36,8 @@ pub fn viewer(data: &[u8]) {
 fn request_head(data: &[u8]) {
     let Ok(Some(head)) = parse(data) else { return };
     assert!(data.ends_with(&head.rest));
-    let origins = Origins { allowed: vec!["http://studio.example".to_owned()] };
+    let hosts = "tunnel.example:9000".parse().into_iter().collect();
+    let origins = Origins { allowed: vec!["http://studio.example".to_owned()], hosts };
     let own = origins.check(&head, ADDRESS, Reach::Loopback).is_ok();
     assert!(!own || origins.check(&head, ADDRESS, Reach::Network).is_ok());
     if let Ok(answer) = websocket_answer(&head) {

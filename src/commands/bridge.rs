@@ -110,6 +110,10 @@ pub struct IgtlArguments {
     /// Let every peer control the run.
     #[arg(long)]
     control_by_anyone: bool,
+    /// Send peers nothing of the run, such as X-rays, before they have sent the token; without this, anyone
+    /// who connects can watch.
+    #[arg(long, requires = "control_token_file")]
+    watch_with_token: bool,
     /// Speed of the arm to a plan's entry point, in mm/s.
     #[arg(long, value_name = "MM_PER_S", default_value_t = 20.0)]
     approach: f64,
@@ -155,6 +159,7 @@ fn igtl(arguments: &IgtlArguments, end: &EndRequest) -> Result<(), Failure> {
 
 fn ros2(arguments: &Ros2Arguments, end: &EndRequest) -> Result<(), Failure> {
     let options = arguments.options()?;
+    ros2::bound_memory();
     let ready = |ready: Ready| {
         let reach = match ready.is_closed {
             Some(true) => "this machine only",
@@ -232,6 +237,7 @@ impl IgtlArguments {
             controller: self.controller.clone(),
             peers,
             permission,
+            watch_with_token: self.watch_with_token,
             rate_hz: within("--rate", self.rate, 0.1, 1000.0)?,
             approach_m_per_s: within("--approach", self.approach, 0.01, 250.0)? / 1000.0,
             feed_m_per_s: within("--feed", self.feed, 0.01, 20.0)? / 1000.0,

@@ -13,6 +13,7 @@ use simulation::manipulator_parameters;
 use viewer_proc::live;
 use viewer_proc::log::{self, LogOptions, SceneCallbacks};
 use viewer_proc::server::ListeningPort;
+use viewer_proc::server::http::AllowedHost;
 use viewer_proc::{ArmMeshes, ServerOptions, ToolShape, ViewerError};
 
 use super::view_arm::{arm_looks, arm_parts};
@@ -55,6 +56,11 @@ pub struct ServerArguments {
     /// Lichtblick.
     #[arg(long)]
     allow_origin: Vec<String>,
+    /// Accept requests that name this host, as through a tunnel (`ssh -L 9000:localhost:8765`:
+    /// localhost:9000), a host name of this machine or a container's published port. Can be given several
+    /// times.
+    #[arg(long, value_name = "NAME:PORT")]
+    allow_host: Vec<AllowedHost>,
     /// Let anyone who can reach the port, such as other users of this machine, watch without the token.
     /// Commands still need it.
     #[arg(long)]
@@ -73,6 +79,7 @@ impl ServerArguments {
             bind: self.bind,
             port: self.port,
             allow_origin: self.allow_origin.clone(),
+            allow_host: self.allow_host.clone(),
             watch_by_anyone: self.watch_by_anyone,
             page_folder: self.page_folder.clone(),
         }
@@ -81,6 +88,7 @@ impl ServerArguments {
     /// Prints the page's address and opens it. `folder` holds the file that redirects the browser to it.
     fn ready(&self, door: &ListeningPort, folder: &Path) -> Option<RedirectFile> {
         say!("{}", door.url());
+        door.other_urls().for_each(|url| say!("{url}"));
         if self.no_open { None } else { RedirectFile::open(&door.url(), folder) }
     }
 

@@ -266,6 +266,64 @@ fn what_a_peer_must_not_do_is_refused_and_counted_and_the_run_goes_on() {
     assert_nothing_left(ended.pid);
 }
 
+/// Reads what is sent to a peer until it holds some words, and returns it as text.
+fn read_until(stream: &mut TcpStream, words: &str) -> String {
+    let (mut told, mut piece) = (Vec::new(), [0; 4096]);
+    loop {
+        let bytes = stream.read(&mut piece).unwrap_or_else(|cause| panic!("{words}: {cause}"));
+        assert!(bytes > 0, "closed before `{words}`");
+        let searched = told.len().saturating_sub(words.len());
+        told.extend_from_slice(&piece[..bytes]);
+        if told[searched..].windows(words.len()).any(|window| window == words.as_bytes()) {
+            return String::from_utf8_lossy(&told).into_owned();
+        }
+    }
+}
+
+fn plan(stream: &mut TcpStream, target_mm: [f32; 3]) {
+    let target = openigtlink::Point {
+        name: "Target".into(),
+        group: String::new(),
+        rgba: [0; 4],
+        position_mm: target_mm,
+        diameter_mm: 0.0,
+        owner: String::new(),
+    };
+    let message = Message::new("Plan", Body::Points(vec![target])).unwrap();
+    stream.write_all(&message.encode(HeaderVersion::V1).unwrap()).unwrap();
+}
+
+/// Regression: a plan 1 m away was accepted and ended a lockstep run, and a peer that joined a paused run got
+/// no pose.
+#[test]
+fn values_out_of_range_are_answered_and_a_paused_run_shows_its_pose_to_a_new_peer() {
+    let place = Place::new();
+    let run = place.start(&scenes::piloted("lockstep", 600.0, ""));
+    let token = place.path("token");
+    std::fs::write(&token, format!("{TOKEN}\n")).unwrap();
+    let drive = ["--controller", "pilot", "--watch-with-token", "--control-token-file"];
+    let bridge = Bridge::start(&run.session(), &[&drive[..], &[token.to_str().unwrap()]].concat());
+    let mut owner = bridge.peer();
+    say(&mut owner, "Token", TOKEN);
+    read_until(&mut owner, "control granted");
+    read_until(&mut owner, "BurrToRAS");
+    plan(&mut owner, [0.0, 0.0, 1000.0]);
+    read_until(&mut owner, "allowed: up to 500 mm");
+    plan(&mut owner, [0.0, 0.0, f32::MAX]);
+    read_until(&mut owner, "allowed: -10000 to 10000 mm");
+    say(&mut owner, "Command", "pause");
+    read_until(&mut owner, "done");
+    let mut watcher = bridge.peer();
+    assert!(!read_until(&mut watcher, "connected").contains("BurrToRAS"));
+    say(&mut watcher, "Token", TOKEN);
+    read_until(&mut watcher, "BurrToRAS");
+    say(&mut watcher, "Command", "stop");
+    assert_eq!(bridge.end(), Some(0));
+    let ended = run.end();
+    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    assert_nothing_left(ended.pid);
+}
+
 #[test]
 fn a_killed_bridge_leaves_the_run_and_its_name_can_be_taken_again() {
     let place = Place::new();

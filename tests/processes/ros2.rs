@@ -4,7 +4,8 @@
 //! other's messages.
 
 use std::fs::File;
-use std::io::{BufRead, BufReader};
+use std::io::{BufRead, BufReader, Read};
+use std::net::UdpSocket;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
@@ -244,4 +245,52 @@ fn a_ros_bridge_that_only_shows_listens_to_nothing() {
     let client = joined(&run, "");
     stopped(run, client, ());
     assert_eq!(bridge.end(), Some(0));
+}
+
+/// A DATA_FRAG submessage to the discovery reader that claims a message of 4 GiB (RTPS 2.5, 9.4.5.4).
+fn fragment_of_a_huge_message() -> Vec<u8> {
+    let mut body = vec![0, 0, 28, 0, 0, 1, 0, 0xc7, 0, 1, 0, 0xc2];
+    body.extend([0_u32.to_le_bytes(), 1_u32.to_le_bytes(), 1_u32.to_le_bytes()].as_flattened());
+    body.extend([1_u16.to_le_bytes(), 1000_u16.to_le_bytes()].as_flattened());
+    body.extend((u32::MAX - 15).to_le_bytes());
+    body.resize(body.len() + 1000, 0);
+    let mut datagram = b"RTPS\x02\x04\x01\x12strangerhere".to_vec();
+    datagram.extend([0x16, 1]);
+    datagram.extend(u16::try_from(body.len()).unwrap().to_le_bytes());
+    datagram.extend(body);
+    datagram
+}
+
+/// Regression: one datagram made the bridge allocate 4 GiB, which the run has to share.
+#[test]
+fn a_datagram_that_claims_gigabytes_ends_the_bridge_at_worst_and_not_the_run() {
+    let place = Place::new();
+    let run = place.start(&scenes::hold("realtime", LONG_S));
+    let domain = Domain::new();
+    let mut command = Command::new(env!("CARGO_BIN_EXE_trabecula"));
+    command.args(["bridge", "ros2", "--domain-id", &domain.number, "--session"]).arg(run.session());
+    command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
+    let mut bridge = Guarded(command.spawn().unwrap());
+    let watchdog = Watchdog::over(&bridge.0, COMMAND_LIMIT);
+    let mut line = String::new();
+    BufReader::new(bridge.0.stdout.as_mut().unwrap()).read_line(&mut line).unwrap();
+    assert!(line.contains("ROS 2 domain"), "{line:?}");
+    let limits = std::fs::read_to_string(format!("/proc/{}/limits", bridge.0.id())).unwrap();
+    let data = limits.lines().find(|line| line.starts_with("Max data size")).unwrap();
+    assert!(data.contains(&bridge_proc::ros2::MOST_MEMORY_BYTES.to_string()), "{data}");
+    let (socket, number) = (UdpSocket::bind("127.0.0.1:0").unwrap(), domain.number.parse::<u16>().unwrap());
+    // RTPS 2.5, 9.6.2: a participant's port for discovery.
+    for participant in 0..10 {
+        let port = 7400 + 250 * number + 10 + 2 * participant;
+        let _ = socket.send_to(&fragment_of_a_huge_message(), ("127.0.0.1", port));
+    }
+    let status = wait_for("the bridge's end", || bridge.0.try_wait().unwrap());
+    drop(watchdog);
+    let mut said = String::new();
+    bridge.0.stderr.take().unwrap().read_to_string(&mut said).unwrap();
+    assert!(!status.success() && said.contains("memory allocation of 4294967280 bytes failed"), "{said}");
+    let client = joined(&run, "");
+    let ended = stopped(run, client, ());
+    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    assert_nothing_left(ended.pid);
 }

@@ -1,6 +1,6 @@
 //! Decodes messages from a stream of bytes.
 
-use crate::header::{HEADER_BYTES, Header, HeaderVersion};
+use crate::header::{HEADER_BYTES, Header, HeaderVersion, NO_CRC};
 use crate::{Error, Message};
 
 /// Decodes messages from bytes in pieces of any size.
@@ -13,12 +13,13 @@ pub struct Decoder {
     most_body_bytes: usize,
     bytes: Vec<u8>,
     newest: Option<HeaderVersion>,
+    lacks_checksums: bool,
 }
 
 impl Decoder {
     /// Creates a decoder that accepts bodies up to this size in bytes.
     pub fn new(most_body_bytes: usize) -> Decoder {
-        Decoder { most_body_bytes, bytes: Vec::new(), newest: None }
+        Decoder { most_body_bytes, bytes: Vec::new(), newest: None, lacks_checksums: false }
     }
 
     /// Adds bytes of the stream. Before adding the next piece, call [`Decoder::next`] until it returns
@@ -30,6 +31,11 @@ impl Decoder {
     /// Returns the version of the newest header that was read, which is what the sender understands.
     pub fn version(&self) -> Option<HeaderVersion> {
         self.newest
+    }
+
+    /// Returns whether a body came without a checksum (a CRC of 0), so that damage to it went unnoticed.
+    pub fn lacks_checksums(&self) -> bool {
+        self.lacks_checksums
     }
 
     /// Returns the next complete message, or `None` until more bytes are added.
@@ -49,6 +55,7 @@ impl Decoder {
             return Ok(None);
         }
         self.newest = Some(header.version);
+        self.lacks_checksums |= header.crc == NO_CRC && body_bytes > 0;
         let message = Message::decode(header, &self.bytes[HEADER_BYTES..end]);
         self.bytes.drain(..end);
         message.map(Some)

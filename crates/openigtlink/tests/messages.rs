@@ -90,6 +90,23 @@ fn a_flipped_bit_in_a_body_is_found_and_the_next_message_is_read() {
     assert_eq!(decoder.next(), Ok(Some(second)));
 }
 
+/// Regression: PLUS builds and scripts that compute no checksum send 0, which other receivers accept.
+#[test]
+fn a_message_without_a_checksum_is_read_and_noted() {
+    for version in [HeaderVersion::V1, HeaderVersion::V2] {
+        let sent = one_of_each()[0].clone();
+        let mut stream = sent.encode(version).unwrap();
+        let mut decoder = Decoder::new(MOST);
+        decoder.push(&stream);
+        assert_eq!(decoder.next(), Ok(Some(sent.clone())));
+        assert!(!decoder.lacks_checksums());
+        stream[HEADER_BYTES - 8..HEADER_BYTES].fill(0);
+        decoder.push(&stream);
+        assert_eq!(decoder.next(), Ok(Some(sent)));
+        assert!(decoder.lacks_checksums());
+    }
+}
+
 #[test]
 fn a_huge_length_is_refused_before_memory_is_taken_for_it() {
     let mut bytes = one_of_each()[0].encode(HeaderVersion::V1).unwrap();

@@ -88,7 +88,7 @@ fn malformed(text: &str, path: &Path, parsed: &str, cause: &toml::de::Error) -> 
     };
     let cause = match key {
         Some(key) => format!("`{key}`: {}", place::in_words(cause.message())),
-        None => cause.message().to_owned(),
+        None => place::in_words(cause.message()),
     };
     SceneError::Malformed { file: path.to_owned(), line, cause }
 }

@@ -51,6 +51,10 @@ fn search_value<T>(value: &DeValue<'_>, path: &str, found: Found<'_, T>) -> Opti
     }
 }
 
+/// Start of the parser's message for a backslash that begins no escape, as in the path `"C:\data"`, and for a
+/// `\U` without its digits, as in `"C:\Users"`.
+const BAD_ESCAPES: [&str; 2] = ["missing escaped value", "too few unicode value digits"];
+
 /// The parser's message with types in plain words: `expected f64` becomes `expected a number`.
 pub(crate) fn in_words(message: &str) -> String {
     const WORDS: [(&str, &str); 10] = [
@@ -65,6 +69,12 @@ pub(crate) fn in_words(message: &str) -> String {
         ("expected a sequence", "expected a list"),
         ("expected a map", "expected a table"),
     ];
+    if BAD_ESCAPES.iter().any(|start| message.starts_with(start)) {
+        return format!(
+            "{message}; in double quotes a backslash starts an escape: write a path in single quotes, such as \
+             'C:\\data', or with /"
+        );
+    }
     WORDS.iter().fold(message.to_owned(), |text, (typed, word)| text.replace(typed, word))
 }
 
@@ -79,6 +89,16 @@ mod tests {
                         burr_start_mm = [0.0, 0.0, 0.0]\ndirection = [1.0, 0.0, 0.0]\nbend_toward = [0.0, \
                         0.0, 1.0]\n\
                         [[controller]]\nname = \"c\"\ndrives = []\nexternal = true\n";
+
+    /// Regression: the parser's message speaks of Unicode digits, and the user has written a path.
+    #[test]
+    fn a_path_with_backslashes_gets_a_hint() {
+        for path in ["C:\\Users\\me\\ct.nrrd", "D:\\ct.nrrd"] {
+            let text = TEXT.replace("[run]", &format!("[volume]\nfile = \"{path}\"\n[run]"));
+            let error = Scene::parse(&text, Path::new("x.toml")).unwrap_err().to_string();
+            assert!(error.starts_with("x.toml, line 3: ") && error.contains("single quotes"), "{error}");
+        }
+    }
 
     /// The bare parser message, `invalid type: string "long", expected f64`, names neither the key nor a TOML
     /// type.

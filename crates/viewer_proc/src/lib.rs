@@ -5,7 +5,7 @@
 //!
 //! **Boundary:** the only async runtime; no third-party code in the page, no requests to any other server.
 //! **Invariants:** each client's queue is bounded; without the token a client cannot control or change
-//! anything.
+//! anything, and takes neither a slot nor a place in a queue from clients that have it.
 //!
 //! ```
 //! use viewer_proc::surface::{Field, Voxel};
@@ -27,13 +27,14 @@
 //! | [`plan`] | a scene before its run: shown, changed, saved, started |
 //! | [`surface`] | the bone's surface, block by block; links of the arm |
 //! | [`mod@slice`] | planes through the CT, on request |
-//! | [`server`], [`protocol`], [`services`] | HTTP, WebSocket, client requests |
+//! | [`server`], [`protocol`], [`services`], [`calls`] | HTTP, WebSocket, client requests and their queue |
 //! | [`board`], [`channels`] | what clients subscribe to; [`delivery::viewer`] decides what each gets |
 //! | [`scene_update`] | the tool for other viewers |
 //! | [`info`](mod@info), [`assets`] | the scene as the page needs it, the page's files |
 
 pub mod assets;
 pub mod board;
+pub mod calls;
 pub mod channels;
 pub mod error;
 pub mod info;

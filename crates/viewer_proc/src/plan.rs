@@ -20,12 +20,13 @@ use voxel_grid::Volume;
 use zerocopy::IntoBytes;
 
 use crate::board::Board;
+use crate::calls::{Call, Calls, call_queue};
 use crate::channels::{Channels, INFO};
 use crate::error::ViewerError;
 use crate::info::{ArmMeshes, Origin, ToolShape, info};
 use crate::live::CALL_QUEUE;
 use crate::server::{ListeningPort, Server};
-use crate::services::{Call, Calls, Places, PlanRequest, Reply, Request};
+use crate::services::{Places, PlanRequest, Reply, Request};
 use crate::slice::{NO_VOLUME, Slicer};
 use crate::surface::Voxel;
 use crate::surface::bone::{Bone, volume_box};
@@ -116,7 +117,7 @@ pub fn view(
 ) -> Result<Option<PathBuf>, ViewerError> {
     let scene = &first.scene;
     let board = Arc::new(Board::new(Channels::new(&scene.controller_names(), &scene.sensor)));
-    let (calls, called) = mpsc::sync_channel(CALL_QUEUE);
+    let (calls, called) = call_queue(CALL_QUEUE);
     let over = Arc::new(AtomicBool::new(false));
     let name = path.display().to_string();
     let server = Server::behind(door, &name, Arc::clone(&board), calls, Arc::clone(&over))?;

@@ -1,10 +1,7 @@
 //! The services: requests that clients can make to the simulator or the time line.
 
-use std::sync::mpsc;
-
 use serde::Deserialize;
 use serde_json::{Value, json};
-use tokio::sync::oneshot;
 
 use crate::log::series::SeriesRequest;
 use crate::slice::Slice;
@@ -191,6 +188,13 @@ pub enum Request {
     Plan(PlanRequest),
 }
 
+impl Request {
+    /// Returns whether the request changes something, so that it needs the token.
+    pub fn is_command(&self) -> bool {
+        !matches!(self, Request::Series(_) | Request::Slice(_))
+    }
+}
+
 /// Reply to a request that was executed.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Reply {
@@ -209,30 +213,6 @@ pub enum Reply {
 
 /// Result of a request: the reply, or an error text for the user.
 pub type Outcome = Result<Reply, String>;
-
-/// A request and the channel for its reply.
-#[derive(Debug)]
-pub struct Call {
-    /// The request.
-    pub request: Request,
-    /// Receives the reply.
-    pub answer: oneshot::Sender<Outcome>,
-}
-
-impl Call {
-    /// Replies. The client may have disconnected.
-    pub fn reply(self, reply: Reply) {
-        let _ = self.answer.send(Ok(reply));
-    }
-
-    /// Rejects the request with a reason. The client may have disconnected.
-    pub fn refuse(self, why: &str) {
-        let _ = self.answer.send(Err(why.to_owned()));
-    }
-}
-
-/// Queue of calls for the data source.
-pub type Calls = mpsc::Receiver<Call>;
 
 /// Parses a request. Commands require the server's token; read requests only require a connection.
 ///

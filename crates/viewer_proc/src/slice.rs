@@ -6,7 +6,8 @@ use serde::Deserialize;
 use voxel_grid::sample::hu_at;
 use voxel_grid::slice::{Plane, PlaneError};
 
-use crate::services::{Call, Reply, Request};
+use crate::calls::Call;
+use crate::services::{Reply, Request};
 use crate::surface::Field;
 
 /// Maximum number of columns and of rows of a slice.
@@ -144,7 +145,7 @@ impl PixelBudget {
     }
 }
 
-/// Requests waiting for pixel budget, in order of arrival.
+/// Requests waiting for pixel budget: those of owners before those of watchers, each in order of arrival.
 #[derive(Debug)]
 pub struct Slicer {
     budget: PixelBudget,
@@ -160,7 +161,11 @@ impl Slicer {
     /// Queues a request. The queue's length is bounded by the per-client limit on slices in progress.
     pub fn add(&mut self, call: Call) {
         match call.request {
-            Request::Slice(slice) => self.waiting.push_back((slice, call)),
+            Request::Slice(slice) => {
+                let is_behind = |(_, other): &(Slice, Call)| call.is_owner && !other.is_owner;
+                let place = self.waiting.iter().position(is_behind).unwrap_or(self.waiting.len());
+                self.waiting.insert(place, (slice, call));
+            }
             _ => call.refuse("not a slice"),
         }
     }
@@ -172,13 +177,13 @@ impl Slicer {
 
     /// Answers the requests that the budget allows now.
     pub fn answer(&mut self, field: &Field, hu: &[i16], now_ns: u64) {
+        // Clients that have disconnected use up no budget.
+        self.waiting.retain(|(_, call)| !call.answer.is_closed());
         while let Some((slice, _)) = self.waiting.front()
             && self.budget.take(slice.pixel_count(), now_ns)
             && let Some((slice, call)) = self.waiting.pop_front()
         {
-            if !call.answer.is_closed() {
-                call.reply(Reply::Bytes { encoding: ENCODING, bytes: slice.bytes(field, hu) });
-            }
+            call.reply(Reply::Bytes { encoding: ENCODING, bytes: slice.bytes(field, hu) });
         }
     }
 

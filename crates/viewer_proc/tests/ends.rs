@@ -91,6 +91,7 @@ fn after_silence(recorded: Option<&Path>) -> Option<PathBuf> {
         bind: "127.0.0.1".parse().unwrap(),
         port: 0,
         allow_origin: Vec::new(),
+        allow_host: Vec::new(),
         watch_by_anyone: false,
         page_folder: None,
     };

@@ -1,17 +1,15 @@
 //! The connection to one peer: a reader thread and a writer thread.
 
 use std::io::{ErrorKind, Read, Write};
-use std::net::{Shutdown, TcpStream};
-use std::sync::atomic::{AtomicU8, AtomicU64, Ordering};
-use std::sync::mpsc::{SyncSender, TrySendError};
-use std::sync::{Arc, OnceLock};
+use std::net::{IpAddr, Shutdown, TcpStream};
+use std::sync::Arc;
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-use openigtlink::{Body, Decoder, HeaderVersion, Message, Status, StatusCode};
+use openigtlink::{Decoder, StatusCode};
 
-use super::incoming::{self, Request};
-use super::outbox::Outbox;
+use super::incoming;
+use super::peer::{Gate, Peer};
 
 /// Largest message body accepted from a peer, in bytes: plans and poses are below 100 kB.
 const MOST_BODY_BYTES: usize = 1 << 20;
@@ -20,55 +18,18 @@ const WRITE_LIMIT: Duration = Duration::from_secs(5);
 /// How often the threads check whether to end.
 const LOOK_PERIOD: Duration = Duration::from_millis(100);
 /// Number of a peer's invalid messages that are answered; later ones are only counted.
-const MOST_COMPLAINTS: u64 = 100;
-
-/// A request and the peer that sent it.
-#[derive(Debug)]
-pub(crate) struct PeerRequest {
-    pub(crate) peer: Arc<Peer>,
-    pub(crate) request: Request,
-}
-
-/// A connected peer.
-#[derive(Debug)]
-pub(crate) struct Peer {
-    pub(crate) outbox: Outbox,
-    /// Set once the peer has proved that it may control.
-    pub(crate) may_control: OnceLock<()>,
-    refused: AtomicU64,
-    /// Header version of the peer's messages; until one arrives 1, which every receiver understands.
-    version: AtomicU8,
-}
-
-impl Peer {
-    /// Answers with a STATUS.
-    pub(crate) fn answer(&self, device: &str, code: StatusCode, text: &str) {
-        let ascii: String =
-            text.chars().map(|c| if c.is_ascii() && !c.is_ascii_control() { c } else { '?' }).collect();
-        let status =
-            Status { code, subcode: 0, error: String::new(), message: ascii.chars().take(500).collect() };
-        if let Ok(message) = Message::new(device, Body::Status(status)) {
-            self.outbox.put(message);
-        }
-    }
-
-    /// Rejects a message. The number of answers is limited, in case of a flood.
-    pub(crate) fn refuse(&self, code: StatusCode, text: &str) {
-        if self.refused.fetch_add(1, Ordering::Relaxed) < MOST_COMPLAINTS {
-            self.answer("Trabecula", code, text);
-        }
-    }
-
-    /// Returns the number of messages rejected.
-    pub(crate) fn refused(&self) -> u64 {
-        self.refused.load(Ordering::Relaxed)
-    }
-}
+pub(crate) const MOST_COMPLAINTS: u64 = 100;
+/// Pause after each message of a watcher: reading a flood must not take the processor from the bridge.
+const WATCHER_PAUSE: Duration = Duration::from_millis(1);
 
 /// A peer with its threads.
 #[derive(Debug)]
 pub(crate) struct Connection {
     pub(crate) peer: Arc<Peer>,
+    /// The address that it connected from.
+    pub(crate) address: Option<IpAddr>,
+    /// Set once the peer has got what every peer gets first.
+    pub(crate) is_introduced: bool,
     stream: TcpStream,
     threads: Vec<JoinHandle<()>>,
 }
@@ -78,21 +39,21 @@ impl Connection {
     ///
     /// # Errors
     /// The operating system's error: no thread, no second handle.
-    pub(crate) fn start(stream: TcpStream, requests: SyncSender<PeerRequest>) -> std::io::Result<Connection> {
+    pub(crate) fn start(stream: TcpStream, gate: Arc<Gate>) -> std::io::Result<Connection> {
         stream.set_read_timeout(Some(LOOK_PERIOD))?;
         stream.set_write_timeout(Some(WRITE_LIMIT))?;
         stream.set_nodelay(true)?;
-        let peer = Arc::new(Peer {
-            outbox: Outbox::default(),
-            may_control: OnceLock::new(),
-            refused: AtomicU64::new(0),
-            version: AtomicU8::new(1),
-        });
-        let mut connection =
-            Connection { peer: Arc::clone(&peer), stream: stream.try_clone()?, threads: Vec::new() };
+        let peer = Arc::new(Peer::new(gate));
+        let mut connection = Connection {
+            peer: Arc::clone(&peer),
+            address: stream.peer_addr().ok().map(|address| address.ip()),
+            is_introduced: false,
+            stream: stream.try_clone()?,
+            threads: Vec::new(),
+        };
         let (reader, writer) = (stream.try_clone()?, stream);
         let reading = Arc::clone(&peer);
-        connection.spawn("igtl-read", move || read(reader, &reading, &requests))?;
+        connection.spawn("igtl-read", move || read(reader, &reading))?;
         connection.spawn("igtl-write", move || write(writer, &peer))?;
         Ok(connection)
     }
@@ -100,6 +61,12 @@ impl Connection {
     fn spawn(&mut self, name: &str, work: impl FnOnce() + Send + 'static) -> std::io::Result<()> {
         self.threads.push(std::thread::Builder::new().name(name.into()).spawn(work)?);
         Ok(())
+    }
+
+    /// Closes the connection without waiting for its threads; queued messages are not sent.
+    pub(crate) fn cut(&self) {
+        self.peer.outbox.close();
+        let _ = self.stream.shutdown(Shutdown::Both);
     }
 
     /// Returns whether nothing more is sent to the peer: its threads have ended, or the write limit has
@@ -113,15 +80,14 @@ impl Connection {
 impl Drop for Connection {
     /// Closes immediately: queued messages are not sent.
     fn drop(&mut self) {
-        self.peer.outbox.close();
-        let _ = self.stream.shutdown(Shutdown::Both);
+        self.cut();
         self.threads.drain(..).for_each(|thread| {
             let _ = thread.join();
         });
     }
 }
 
-fn read(mut stream: TcpStream, peer: &Arc<Peer>, requests: &SyncSender<PeerRequest>) {
+fn read(mut stream: TcpStream, peer: &Peer) {
     let mut decoder = Decoder::new(MOST_BODY_BYTES);
     let mut piece = [0; 16 * 1024];
     while !peer.outbox.is_closed() {
@@ -138,7 +104,7 @@ fn read(mut stream: TcpStream, peer: &Arc<Peer>, requests: &SyncSender<PeerReque
             }
             Err(_) => break,
         }
-        if !take_all(&mut decoder, peer, requests) {
+        if !take_all(&mut decoder, peer) {
             break;
         }
     }
@@ -146,8 +112,9 @@ fn read(mut stream: TcpStream, peer: &Arc<Peer>, requests: &SyncSender<PeerReque
 }
 
 /// Reads all complete messages; returns whether the stream can be read further.
-fn take_all(decoder: &mut Decoder, peer: &Arc<Peer>, requests: &SyncSender<PeerRequest>) -> bool {
+fn take_all(decoder: &mut Decoder, peer: &Peer) -> bool {
     loop {
+        let had_checksums = !decoder.lacks_checksums();
         let message = match decoder.next() {
             Ok(Some(message)) => message,
             Ok(None) => return true,
@@ -160,20 +127,22 @@ fn take_all(decoder: &mut Decoder, peer: &Arc<Peer>, requests: &SyncSender<PeerR
                 if out_of_step {
                     return false;
                 }
+                std::thread::sleep(WATCHER_PAUSE);
                 continue;
             }
         };
-        if decoder.version() == Some(HeaderVersion::V2) {
-            peer.version.store(2, Ordering::Relaxed);
+        decoder.version().into_iter().for_each(|version| peer.speaks(version));
+        if had_checksums && decoder.lacks_checksums() {
+            let note = "messages without a checksum (CRC 0) are accepted unverified";
+            peer.answer("Trabecula", StatusCode::Ok, note);
         }
         match incoming::request(&message) {
             Ok(None) => {}
-            Ok(Some(request)) => match requests.try_send(PeerRequest { peer: Arc::clone(peer), request }) {
-                Ok(()) => {}
-                Err(TrySendError::Full(_)) => peer.refuse(StatusCode::NotReady, "too many pending requests"),
-                Err(TrySendError::Disconnected(_)) => return false,
-            },
+            Ok(Some(request)) => peer.submit(request),
             Err(problem) => peer.refuse(StatusCode::Unknown, &problem),
+        }
+        if !peer.is_owner() {
+            std::thread::sleep(WATCHER_PAUSE);
         }
     }
 }
@@ -186,9 +155,7 @@ fn write(mut stream: TcpStream, peer: &Peer) {
             }
             continue;
         };
-        let version =
-            if peer.version.load(Ordering::Relaxed) == 2 { HeaderVersion::V2 } else { HeaderVersion::V1 };
-        let sent = message.encode(version).is_ok_and(|bytes| stream.write_all(&bytes).is_ok());
+        let sent = message.encode(peer.version()).is_ok_and(|bytes| stream.write_all(&bytes).is_ok());
         if !sent {
             // In the middle of a message nothing else can be sent.
             peer.outbox.close();
@@ -203,9 +170,11 @@ mod tests {
     #![allow(clippy::unwrap_used, reason = "a test fails by it")]
 
     use std::net::TcpListener;
-    use std::sync::mpsc::sync_channel;
     use std::time::Instant;
 
+    use openigtlink::{Body, Message};
+
+    use super::super::Permission;
     use super::*;
 
     const LIMIT: Duration = Duration::from_secs(60);
@@ -222,8 +191,8 @@ mod tests {
     fn given_up() -> (Connection, TcpStream) {
         let listener = TcpListener::bind(("127.0.0.1", 0)).unwrap();
         let mut peer = TcpStream::connect(listener.local_addr().unwrap()).unwrap();
-        let (sender, _requests) = sync_channel(1);
-        let connection = Connection::start(listener.accept().unwrap().0, sender).unwrap();
+        let gate = Gate::new(Permission::WatchOnly);
+        let connection = Connection::start(listener.accept().unwrap().0, gate).unwrap();
         for part in 0..250 {
             let text = Body::Text("x".repeat(60_000));
             connection.peer.outbox.put(Message::new(&format!("Part{part}"), text).unwrap());

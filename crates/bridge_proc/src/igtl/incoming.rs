@@ -1,6 +1,6 @@
 //! Parses the requests of a peer.
 
-use ipc_types::messages::Pose;
+use ipc_types::messages::{MAX_POSITION_M, Pose};
 use openigtlink::{Body, Message, Point};
 
 use crate::ras;
@@ -62,10 +62,22 @@ pub(crate) fn request(message: &Message) -> Result<Option<Request>, String> {
         (Body::Transform(transform), device @ ("CArmToRAS" | "BaseGoalToRAS")) => {
             let pose = ras::pose(transform);
             let pose = pose.ok_or_else(|| format!("{device}: the matrix is not a rotation within 1e-3"))?;
+            in_reach(device, transform.translation_mm)?;
             Ok(Some(if device == "CArmToRAS" { Request::Frame(pose) } else { Request::BaseGoal(pose) }))
         }
         (Body::Points(points), "Plan") => plan(points).map(Some),
         _ => Ok(None),
+    }
+}
+
+/// Checks a position's range, which is that of commands: no goal beyond it can be reached or even sent.
+fn in_reach(what: &str, position_mm: [f32; 3]) -> Result<(), String> {
+    let most_mm = 1000.0 * MAX_POSITION_M;
+    match position_mm.into_iter().find(|value| f64::from(value.abs()) > most_mm) {
+        None => Ok(()),
+        Some(value) => {
+            Err(format!("{what}: a coordinate is {value:e} mm; allowed: {} to {most_mm} mm", -most_mm))
+        }
     }
 }
 
@@ -86,10 +98,12 @@ fn plan(points: &[Point]) -> Result<Request, String> {
     let mut found = [None, None];
     for (place, name) in found.iter_mut().zip(["Entry", "Target"]) {
         let mut named = points.iter().filter(|point| point.name == name);
-        *place = named.next().map(|point| ras::position_m(point.position_mm));
+        let Some(point) = named.next() else { continue };
         if named.next().is_some() {
             return Err(format!("Plan: duplicate point {name}"));
         }
+        in_reach(&format!("Plan: {name}"), point.position_mm)?;
+        *place = Some(ras::position_m(point.position_mm));
     }
     let [entry_m, target_m] = found;
     let target_m = target_m.ok_or("Plan: missing point Target")?;
@@ -130,6 +144,20 @@ mod tests {
             translation_mm: [0.0; 3],
         };
         assert!(ask("CArmToRAS", Body::Transform(mirrored)).is_err());
+        let far = Transform {
+            rotation: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+            translation_mm: [0.0, 10_001.0, 0.0],
+        };
+        for device in ["CArmToRAS", "BaseGoalToRAS"] {
+            assert!(
+                ask(device, Body::Transform(far)).unwrap_err().contains("-10000 to 10000 mm"),
+                "{device}"
+            );
+        }
+        let far = vec![point("Target", [0.0; 3]), point("Entry", [0.0, 0.0, -1e30])];
+        assert!(
+            ask("Plan", Body::Points(far)).unwrap_err().starts_with("Plan: Entry: a coordinate is -1e30")
+        );
         assert_eq!(ask("ProbeToTracker", Body::Transform(mirrored)), Ok(None));
     }
 }

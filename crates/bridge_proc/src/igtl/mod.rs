@@ -5,6 +5,7 @@ mod error;
 mod incoming;
 mod outbox;
 mod outgoing;
+mod peer;
 mod peers;
 mod plan;
 mod session;
@@ -54,6 +55,8 @@ pub struct IgtlOptions {
     pub peers: PeerEndpoint,
     /// Who may control.
     pub permission: Permission,
+    /// Whether peers receive nothing of the run before they have sent the token.
+    pub watch_with_token: bool,
     /// Poses per second, 0.1 to 1000.
     pub rate_hz: f64,
     /// Speed of the arm on the way to a plan's entry.
@@ -91,15 +94,16 @@ pub fn serve(
         burr_rad_per_s: options.burr_rad_per_s,
     };
     let mut joined = IgtlSession::connect(options, speeds)?;
-    let mut peers = Peers::open(options.peers, &options.permission)?;
+    let mut peers = Peers::open(options)?;
     ready(peers.address());
     let period = Duration::from_secs_f64(1.0 / options.rate_hz);
     let mut due = Instant::now();
     while !end.is_set() && joined.advance()? {
-        for greeted in peers.admit() {
-            joined.introduction(now()).for_each(|message| greeted.outbox.put(message));
+        peers.requests().iter().for_each(|asked| joined.obey(asked));
+        peers.admit();
+        for new in peers.newcomers() {
+            joined.introduction(now()).into_iter().for_each(|message| new.outbox.put(message));
         }
-        peers.requests().into_iter().for_each(|asked| joined.obey(&asked, &options.permission));
         if Instant::now() >= due {
             // A late turn is not made up for: peers want the newest state.
             due = Instant::now() + period;

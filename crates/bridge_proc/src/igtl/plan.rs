@@ -1,6 +1,7 @@
 //! A straight plan that the arm follows: to the entry, then to the target.
 
-use ipc_types::messages::{ArmMode, ArmStatus, BurrMode, Command, Pose, State};
+use ipc_types::messages::{ArmMode, ArmStatus, BurrMode, Command, MAX_DEPTH_M, Pose, State};
+use ipc_types::scene::Drives;
 use nalgebra::{UnitQuaternion, Vector3};
 use ros_interface::robot::isometry;
 
@@ -40,16 +41,30 @@ enum Stage {
     Halt,
 }
 
-/// Computes the arm's part of a command, state by state.
+/// Computes the arm's part of a command, state by state. It commands only what its controller drives, and
+/// only values in the range of commands: a command that physics refuses would end a lockstep run.
 #[derive(Debug)]
 pub(crate) struct Follower {
     speeds: Speeds,
+    drives: Vec<Drives>,
     stage: Stage,
+    has_given_up: bool,
 }
 
 impl Follower {
-    pub(crate) fn new(speeds: Speeds) -> Follower {
-        Follower { speeds, stage: Stage::Idle }
+    /// `drives`: what the controller drives; empty for an observer.
+    pub(crate) fn new(speeds: Speeds, drives: Vec<Drives>) -> Follower {
+        Follower { speeds, drives, stage: Stage::Idle, has_given_up: false }
+    }
+
+    /// Returns whether the controller drives a part of the tool.
+    pub(crate) fn drives(&self, part: Drives) -> bool {
+        self.drives.contains(&part)
+    }
+
+    /// Returns whether the arm has abandoned the goal since the last call.
+    pub(crate) fn has_given_up(&mut self) -> bool {
+        std::mem::take(&mut self.has_given_up)
     }
 
     /// Moves the tool base to a pose.
@@ -66,7 +81,7 @@ impl Follower {
     /// does not bend the tool.
     ///
     /// # Errors
-    /// Entry (or tip) and target are the same point.
+    /// Entry (or tip) and target are the same point, or further apart than an insertion can be deep.
     pub(crate) fn plan(
         &mut self,
         entry_m: Option<[f64; 3]>,
@@ -79,8 +94,16 @@ impl Follower {
         let Some(axis) = (target_m - from_m).try_normalize(1e-6) else {
             return Err("Plan: the path to the target has zero length".into());
         };
+        let length_m = (target_m - from_m).norm();
+        if length_m > MAX_DEPTH_M {
+            let from = if entry_m.is_some() { "entry" } else { "the tip" };
+            let (length_mm, most_mm) = (1000.0 * length_m, 1000.0 * MAX_DEPTH_M);
+            return Err(format!(
+                "Plan: the path from {from} to the target is {length_mm:.1} mm long; allowed: up to {most_mm} mm"
+            ));
+        }
         self.stage = match entry_m {
-            None => Stage::Feed { axis, depth_m: (target_m - from_m).norm() },
+            None => Stage::Feed { axis, depth_m: length_m },
             Some(_) => Stage::Approach { goal: base_at(state, from_m, axis), target_m, told: false },
         };
         Ok(())
@@ -97,17 +120,26 @@ impl Follower {
                 command.arm_speed_m_per_s = self.speeds.approach_m_per_s;
                 *told = true;
             }
-            Stage::Feed { axis, depth_m } => {
+            &mut Stage::Feed { axis, depth_m } => {
                 command.arm_mode = ArmMode::Insert.code();
-                command.arm_axis = (*axis).into();
-                command.arm_depth_m = *depth_m;
+                command.arm_axis = axis.into();
+                command.arm_depth_m = depth_m;
                 command.arm_speed_m_per_s = self.speeds.feed_m_per_s;
-                spin(command, self.speeds.burr_rad_per_s);
+                self.spin(command, self.speeds.burr_rad_per_s);
             }
             Stage::Halt => {
-                command.arm_mode = ArmMode::Hold.code();
-                spin(command, 0.0);
+                if self.drives(Drives::Arm) {
+                    command.arm_mode = ArmMode::Hold.code();
+                }
+                self.spin(command, 0.0);
             }
+        }
+    }
+
+    fn spin(&self, command: &mut Command, burr_rad_per_s: f64) {
+        if self.drives(Drives::Burr) {
+            command.burr_mode = BurrMode::Speed.code();
+            command.burr_speed_rad_per_s = burr_rad_per_s;
         }
     }
 
@@ -116,24 +148,23 @@ impl Follower {
         let arrived = moves && state.arm_status() == Ok(ArmStatus::Done);
         let gave_up = moves && state.arm_status() == Ok(ArmStatus::Fault);
         self.stage = match self.stage {
-            Stage::Base { told: true, .. } | Stage::Approach { told: true, .. } if gave_up => Stage::Halt,
+            Stage::Base { told: true, .. } | Stage::Approach { told: true, .. } if gave_up => {
+                self.has_given_up = true;
+                Stage::Halt
+            }
             Stage::Approach { told: true, target_m, goal }
                 if arrived && is_near(&state.t_world_base, &goal) =>
             {
                 let way = target_m - Vector3::from(state.t_world_tip.position_m);
                 match way.try_normalize(1e-6) {
-                    Some(axis) => Stage::Feed { axis, depth_m: way.norm() },
+                    // The tip is at the entry only nearly, so the path may be a little longer than planned.
+                    Some(axis) => Stage::Feed { axis, depth_m: way.norm().min(MAX_DEPTH_M) },
                     None => Stage::Halt,
                 }
             }
             stage => stage,
         };
     }
-}
-
-fn spin(command: &mut Command, burr_rad_per_s: f64) {
-    command.burr_mode = BurrMode::Speed.code();
-    command.burr_speed_rad_per_s = burr_rad_per_s;
 }
 
 /// Returns whether the base is at its goal: a report for an older goal does not count.
@@ -171,6 +202,10 @@ mod tests {
         state
     }
 
+    fn follower() -> Follower {
+        Follower::new(SPEEDS, vec![Drives::Arm, Drives::Burr])
+    }
+
     fn command(follower: &mut Follower, state: &State) -> Command {
         let mut command = Command::zeroed();
         follower.fill(state, &mut command);
@@ -180,7 +215,7 @@ mod tests {
     #[test]
     fn the_tip_goes_to_the_entry_and_then_straight_to_the_target() {
         let mut state = state();
-        let mut follower = Follower::new(SPEEDS);
+        let mut follower = follower();
         assert_eq!(command(&mut follower, &state).arm_mode(), Ok(ArmMode::None));
         follower.plan(Some([0.05, 0.0, 0.2]), [0.08, 0.0, 0.2], &state).unwrap();
         let approach = command(&mut follower, &state);
@@ -206,11 +241,13 @@ mod tests {
     #[test]
     fn a_goal_that_the_arm_gives_up_ends_with_the_burr_off() {
         let mut state = state();
-        let mut follower = Follower::new(SPEEDS);
+        let mut follower = follower();
         follower.go(Pose { position_m: [9.0, 0.0, 0.0], ..Pose::IDENTITY });
         command(&mut follower, &state);
+        assert!(!follower.has_given_up());
         (state.arm_mode, state.arm_status) = (ArmMode::MoveCp.code(), ArmStatus::Fault.code());
         let halt = command(&mut follower, &state);
+        assert!(follower.has_given_up() && !follower.has_given_up());
         assert_eq!(
             (halt.arm_mode(), halt.burr_mode(), halt.burr_speed_rad_per_s),
             (Ok(ArmMode::Hold), Ok(BurrMode::Speed), 0.0)
@@ -220,6 +257,33 @@ mod tests {
     #[test]
     fn a_plan_without_length_is_refused() {
         let state = state();
-        assert!(Follower::new(SPEEDS).plan(Some([0.1; 3]), [0.1; 3], &state).is_err());
+        assert!(follower().plan(Some([0.1; 3]), [0.1; 3], &state).is_err());
+    }
+
+    /// Regression: a target 1 m away was accepted, and physics refused the depth at every tick.
+    #[test]
+    fn a_plan_deeper_than_an_insertion_can_be_is_refused_and_changes_nothing() {
+        let state = state();
+        for entry_m in [None, Some([0.0, 0.0, 0.1])] {
+            let mut follower = follower();
+            let why = follower.plan(entry_m, [0.0, 0.0, 1.1], &state).unwrap_err();
+            assert!(why.contains("1000.0 mm long; allowed: up to 500 mm"), "{why}");
+            assert_eq!(command(&mut follower, &state).arm_mode(), Ok(ArmMode::None));
+            follower.plan(entry_m, [0.0, 0.0, 0.6], &state).unwrap();
+        }
+    }
+
+    /// Regression: physics refused commands for a burr that the scene assigns to another controller.
+    #[test]
+    fn only_what_the_controller_drives_is_commanded() {
+        let state = state();
+        let mut arm = Follower::new(SPEEDS, vec![Drives::Arm]);
+        arm.plan(None, [0.0, 0.0, 0.2], &state).unwrap();
+        let feed = command(&mut arm, &state);
+        assert_eq!((feed.arm_mode(), feed.burr_mode()), (Ok(ArmMode::Insert), Ok(BurrMode::None)));
+        let mut burr = Follower::new(SPEEDS, vec![Drives::Burr]);
+        burr.halt();
+        let halt = command(&mut burr, &state);
+        assert_eq!((halt.arm_mode(), halt.burr_mode()), (Ok(ArmMode::None), Ok(BurrMode::Speed)));
     }
 }

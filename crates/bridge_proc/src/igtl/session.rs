@@ -1,17 +1,19 @@
 //! The bridge's side of the session.
 
+use std::sync::{Arc, Weak};
 use std::time::{Duration, Instant};
 
 use ipc_types::messages::ControlAction;
-use ipc_types::scene::ToolRadii;
+use ipc_types::scene::{Drives, ToolRadii};
 use openigtlink::{Message, StatusCode, Timestamp};
 use trabecula_client::{Client, ClientError, Connection};
 
-use super::connection::PeerRequest;
 use super::incoming::Request;
 use super::outgoing;
+use super::peer::Peer;
+use super::peers::PeerRequest;
 use super::plan::{Follower, Speeds};
-use super::{IgtlError, IgtlOptions, Permission};
+use super::{IgtlError, IgtlOptions};
 
 /// How long one turn of the loop waits for a state.
 const TURN: Duration = Duration::from_millis(5);
@@ -24,6 +26,8 @@ const SLOW_PERIOD: Duration = Duration::from_millis(200);
 pub(crate) struct IgtlSession {
     client: Client,
     follower: Follower,
+    /// The peer whose goal or plan the arm follows.
+    planner: Weak<Peer>,
     radii: ToolRadii,
     slow_due: Instant,
     /// Tick of the newest state that was sent.
@@ -39,9 +43,14 @@ impl IgtlSession {
         };
         let client = Client::connect(&connection)?;
         let radii = client.scene().manipulator.radii();
+        let name = client.info().controller.as_ref().map(|(name, _)| name.clone());
+        let controllers = &client.scene().controller;
+        let own = controllers.iter().find(|controller| Some(&controller.name) == name.as_ref());
+        let drives = own.map_or(Vec::new(), |controller| controller.drives.clone());
         Ok(IgtlSession {
             client,
-            follower: Follower::new(speeds),
+            follower: Follower::new(speeds, drives),
+            planner: Weak::new(),
             radii,
             slow_due: Instant::now(),
             sent_tick: None,
@@ -56,6 +65,12 @@ impl IgtlSession {
         } else {
             self.client.wait_state(TURN).map(|_| ())
         };
+        if self.follower.has_given_up()
+            && let Some(peer) = self.planner.upgrade()
+        {
+            let why = "the arm cannot reach the goal: it is abandoned; arm held, burr off";
+            peer.answer("Trabecula", StatusCode::Unknown, why);
+        }
         match outcome {
             Ok(()) | Err(ClientError::TimedOut(_)) => Ok(true),
             Err(ClientError::Ended) => Ok(false),
@@ -63,10 +78,17 @@ impl IgtlSession {
         }
     }
 
-    /// Returns the scene's points and planned path, for a peer that has just connected.
-    pub(crate) fn introduction(&self, now: Timestamp) -> impl Iterator<Item = Message> + use<> {
+    /// Returns the scene's points, the planned path and the present pose, for a peer that has just connected:
+    /// while the run is paused, nothing else follows.
+    pub(crate) fn introduction(&self, now: Timestamp) -> Vec<Message> {
         let scene = self.client.scene();
-        [Some(outgoing::scene_points(scene, now)), outgoing::planned_path(scene, now)].into_iter().flatten()
+        let mut messages = vec![outgoing::scene_points(scene, now)];
+        messages.extend(outgoing::planned_path(scene, now));
+        if let Some(state) = self.client.state() {
+            messages.extend(outgoing::poses(state, now));
+            messages.push(outgoing::tool(state, &self.radii, now));
+        }
+        messages
     }
 
     /// Returns the messages for everything that has changed since the last call.
@@ -113,37 +135,17 @@ impl IgtlSession {
         messages
     }
 
-    /// Executes a peer's request, if permitted, and answers it.
-    pub(crate) fn obey(&mut self, asked: &PeerRequest, permission: &Permission) {
-        let peer = &asked.peer;
-        if let Request::Token(given) = &asked.request {
-            return match permission {
-                Permission::Token(token) if is_same(token, given) => {
-                    let _ = peer.may_control.set(());
-                    peer.answer("Token", StatusCode::Ok, "control granted to this connection");
-                }
-                Permission::Anyone => peer.answer("Token", StatusCode::Ok, "no token required"),
-                _ => peer.refuse(StatusCode::AccessDenied, "Token: wrong token"),
-            };
-        }
-        if peer.may_control.get().is_none() {
-            let why = match permission {
-                Permission::WatchOnly => {
-                    "this bridge is read-only; start it with --control-token-file or --control-by-anyone"
-                }
-                _ => "send the control token first, as a STRING named Token",
-            };
-            return peer.refuse(StatusCode::AccessDenied, why);
-        }
-        match self.act(&asked.request) {
-            Ok(done) => peer.answer("Trabecula", StatusCode::Ok, done),
-            Err((code, why)) => peer.refuse(code, &why),
+    /// Executes a permitted request and answers it.
+    pub(crate) fn obey(&mut self, asked: &PeerRequest) {
+        match self.act(asked) {
+            Ok(done) => asked.peer.answer("Trabecula", StatusCode::Ok, done),
+            Err((code, why)) => asked.peer.refuse(code, &why),
         }
     }
 
-    fn act(&mut self, request: &Request) -> Result<&'static str, (StatusCode, String)> {
+    fn act(&mut self, asked: &PeerRequest) -> Result<&'static str, (StatusCode, String)> {
         let failed = |error: ClientError| (StatusCode::NotReady, error.to_string());
-        match request {
+        match &asked.request {
             Request::Token(_) => return Ok("token"),
             Request::Pause => self.control(ControlAction::Pause).map_err(failed)?,
             Request::Resume => self.control(ControlAction::Resume).map_err(failed)?,
@@ -153,21 +155,23 @@ impl IgtlSession {
                 return Ok("X-ray requested");
             }
             Request::Halt => {
-                self.drives()?;
+                self.drives(&[Drives::Arm, Drives::Burr])?;
                 self.follower.halt();
                 return Ok("arm held, burr off");
             }
             Request::BaseGoal(goal) => {
-                self.drives()?;
+                self.drives(&[Drives::Arm])?;
                 self.follower.go(*goal);
+                self.planner = Arc::downgrade(&asked.peer);
                 return Ok("goal accepted");
             }
             Request::Plan { entry_m, target_m } => {
-                self.drives()?;
+                self.drives(&[Drives::Arm])?;
                 let not_ready = || (StatusCode::NotReady, "no state received yet".to_owned());
                 let state = self.client.state().ok_or_else(not_ready)?;
                 let refuse = |why| (StatusCode::Unknown, why);
                 self.follower.plan(*entry_m, *target_m, state).map_err(refuse)?;
+                self.planner = Arc::downgrade(&asked.peer);
                 return Ok("plan accepted");
             }
         }
@@ -178,18 +182,20 @@ impl IgtlSession {
         self.client.run_control(action.code(), 0, CONTROL_LIMIT).map(|_| ())
     }
 
-    fn drives(&self) -> Result<(), (StatusCode, String)> {
-        if self.client.info().controller.is_some() {
+    /// Checks that the bridge drives one of these parts of the tool.
+    fn drives(&self, parts: &[Drives]) -> Result<(), (StatusCode, String)> {
+        if parts.iter().any(|part| self.follower.drives(*part)) {
             return Ok(());
         }
-        let why = "this bridge does not drive the arm; start it with --controller and a controller of the \
-                   scene";
-        Err((StatusCode::ManualMode, why.into()))
+        let why = match &self.client.info().controller {
+            Some((name, _)) => {
+                let name = foreign_text::foreign(name);
+                format!("controller {name} does not drive the arm; add \"arm\" to its `drives` in the scene")
+            }
+            None => "this bridge does not drive the arm; start it with --controller and a controller of the \
+                     scene"
+                .to_owned(),
+        };
+        Err((StatusCode::ManualMode, why))
     }
-}
-
-/// Compares in constant time, so that the duration does not reveal where the tokens differ.
-fn is_same(token: &str, given: &str) -> bool {
-    let differ = token.bytes().zip(given.bytes()).fold(0, |differ, (a, b)| differ | (a ^ b));
-    token.len() == given.len() && differ == 0
 }

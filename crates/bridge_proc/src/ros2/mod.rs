@@ -4,6 +4,7 @@
 mod error;
 mod listener;
 mod loopback;
+mod memory;
 mod node;
 mod notices;
 mod payload;
@@ -17,6 +18,7 @@ use ros_interface::topics::Names;
 
 pub use error::Ros2Error;
 pub use listener::Listener;
+pub use memory::{MOST_MEMORY_BYTES, bound_memory};
 
 use node::Node;
 use notices::Notices;

@@ -19,7 +19,7 @@ use zerocopy::FromBytes;
 
 use super::followed_log::recorded_in;
 use crate::board::Board;
-use crate::services::Calls;
+use crate::calls::Calls;
 use crate::slice::Slicer;
 use crate::surface::bone::Bone;
 

@@ -12,8 +12,9 @@ use trabecula_client::{Client, ClientError, Connection};
 
 use super::frame_requests::{FrameRequests, ask_frame, turns_the_c_arm};
 use crate::board::Board;
+use crate::calls::Call;
 use crate::info::{CONTROLLER, unit};
-use crate::services::{CArm, Call, Drive, Reply, Request};
+use crate::services::{CArm, Drive, Reply, Request};
 
 /// Dead-man timeout: without a request for this long the insertion stops, because the client that held the
 /// key is gone.

@@ -10,8 +10,9 @@ use ipc_types::scene::{Drives, Drr, Scene};
 use trabecula_client::{Client, ClientError, Connection};
 
 use super::drive::c_arm_pose;
+use crate::calls::Call;
 use crate::info::CONTROLLER;
-use crate::services::{CArm, Call, Reply, Request};
+use crate::services::{CArm, Reply, Request};
 
 /// Timeout for joining the session.
 const JOIN_LIMIT: Duration = Duration::from_secs(2);

@@ -20,12 +20,13 @@ use ipc_types::session::{SegmentSweeper, Session};
 use run_log::EndReason;
 
 use crate::board::Board;
+use crate::calls::{Call, CallSender, Calls, call_queue};
 use crate::channels::{Channels, INFO};
 use crate::error::ViewerError;
 use crate::info::{ArmMeshes, Origin, ToolShape, info};
 use crate::left::IdleTimer;
 use crate::server::{ListeningPort, Server};
-use crate::services::{Call, Calls, Request};
+use crate::services::Request;
 use crate::slice::NO_VOLUME;
 use crate::surface::bone::volume_box;
 use bone::BoneThread;
@@ -66,7 +67,7 @@ pub fn view(
     log.look();
     let scene = session_scene(folder)?;
     let board = Arc::new(Board::new(Channels::new(&scene.controller_names(), &scene.sensor)));
-    let (calls, called) = mpsc::sync_channel(CALL_QUEUE);
+    let (calls, called) = call_queue(CALL_QUEUE);
     let over = Arc::new(AtomicBool::new(false));
     let name = folder.display().to_string();
     let server = Server::behind(door, &name, Arc::clone(&board), calls, Arc::clone(&over))?;
@@ -76,7 +77,7 @@ pub fn view(
     looks.publish(&board);
     let subscriptions = Subscriptions::open(&session, &scene, &tool)?;
     let slices = if let Some(volume) = &scene.volume {
-        let (slices, asked) = mpsc::sync_channel(CALL_QUEUE);
+        let (slices, asked) = call_queue(CALL_QUEUE);
         let thread = BoneThread {
             session: folder.to_owned(),
             threshold_hu: volume.bone_threshold_hu,
@@ -111,7 +112,7 @@ struct Live {
     control: Control,
     driver: Driver,
     /// Sends to the thread that reads the volume; `None` if the scene has no volume.
-    slices: Option<mpsc::SyncSender<Call>>,
+    slices: Option<CallSender>,
     called: Calls,
     log: FollowedLog,
     dt_ns: u64,

@@ -24,6 +24,7 @@ use run_log::{LogHeader, MessageStream, ReadOptions};
 use voxel_grid::Ct;
 
 use crate::board::Board;
+use crate::calls::call_queue;
 use crate::channels::{Channels, INFO};
 use crate::error::ViewerError;
 use crate::info::{ArmMeshes, Origin, ToolShape, info};
@@ -111,7 +112,7 @@ pub fn view(
     let mut channels = Channels::new(&first.header.controllers, &scene.sensor);
     channels.add_log(second.is_some());
     let board = Arc::new(Board::new(channels));
-    let (calls, called) = mpsc::sync_channel(CALL_QUEUE);
+    let (calls, called) = call_queue(CALL_QUEUE);
     let over = Arc::new(AtomicBool::new(false));
     let name = first.path.display().to_string();
     let server = Server::behind(door, &name, Arc::clone(&board), calls, Arc::clone(&over))?;

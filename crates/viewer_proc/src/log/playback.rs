@@ -1,7 +1,7 @@
 //! Shows a log at the position of its time line.
 
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{Receiver, SyncSender};
+use std::sync::mpsc::Receiver;
 use std::sync::{Arc, mpsc};
 use std::time::{Duration, Instant};
 
@@ -21,11 +21,12 @@ use super::marks::{Mark, Outline};
 use super::player::Player;
 use super::series::{Lane, LogSeries, SeriesRequest};
 use crate::board::Board;
+use crate::calls::{Call, CallSender, Calls, call_queue};
 use crate::channels::{COMPARE, FRAME_STATE, INFO, PLAYBACK, SECOND, SECOND_TOPICS, VIEW_STATE};
 use crate::info::VolumeBox;
 use crate::left::IdleTimer;
 use crate::scene_update::Drawer;
-use crate::services::{Call, Calls, Reply, Request};
+use crate::services::{Reply, Request};
 use crate::slice::{NO_VOLUME, Slicer};
 use crate::surface::bone::volume_box;
 
@@ -51,7 +52,7 @@ const OTHER_VOLUME: &str = "the run's volume is not available; see the messages"
 /// Maximum number of waiting field requests.
 const SERIES_QUEUE: usize = 16;
 /// Interval at which the thread that answers them checks for the end.
-const ANSWER_LOOK: Duration = Duration::from_millis(100);
+const ANSWER_LOOK: Duration = Duration::from_millis(5);
 
 /// A log being shown.
 pub(super) struct ShownLog {
@@ -156,7 +157,7 @@ impl LogPlayback {
         over: &AtomicBool,
         left: Option<IdleTimer>,
     ) -> Result<(), PlayError> {
-        let (asked, asking) = mpsc::sync_channel(SERIES_QUEUE);
+        let (asked, asking) = call_queue(SERIES_QUEUE);
         let logs = Arc::clone(&self.logs);
         std::thread::scope(|scope| {
             scope.spawn(move || answer_series(&logs, &asking, over));
@@ -169,7 +170,7 @@ impl LogPlayback {
     fn play(
         &mut self,
         called: &Calls,
-        asked: &SyncSender<Call>,
+        asked: &CallSender,
         end: &EndRequest,
         mut left: Option<IdleTimer>,
     ) -> Result<(), PlayError> {
@@ -200,7 +201,7 @@ impl LogPlayback {
         Ok(())
     }
 
-    fn dispatch(&mut self, call: Call, asked: &SyncSender<Call>) {
+    fn dispatch(&mut self, call: Call, asked: &CallSender) {
         let outcome = match &call.request {
             Request::Playback(request) => self.player.apply(request).map(|()| Reply::Done),
             Request::Series(_) => {
@@ -436,9 +437,12 @@ fn publish_frame_state(board: &Board, log: &LogFile, dt_ns: u64, frame: &Logged)
 }
 
 /// Answers field requests until the viewer ends.
-fn answer_series(logs: &Logs, asked: &Receiver<Call>, over: &AtomicBool) {
+fn answer_series(logs: &Logs, asked: &Calls, over: &AtomicBool) {
     while !over.load(Ordering::Relaxed) {
-        let Ok(call) = asked.recv_timeout(ANSWER_LOOK) else { continue };
+        let Ok(call) = asked.try_recv() else {
+            std::thread::sleep(ANSWER_LOOK);
+            continue;
+        };
         let Request::Series(request) = &call.request else { continue };
         let _ = call.answer.send(answer(logs, request).map(Reply::Json));
     }

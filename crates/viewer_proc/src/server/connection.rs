@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use delivery::viewer::MAX_MESSAGES_PER_S;
 use futures_util::{SinkExt, StreamExt};
@@ -19,8 +19,9 @@ use super::pending::PendingConnection;
 use super::{MAX_CLIENTS, Shared};
 use crate::assets::asset;
 use crate::board::Client;
+use crate::calls::Call;
 use crate::protocol::{self, ClientText, Level};
-use crate::services::{Call, NO_TOKEN, Outcome, Request, SERVICES, SLICE, read_request, response, same};
+use crate::services::{NO_TOKEN, Outcome, Request, SERVICES, SLICE, read_request, response, same};
 use crate::slice::MOST_UNDER_WAY;
 
 /// Maximum length of a client message, bytes.
@@ -29,6 +30,8 @@ pub const MAX_CLIENT_MESSAGE: usize = 64 << 10;
 const WRITE_LIMIT: Duration = Duration::from_secs(10);
 /// Bytes written to the socket before reading from the client again.
 const BATCH_BYTES: usize = 512 << 10;
+/// Timeout from a connection without the token to its first message: silent ones must not keep others out.
+const SILENT_LIMIT: Duration = Duration::from_secs(5);
 /// Timeout of a service call.
 const CALL_LIMIT: Duration = Duration::from_secs(10);
 const END_CHECK_PERIOD: Duration = Duration::from_millis(100);
@@ -59,9 +62,10 @@ pub(super) async fn answer(
         Ok(text) => text,
         Err(refusal) => return refuse(&mut stream, &refusal).await,
     };
-    let may_watch =
-        shared.watch_by_anyone || head.query("token").is_some_and(|given| same(given, &shared.token));
-    let _place = match may_watch.then(|| Arc::clone(&shared.room).try_acquire_owned()) {
+    let is_owner = head.query("token").is_some_and(|given| same(given, &shared.token));
+    let may_watch = shared.watch_by_anyone || is_owner;
+    let room = if is_owner { &shared.room } else { &shared.watchers_room };
+    let _place = match may_watch.then(|| Arc::clone(room).try_acquire_owned()) {
         Some(Err(_)) => {
             let text = format!("too many clients: {MAX_CLIENTS} are connected, which is the limit");
             return refuse(&mut stream, &Refusal::new("503 Service Unavailable", text)).await;
@@ -77,7 +81,7 @@ pub(super) async fn answer(
             .max_message_size(Some(MAX_CLIENT_MESSAGE))
             .max_frame_size(Some(MAX_CLIENT_MESSAGE));
         let socket = WebSocketStream::from_partially_read(stream, head.rest, Role::Server, Some(config));
-        serve(socket.await, shared, may_watch).await;
+        serve(socket.await, shared, may_watch, is_owner).await;
     }
 }
 
@@ -139,11 +143,11 @@ impl From<Error> for End {
 
 /// Serves a client. One without permission to watch gets only the reason: a browser shows the page the reason
 /// for a closed WebSocket, but not for one that was never opened.
-async fn serve(mut socket: Socket, shared: &Shared, may_watch: bool) {
+async fn serve(mut socket: Socket, shared: &Shared, may_watch: bool, is_owner: bool) {
     let end = match may_watch {
         true => {
             let client = shared.board.join();
-            let end = session(&mut socket, &client, shared).await;
+            let end = session(&mut socket, &client, shared, is_owner).await;
             shared.board.leave(&client);
             end
         }
@@ -160,9 +164,15 @@ async fn serve(mut socket: Socket, shared: &Shared, may_watch: bool) {
     }
 }
 
-async fn session(socket: &mut Socket, client: &Arc<Client>, shared: &Shared) -> Result<(), End> {
+async fn session(
+    socket: &mut Socket,
+    client: &Arc<Client>,
+    shared: &Shared,
+    is_owner: bool,
+) -> Result<(), End> {
     let (answers, mut answered) = mpsc::unbounded_channel();
-    let mut session = ClientSession { client, shared, answers, slices: 0 };
+    let mut session = ClientSession { client, shared, answers, slices: 0, is_owner, has_requested: false };
+    let joined = Instant::now();
     say(socket, Message::text(protocol::server_info("trabecula", &shared.name))).await?;
     say(socket, Message::text(protocol::advertise(&shared.board.channels().advertisements()))).await?;
     say(socket, Message::text(protocol::advertise_services(&SERVICES))).await?;
@@ -182,6 +192,10 @@ async fn session(socket: &mut Socket, client: &Arc<Client>, shared: &Shared) -> 
             },
             () = client.bell.notified(), if !more => {}
             () = tokio::time::sleep(pause) => {}
+        }
+        if !is_owner && !session.has_requested && joined.elapsed() > SILENT_LIMIT {
+            let text = format!("nothing was requested within {} s", SILENT_LIMIT.as_secs());
+            return Err(End::Close(CloseCode::Policy, text));
         }
         if shared.end.load(Ordering::Relaxed) {
             while session.send_waiting(socket).await? {}
@@ -204,6 +218,9 @@ struct ClientSession<'a> {
     /// Slices requested and not yet sent. Limits what a client can hold up, because it must read them before
     /// it requests more.
     slices: usize,
+    /// Whether the client has presented the token.
+    is_owner: bool,
+    has_requested: bool,
 }
 
 impl ClientSession<'_> {
@@ -236,6 +253,7 @@ impl ClientSession<'_> {
             let text = format!("rate limit exceeded: {MAX_MESSAGES_PER_S} messages per second");
             return Err(End::Close(CloseCode::Policy, text));
         }
+        self.has_requested |= message.is_text() || message.is_binary();
         match message {
             Message::Text(text) => match serde_json::from_str::<ClientText>(&text) {
                 Ok(text) => self.handle_text(socket, text).await,
@@ -287,7 +305,9 @@ impl ClientSession<'_> {
             Ok(request) => {
                 let is_slice = matches!(request, Request::Slice(_));
                 let (answer, answered) = oneshot::channel();
-                match self.shared.calls.try_send(Call { request, answer }) {
+                // A command has been checked for the token.
+                let is_owner = self.is_owner || request.is_command();
+                match self.shared.calls.try_send(Call { request, answer, is_owner }) {
                     Ok(()) => {
                         self.slices += usize::from(is_slice);
                         self.answer_later(service, number, answered);

@@ -126,11 +126,61 @@ pub enum Reach {
     Network,
 }
 
+/// A host that requests may name although it is not the server's address: the near end of a tunnel, a name
+/// of this machine, a published port of a container.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct AllowedHost {
+    /// Lower case, or an IPv6 address in brackets.
+    name: String,
+    port: u16,
+}
+
+impl AllowedHost {
+    /// Returns whether a `host` header names it. Browsers omit port 80 and, behind a proxy with TLS, port
+    /// 443.
+    fn is(&self, host: &str) -> bool {
+        host.eq_ignore_ascii_case(&self.to_string())
+            || (matches!(self.port, 80 | 443) && host.eq_ignore_ascii_case(&self.name))
+    }
+}
+
+impl core::fmt::Display for AllowedHost {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        write!(f, "{}:{}", self.name, self.port)
+    }
+}
+
+impl core::str::FromStr for AllowedHost {
+    type Err = &'static str;
+
+    /// Reads `NAME:PORT`. One exact host: neither patterns nor a missing port, which would allow more hosts
+    /// than the user means.
+    fn from_str(text: &str) -> Result<AllowedHost, &'static str> {
+        const EXPECTED: &str = "expected NAME:PORT, such as localhost:9000 or lab-pc.example:8765";
+        let (name, port) = text.rsplit_once(':').ok_or(EXPECTED)?;
+        let bracketed = name.strip_prefix('[').and_then(|inner| inner.strip_suffix(']'));
+        let is_name = match bracketed {
+            Some(inner) => inner.parse::<std::net::Ipv6Addr>().is_ok(),
+            None => {
+                let allowed = |byte: u8| byte.is_ascii_alphanumeric() || b"-._".contains(&byte);
+                (1..=253).contains(&name.len()) && name.bytes().all(allowed)
+            }
+        };
+        let number = port.parse::<u16>().ok().filter(|number| *number > 0 && number.to_string() == port);
+        match number {
+            Some(port) if is_name => Ok(AllowedHost { name: name.to_ascii_lowercase(), port }),
+            _ => Err(EXPECTED),
+        }
+    }
+}
+
 /// Which pages may open a WebSocket.
 #[derive(Debug, Clone, Default)]
 pub struct Origins {
     /// Origins in addition to the page's own, such as `http://localhost:8080`.
     pub allowed: Vec<String>,
+    /// Hosts in addition to the server's own address.
+    pub hosts: Vec<AllowedHost>,
 }
 
 impl Origins {
@@ -143,8 +193,11 @@ impl Origins {
         let Some(host) = head.only("host")? else {
             return Err(Refusal::new("400 Bad Request", "missing `host` header"));
         };
-        if !is_ours(host, own, reach) {
-            let text = format!("unexpected host `{host}`; expected {own}");
+        if !is_ours(host, own, reach) && !self.hosts.iter().any(|allowed| allowed.is(host)) {
+            let mut text = format!("unexpected host `{host}`; expected {own}");
+            if let Ok(host) = host.parse::<AllowedHost>() {
+                text += &format!("; if it is a tunnel to this viewer, allow it with --allow-host {host}");
+            }
             return Err(Refusal::new("403 Forbidden", text));
         }
         let Some(origin) = head.only("origin")? else { return Ok(()) };
@@ -219,7 +272,7 @@ mod tests {
     const OWN: &str = "127.0.0.1:8765";
 
     fn check(head: &Head, reach: Reach) -> Result<(), Refusal> {
-        let origins = Origins { allowed: vec!["http://studio.example".to_owned()] };
+        let origins = Origins { allowed: vec!["http://studio.example".to_owned()], hosts: Vec::new() };
         origins.check(head, OWN.parse().unwrap(), reach)
     }
 
@@ -273,6 +326,64 @@ mod tests {
         for (host, ours) in [("127.0.0.1", true), ("127.0.0.1:80", true), ("evil.example", false)] {
             let at_80 = origins.check(&head(host, None), "127.0.0.1:80".parse().unwrap(), Reach::Loopback);
             assert_eq!(at_80.is_ok(), ours, "{host}");
+        }
+    }
+
+    /// Regression: behind `ssh -L 9000:localhost:8765`, a host name or a container's published port every
+    /// request was refused, and no option helped.
+    #[test]
+    fn allowed_hosts_are_accepted_exactly_and_their_pages_connect() {
+        let hosts = ["localhost:9000", "Lab-PC.example:8765", "[::1]:9000", "plain.example:80"];
+        let hosts = hosts.map(|host| host.parse().unwrap()).to_vec();
+        let origins = Origins { allowed: Vec::new(), hosts };
+        let check = |host: &str, origin: Option<&str>| {
+            origins.check(&head(host, origin), OWN.parse().unwrap(), Reach::Loopback)
+        };
+        for host in ["localhost:9000", "lab-pc.example:8765", "LAB-PC.EXAMPLE:8765", "[::1]:9000", OWN] {
+            check(host, None).unwrap();
+            check(host, Some(&format!("http://{host}"))).unwrap();
+            assert!(check(host, Some("http://evil.example")).is_err(), "{host}");
+        }
+        check("plain.example", Some("http://plain.example")).unwrap();
+        for host in [
+            "evil.example:9000",
+            "localhost:9001",
+            "localhost:9000.evil.example",
+            "localhost.evil.example:9000",
+            "localhost:9000:9000",
+            "lab-pc.example",
+            "lab-pc.example:80",
+            "sub.lab-pc.example:8765",
+            "plain.example:443",
+            "x@localhost:9000",
+        ] {
+            let refused = check(host, Some(&format!("http://{host}"))).unwrap_err();
+            assert_eq!(refused.status, "403 Forbidden", "{host}");
+        }
+        let refused = check("localhost:9001", None).unwrap_err();
+        assert!(refused.text.ends_with("--allow-host localhost:9001"), "{}", refused.text);
+    }
+
+    #[test]
+    fn an_allowed_host_is_one_name_and_one_port() {
+        for wrong in [
+            "",
+            "localhost",
+            ":9000",
+            "localhost:",
+            "localhost:0",
+            "localhost:09000",
+            "localhost:65536",
+            "*:9000",
+            "*.example:80",
+            "http://localhost:9000",
+            "a b:1",
+            "[::1:9000",
+            "[evil]:9000",
+            "::1:9000",
+            "a@b:1",
+        ] {
+            assert!(wrong.parse::<AllowedHost>().is_err(), "{wrong}");
         }
     }
 

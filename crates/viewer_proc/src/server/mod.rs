@@ -6,20 +6,20 @@ mod pending;
 
 use std::net::{IpAddr, SocketAddr};
 use std::path::PathBuf;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, mpsc};
 use std::time::Duration;
 
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::Semaphore;
 
 use crate::board::Board;
+use crate::calls::CallSender;
 use crate::error::ViewerError;
-use crate::services::Call;
-use http::{Origins, Reach};
+use http::{AllowedHost, Origins, Reach};
 use pending::{PendingConnection, PendingConnections};
 
-/// Maximum number of WebSocket clients; further ones are refused.
+/// Maximum number of WebSocket clients with the token, and of those without it; further ones are refused.
 pub const MAX_CLIENTS: usize = 32;
 /// Timeout from accepting a connection to its complete request.
 const HEAD_LIMIT: Duration = Duration::from_secs(5);
@@ -34,6 +34,8 @@ pub struct ServerOptions {
     pub port: u16,
     /// Origins in addition to the page's own that may connect.
     pub allow_origin: Vec<String>,
+    /// Hosts in addition to the server's own address that requests may name.
+    pub allow_host: Vec<AllowedHost>,
     /// Whether clients without a token may watch.
     pub watch_by_anyone: bool,
     /// Folder to read the page from, instead of the copy in the program.
@@ -44,14 +46,16 @@ pub struct ServerOptions {
 #[derive(Debug)]
 pub(crate) struct Shared {
     pub board: Arc<Board>,
-    pub calls: mpsc::SyncSender<Call>,
+    pub calls: CallSender,
     pub token: String,
     pub watch_by_anyone: bool,
     pub name: String,
     pub origins: Origins,
     pub own: SocketAddr,
-    /// Free client slots.
+    /// Free slots of clients with the token.
     pub room: Arc<Semaphore>,
+    /// Free slots of clients without the token, if they may watch.
+    pub watchers_room: Arc<Semaphore>,
     pub reach: Reach,
     pub page_folder: Option<PathBuf>,
     pub end: Arc<AtomicBool>,
@@ -86,6 +90,11 @@ impl ListeningPort {
         format!("http://{}/#token={}", self.address, self.token)
     }
 
+    /// The page's URLs at the allowed hosts, as through a tunnel.
+    pub fn other_urls(&self) -> impl Iterator<Item = String> + '_ {
+        self.options.allow_host.iter().map(|host| format!("http://{host}/#token={}", self.token))
+    }
+
     /// The address the server listens on.
     pub fn address(&self) -> SocketAddr {
         self.address
@@ -113,7 +122,7 @@ impl Server {
         door: &ListeningPort,
         name: &str,
         board: Arc<Board>,
-        calls: mpsc::SyncSender<Call>,
+        calls: CallSender,
         end: Arc<AtomicBool>,
     ) -> Result<Server, ViewerError> {
         let port_error = |cause: std::io::Error| ViewerError::Port { address: door.address, cause };
@@ -124,9 +133,10 @@ impl Server {
             token: door.token.clone(),
             watch_by_anyone: options.watch_by_anyone,
             name: name.to_owned(),
-            origins: Origins { allowed: options.allow_origin.clone() },
+            origins: Origins { allowed: options.allow_origin.clone(), hosts: options.allow_host.clone() },
             own: door.address,
             room: Arc::new(Semaphore::new(MAX_CLIENTS)),
+            watchers_room: Arc::new(Semaphore::new(MAX_CLIENTS)),
             reach: if options.bind.is_loopback() { Reach::Loopback } else { Reach::Network },
             page_folder: options.page_folder.clone(),
             end,
@@ -161,7 +171,10 @@ impl Server {
                 pending.is_served_by(number, task.abort_handle());
             }
             // Each client connection checks for the end itself.
-            let all_have_left = self.shared.room.acquire_many(MAX_CLIENTS as u32);
+            let all_have_left = async {
+                let _owners = self.shared.room.acquire_many(MAX_CLIENTS as u32).await;
+                let _watchers = self.shared.watchers_room.acquire_many(MAX_CLIENTS as u32).await;
+            };
             let _ = tokio::time::timeout(Duration::from_secs(1), all_have_left).await;
             Ok(())
         })

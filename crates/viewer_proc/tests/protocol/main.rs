@@ -240,6 +240,64 @@ fn more_clients_than_are_served_are_told() {
     });
 }
 
+/// Regression: with `--watch-by-anyone` the commands of the owner waited in one queue with the requests of
+/// all watchers, and 24 watchers made most of them "busy".
+#[test]
+fn watchers_take_no_place_from_an_owner() {
+    with(Running::start(true), async |running| {
+        let mut watchers = Vec::new();
+        for number in 0..MAX_CLIENTS as u32 {
+            let mut watcher = running.open_with("", "foxglove.sdk.v1", None).await.unwrap();
+            watcher.send(call_bytes(SLICE, number, &slice(4))).await.unwrap();
+            watchers.push(watcher);
+        }
+        let (_, response) = next_response(watchers.last_mut().unwrap()).await;
+        assert!(response["error"].as_str().unwrap().contains("busy"), "{response}");
+        let refused = running.open_with("", "foxglove.sdk.v1", None).await;
+        assert!(matches!(refused, Err(Error::Http(response)) if response.status() == 503));
+
+        let (mut owner, _) = running.client().await;
+        let pause = json!({"token": running.token, "action": "pause"});
+        owner.send(call_bytes(1, 1, &pause)).await.unwrap();
+        owner.send(call_bytes(SLICE, 2, &slice(4))).await.unwrap();
+        let mut taken = Vec::new();
+        while taken.len() < 2 {
+            match running.called.try_recv() {
+                Ok(call) if call.is_owner => taken.push(call),
+                // Requests of watchers that arrived before the owner's.
+                Ok(_) => {}
+                Err(_) => tokio::time::sleep(Duration::from_millis(1)).await,
+            }
+        }
+        assert!(matches!(taken[0].request, Request::Control(_)), "{taken:?}");
+        assert!(matches!(taken[1].request, Request::Slice(_)), "{taken:?}");
+    });
+}
+
+/// Regression: connections without the token that request nothing held their slots for ever.
+#[test]
+fn a_watcher_that_requests_nothing_is_closed() {
+    with(Running::start(true), async |running| {
+        let mut silent = running.open_with("", "foxglove.sdk.v1", None).await.unwrap();
+        let (mut owner, channels) = running.client().await;
+        assert_eq!(close_code(&mut silent).await, CloseCode::Policy);
+        // The silent owner stays.
+        subscribe(&mut owner, 1, channel(&channels, INFO)).await;
+        running.board.publish_json(INFO, &json!({"kind": "live"}));
+        assert_eq!(next_data(&mut owner).await.2, b"{\"kind\":\"live\"}");
+    });
+}
+
+#[test]
+fn an_allowed_host_gets_the_page_and_others_do_not() {
+    with_server(async |running| {
+        let get = |host: &str| format!("GET / HTTP/1.1\r\nHost: {host}\r\n\r\n");
+        assert!(http(&running, &get("tunnel.example:9000")).await.starts_with("HTTP/1.1 200"));
+        let refused = http(&running, &get("tunnel.example:9001")).await;
+        assert!(refused.starts_with("HTTP/1.1 403") && refused.contains("--allow-host"), "{refused}");
+    });
+}
+
 #[test]
 fn hostile_clients_are_told_and_closed_and_others_go_on() {
     with_server(async |running| {
@@ -408,6 +466,7 @@ fn a_port_in_use_is_named() {
         bind: "127.0.0.1".parse().unwrap(),
         port,
         allow_origin: Vec::new(),
+        allow_host: Vec::new(),
         watch_by_anyone: false,
         page_folder: None,
     };

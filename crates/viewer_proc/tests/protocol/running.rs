@@ -1,8 +1,8 @@
 //! A running server, and the client side of the protocol.
 
 use std::rc::Rc;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, mpsc};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
@@ -16,6 +16,7 @@ use tokio_tungstenite::tungstenite::{Error, Message};
 use tokio_tungstenite::{WebSocketStream, client_async};
 use viewer_proc::ServerOptions;
 use viewer_proc::board::Board;
+use viewer_proc::calls::{Calls, call_queue};
 use viewer_proc::channels::Channels;
 use viewer_proc::server::{ListeningPort, Server};
 
@@ -26,19 +27,20 @@ pub struct Running {
     pub token: String,
     pub board: Arc<Board>,
     pub over: Arc<AtomicBool>,
-    pub called: mpsc::Receiver<viewer_proc::services::Call>,
+    pub called: Calls,
     serving: Option<JoinHandle<()>>,
 }
 
 impl Running {
     pub fn start(watch_by_anyone: bool) -> Running {
         let board = Arc::new(Board::new(Channels::new(&["viewer".to_owned()], &[])));
-        let (calls, called) = mpsc::sync_channel(8);
+        let (calls, called) = call_queue(8);
         let over = Arc::new(AtomicBool::new(false));
         let options = ServerOptions {
             bind: "127.0.0.1".parse().unwrap(),
             port: 0,
             allow_origin: vec!["http://studio.example".to_owned()],
+            allow_host: vec!["tunnel.example:9000".parse().unwrap()],
             watch_by_anyone,
             page_folder: None,
         };
