@@ -10,6 +10,7 @@ use super::run::RunSnapshot;
 use crate::failure::Failure;
 use crate::printer::{self, ForwardedOutput};
 use crate::report::{History, LiveSnapshot, LiveStats, json_line, progress_line};
+use crate::say::path_text;
 
 const TERMINAL_PERIOD: Duration = Duration::from_millis(250);
 const PLAIN_PERIOD: Duration = Duration::from_secs(2);
@@ -86,7 +87,7 @@ impl Display {
             ProgressStyle::Quiet => say!("session      {session}"),
             ProgressStyle::Text => tell!("session {session}"),
             ProgressStyle::Json => {
-                say!("{}", serde_json::json!({"phase": "announced", "session": snapshot.session}));
+                say!("{}", serde_json::json!({"phase": "announced", "session": path_text(snapshot.session)}));
             }
         }
         if self.style != ProgressStyle::Quiet {
