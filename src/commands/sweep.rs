@@ -144,6 +144,7 @@ fn folder_of(output: Option<&Path>, study: &Path) -> PathBuf {
 fn run_points(arguments: &RunArguments) -> Result<(), Failure> {
     let end = EndRequest::install().map_err(Failure::signals)?;
     let study = OpenedStudy::read(&arguments.study)?;
+    study.refuse_external()?;
     let count = study.study.count();
     if let Some(point) = arguments.point.iter().find(|point| **point >= count) {
         return Err(Failure::bad_input(format!(
