@@ -104,10 +104,16 @@ fn control(named: &SessionSelector, action: ControlAction) -> Result<(), Failure
 
 fn env(named: &SessionSelector) -> Result<(), Failure> {
     let client = joined(named)?;
-    say!("export {SESSION_VARIABLE}={}", client.info().folder.display());
+    let line = |variable: &str, value: &str| {
+        // A shell runs this text, so it must read the value as one word.
+        let word = shlex::try_quote(value).map_err(Failure::failed)?;
+        say!("export {variable}={word}");
+        Ok::<(), Failure>(())
+    };
+    line(SESSION_VARIABLE, &client.info().folder.to_string_lossy())?;
     let mut external = client.scene().controller.iter().filter(|controller| controller.external);
     if let (Some(only), None) = (external.next(), external.next()) {
-        say!("export {CONTROLLER_VARIABLE}={}", only.name);
+        line(CONTROLLER_VARIABLE, &only.name)?;
     }
     Ok(())
 }
