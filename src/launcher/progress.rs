@@ -69,6 +69,12 @@ impl Display {
         if let Some(waiting) = snapshot.waiting {
             tell!("{waiting}");
         }
+        if let Some(caution) = snapshot.caution {
+            // Below the table, which is then drawn again below this line.
+            self.end();
+            self.drawn = 0;
+            tell!("caution: {caution}");
+        }
         let period = if self.terminal { TERMINAL_PERIOD } else { PLAIN_PERIOD };
         if self.style == ProgressStyle::Quiet || self.last.elapsed() < period {
             return;
