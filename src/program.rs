@@ -4,7 +4,8 @@ use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
-use ipc_types::process::{EXIT_BAD_INPUT, EXIT_FAILED, EXIT_GAP};
+use ipc_types::process::{EXIT_BAD_INPUT, EXIT_FAILED, EXIT_GAP, reset_inherited_signals};
+use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 
 use crate::failure::Failure;
 use crate::{printer, say};
@@ -12,12 +13,46 @@ use crate::{printer, say};
 /// The command succeeded.
 const EXIT_DONE: u8 = 0;
 
+/// Stack of the main thread: the system's usual limit. A smaller inherited one would end the program with
+/// SIGSEGV as soon as it is exceeded.
+const STACK_BYTES: u64 = 8 << 20;
+
 /// Exit codes, for the help.
 pub const EXIT_CODES: &str = "Exit codes: 0 done; 1 failed; 2 bad input; 3 done, but the log has a gap or is incomplete; 130 interrupted";
 
 /// Runs a program: `parse` reads its command line, `dispatch` executes the command. A command that returns an
 /// exit code, as a part of a session does, ends with that code.
 pub fn run<C>(
+    parse: impl FnOnce() -> Result<C, clap::Error> + Send,
+    dispatch: impl FnOnce(C) -> Result<Option<ExitCode>, Failure> + Send,
+) -> ExitCode {
+    reset_inherited_signals();
+    with_stack(|| run_on_this_stack(parse, dispatch)).unwrap_or_else(|cause| {
+        tell!(
+            "trabecula: the stack limit is too low, and no thread with a larger stack can be started \
+             ({cause}); raise it with `ulimit -s {}`",
+            STACK_BYTES >> 10
+        );
+        ExitCode::from(EXIT_FAILED)
+    })
+}
+
+/// Does the work with a stack of at least [`STACK_BYTES`]: of this thread, whose limit the kernel reads when
+/// the stack grows, or of another one if the hard limit is lower.
+fn with_stack<R: Send>(work: impl FnOnce() -> R + Send) -> std::io::Result<R> {
+    let limit = getrlimit(Resource::Stack);
+    let raised = Rlimit { current: Some(STACK_BYTES), maximum: limit.maximum };
+    if limit.current.is_none_or(|bytes| bytes >= STACK_BYTES) || setrlimit(Resource::Stack, raised).is_ok() {
+        return Ok(work());
+    }
+    std::thread::scope(|scope| {
+        let thread = std::thread::Builder::new().name("main".to_owned()).stack_size(STACK_BYTES as usize);
+        let done = thread.spawn_scoped(scope, work)?.join();
+        Ok(done.unwrap_or_else(|panic| std::panic::resume_unwind(panic)))
+    })
+}
+
+fn run_on_this_stack<C>(
     parse: impl FnOnce() -> Result<C, clap::Error>,
     dispatch: impl FnOnce(C) -> Result<Option<ExitCode>, Failure>,
 ) -> ExitCode {

@@ -5,6 +5,7 @@
 //! would interpret is escaped.
 
 use std::io::{self, BufWriter, ErrorKind, Stdout, StdoutLock, Write};
+use std::path::Path;
 use std::sync::OnceLock;
 
 use foreign_text::{EscapingWriter, plain};
@@ -71,6 +72,12 @@ impl Figures {
     pub fn say(self, text: impl FnOnce() -> String, figures: impl FnOnce() -> serde_json::Value) {
         answer(&if self.json { figures().to_string() } else { text() });
     }
+}
+
+/// Returns a path for JSON, which holds only text: bytes that are not UTF-8 become U+FFFD. `json!` panics on
+/// such a path.
+pub fn path_text(path: &Path) -> String {
+    path.to_string_lossy().into_owned()
 }
 
 /// Adds the members of one JSON object to another.

@@ -1,5 +1,6 @@
 //! What all of the hub's processes share: they end on request and with their parent, and send events.
 
+use std::fmt;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
@@ -14,7 +15,7 @@ use crate::session::{Session, SessionError};
 pub use crate::family::{
     bind_to_parent, bind_to_parent_with, children, descendants, end_with_parent, is_alive,
 };
-pub use crate::signals::{EndRequest, EndSignal, ResumeFlag};
+pub use crate::signals::{EndRequest, EndSignal, ResumeFlag, reset_inherited_signals};
 
 /// Exit code of a run that failed.
 pub const EXIT_FAILED: u8 = 1;
@@ -94,6 +95,20 @@ pub struct Priority {
     /// short slice preempts one with a long slice as soon as it wakes (Linux 6.12, `PREEMPT_SHORT`). Needs no
     /// privilege.
     pub slice_ns: Option<u64>,
+}
+
+/// First words of the event with which the physics reports that it runs without the `SCHED_FIFO` that the
+/// scene asks for.
+pub const FIFO_REFUSED: &str = "SCHED_FIFO is not permitted";
+
+impl fmt::Display for Priority {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.fifo {
+            Some(fifo) => write!(f, "SCHED_FIFO {fifo}")?,
+            None => write!(f, "nice {}", self.nice)?,
+        }
+        self.slice_ns.map_or(Ok(()), |ns| write!(f, " with a time slice of {} us", ns / 1000))
+    }
 }
 
 impl Role {

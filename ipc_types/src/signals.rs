@@ -1,4 +1,5 @@
-//! The signals that the hub's processes handle: requests to end, and resuming after a stop.
+//! The signals that the hub's processes handle: requests to end, and resuming after a stop; and the signal
+//! state that a process inherits.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -11,6 +12,39 @@ use signal_hook::low_level::signal_name;
 /// Signals within this time count as one request: `timeout` signals a process and then its group, and a
 /// closing terminal sends SIGHUP twice.
 const ONE_REQUEST: Duration = Duration::from_millis(300);
+
+/// Ignored signals that stay ignored: SIGHUP by `nohup`, SIGINT and SIGQUIT in background commands of a shell
+/// script, SIGPIPE by Rust's runtime, which gives its children the default.
+const STAY_IGNORED: [i32; 4] = [libc::SIGHUP, libc::SIGINT, libc::SIGQUIT, libc::SIGPIPE];
+
+/// Unblocks all signals, and gives those that the parent ignored their default action, except those that
+/// are ignored by convention (`nohup`, background commands). Both survive `exec`: with SIGCHLD ignored no
+/// child can be waited for, and a blocked SIGTERM is never delivered. Call it before the first thread starts;
+/// threads and children inherit the result.
+pub fn reset_inherited_signals() {
+    for signal in (1..=libc::SIGRTMAX()).filter(|signal| !STAY_IGNORED.contains(signal)) {
+        // SAFETY: `sigaction` is a C structure of integers, a set of integers and an optional function, for
+        // all of which zero is valid. Both calls get pointers to whole structures that outlive them, or null,
+        // which means "none". Only SIG_DFL is installed, so no code of this process runs on a signal. The
+        // C library refuses signals that it keeps for itself.
+        unsafe {
+            let mut action: libc::sigaction = std::mem::zeroed();
+            if libc::sigaction(signal, std::ptr::null(), &raw mut action) == 0
+                && action.sa_sigaction == libc::SIG_IGN
+            {
+                action.sa_sigaction = libc::SIG_DFL;
+                action.sa_flags = 0;
+                libc::sigaction(signal, &raw const action, std::ptr::null_mut());
+            }
+        }
+    }
+    // SAFETY: `sigemptyset` initializes the whole set before it is read, and the set outlives both calls.
+    unsafe {
+        let mut none: libc::sigset_t = std::mem::zeroed();
+        libc::sigemptyset(&raw mut none);
+        libc::pthread_sigmask(libc::SIG_SETMASK, &raw const none, std::ptr::null_mut());
+    }
+}
 
 /// Set when the process is asked to end: SIGTERM, SIGINT (Ctrl-C), SIGHUP (a closed terminal, a dropped
 /// connection).
@@ -33,8 +67,8 @@ impl EndRequest {
     /// Installs handlers: from now on the signals set the flag instead of killing the process. An ignored
     /// SIGHUP (`nohup`) stays ignored.
     ///
+    /// # Errors
     /// If the system refuses to install a handler.
-    /// The system refuses to install a handler.
     pub fn install() -> std::io::Result<EndRequest> {
         let request = EndRequest::default();
         for signal in heard_signals() {

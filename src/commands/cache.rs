@@ -9,7 +9,7 @@ use serde_json::json;
 
 use crate::cache::{Cache, CachedFile, LIMIT_BYTES, place};
 use crate::failure::Failure;
-use crate::say::Figures;
+use crate::say::{Figures, path_text};
 
 /// Arguments of `cache`.
 #[derive(Debug, Subcommand)]
@@ -72,7 +72,10 @@ fn info(path: Option<PathBuf>, cache: Option<&Cache>, figures: Figures) {
         let file =
             |file: &&CachedFile| json!({"name": file.name, "bytes": file.bytes, "idle_s": idle_s(file)});
         let [volumes, tables] = [&volumes, &tables].map(|files| files.iter().map(file).collect::<Vec<_>>());
-        json!({"folder": path, "bytes": bytes, "limit_bytes": LIMIT_BYTES, "volumes": volumes, "tables": tables})
+        let folder = path.as_deref().map(path_text);
+        json!({
+            "folder": folder, "bytes": bytes, "limit_bytes": LIMIT_BYTES, "volumes": volumes, "tables": tables,
+        })
     };
     figures.say(text, listed);
 }

@@ -12,7 +12,7 @@ use crate::failure::Failure;
 use crate::launcher::volume_source::{self, VolumeFiles};
 use crate::output::{refuse_existing, within};
 use crate::report::{ReportError, calibration_figure};
-use crate::say::Figures;
+use crate::say::{Figures, path_text};
 use crate::scenes::{BuiltIn, SceneSource};
 
 /// Arguments of `calibrate`.
@@ -53,7 +53,10 @@ pub fn run(arguments: &CalibrateArguments) -> Result<(), Failure> {
             let summary = summary(&calibration);
             format!("{summary}\n\nwritten      {}, calibration.png, calibration.svg", file.display())
         },
-        || serde_json::json!({"output": file, "rows": calibration.rows.iter().map(json_of).collect::<Vec<_>>()}),
+        || {
+            let rows: Vec<_> = calibration.rows.iter().map(json_of).collect();
+            serde_json::json!({"output": path_text(&file), "rows": rows})
+        },
     );
     Ok(())
 }

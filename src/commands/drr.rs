@@ -15,7 +15,7 @@ use super::{Choice, choice};
 use crate::failure::Failure;
 use crate::launcher::volume_source::VolumeChoice;
 use crate::output::refuse_existing;
-use crate::say::Figures;
+use crate::say::{Figures, path_text};
 use crate::x_ray::dicom::{Series, write_dicom};
 use crate::x_ray::files::{Animation, write_nrrd, write_png};
 use crate::x_ray::poses::{self, Pose, ResolvedPose};
@@ -194,7 +194,8 @@ pub fn run(arguments: &DrrArguments) -> Result<(), Failure> {
         || format!("{output}: {count} frame(s), rendered in {all_ms:.1} ms ({frames_per_s:.1} per second)"),
         || {
             serde_json::json!({
-                "output": arguments.output, "frames": count, "render_ms": all_ms, "frames_per_s": frames_per_s,
+                "output": path_text(&arguments.output), "frames": count, "render_ms": all_ms,
+                "frames_per_s": frames_per_s,
             })
         },
     );

@@ -15,7 +15,7 @@ use crate::feasibility;
 use crate::launcher::volume_source::{self, VolumeFiles};
 use crate::output::refuse_existing;
 use crate::planned::PlannedScene;
-use crate::say::Figures;
+use crate::say::{Figures, path_text};
 
 /// Arguments of `scene from-markups`.
 #[derive(Debug, Args)]
@@ -135,7 +135,7 @@ fn say(arguments: &FromMarkupsArguments, planned: &PlannedScene, output: &Path, 
         },
         || {
             serde_json::json!({
-                "output": output,
+                "output": path_text(output),
                 "scene": planned.name,
                 "entry_mm": plan.entry_mm(),
                 "bend_mm": plan.bend_mm(),

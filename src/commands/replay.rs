@@ -21,7 +21,7 @@ use crate::launcher::volume_source::VolumeFiles;
 use crate::replay::{
     ComparedFrames, LivePlan, OpenedLog, Overrides, ReplayRecording, record, run_live, step, verify_frames,
 };
-use crate::say::Figures;
+use crate::say::{Figures, path_text};
 
 /// Arguments of `replay`.
 #[derive(Debug, Args)]
@@ -295,7 +295,7 @@ fn tell_recorded(recorded: &ReplayRecording, log: &OpenedLog, figures: Figures) 
     let ReplayRecording { path, ticks, frames, sha256, remark } = recorded;
     let [theirs, ours] = sha256;
     if figures.json {
-        say!("{}", json!({"output": path, "ticks": ticks, "frames": frames, "sha256": sha256}));
+        say!("{}", json!({"output": path_text(path), "ticks": ticks, "frames": frames, "sha256": sha256}));
     } else {
         say!("re-recorded {ticks} ticks and {frames} frames{}", log.label());
         say!("sha256 {theirs}  {}\nsha256 {ours}  {}", log.path.display(), path.display());

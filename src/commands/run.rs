@@ -25,6 +25,7 @@ use crate::plan;
 use crate::printer;
 use crate::redirect_file;
 use crate::report;
+use crate::say::path_text;
 use crate::scenes::{BuiltIn, SceneSource};
 
 /// Interval at which the end of the viewer is polled.
@@ -257,9 +258,10 @@ fn write_report(result: &RunResult, output: &Path, json: bool) -> Result<(), Fai
     let facts = result.facts(replay_command);
     let report = report::write(output, &facts)?;
     if json {
-        let (session, outcome) = (&result.session, &facts.outcome);
+        let (session, outcome) = (path_text(&result.session), &facts.outcome);
         let ended = serde_json::json!({
-            "phase": "ended", "session": session, "folder": output, "outcome": outcome, "began_ns": result.began_ns,
+            "phase": "ended", "session": session, "folder": path_text(output), "outcome": outcome,
+            "began_ns": result.began_ns,
             "summary": report.summary,
         });
         say!("{ended}");
@@ -278,7 +280,10 @@ fn write_report(result: &RunResult, output: &Path, json: bool) -> Result<(), Fai
 fn tell_outcome(result: &RunResult, json: bool) {
     let outcome = result.outcome.text();
     if json {
-        say!("{}", serde_json::json!({"phase": "ended", "session": result.session, "outcome": outcome}));
+        say!(
+            "{}",
+            serde_json::json!({"phase": "ended", "session": path_text(&result.session), "outcome": outcome})
+        );
     } else {
         say!("outcome      {outcome}");
     }

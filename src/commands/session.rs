@@ -11,6 +11,7 @@ use ipc_types::session::{CONTROLLER_VARIABLE, SESSION_VARIABLE, announced_sessio
 use trabecula_client::{Client, ClientError, Connection};
 
 use crate::failure::Failure;
+use crate::say::path_text;
 
 /// Timeout for finding a session, and then for the reply of its physics, which may still be starting.
 const LIMIT: Duration = Duration::from_secs(30);
@@ -66,7 +67,7 @@ fn list(json: bool) -> Result<(), Failure> {
         let (name, controllers) = (name_of(&folder), scene.controller_names());
         if json {
             let session = serde_json::json!({
-                "session": name, "folder": folder, "scene": scene.name, "controllers": controllers,
+                "session": name, "folder": path_text(&folder), "scene": scene.name, "controllers": controllers,
             });
             say!("{session}");
         } else {
@@ -103,10 +104,16 @@ fn control(named: &SessionSelector, action: ControlAction) -> Result<(), Failure
 
 fn env(named: &SessionSelector) -> Result<(), Failure> {
     let client = joined(named)?;
-    say!("export {SESSION_VARIABLE}={}", client.info().folder.display());
+    let line = |variable: &str, value: &str| {
+        // A shell runs this text, so it must read the value as one word.
+        let word = shlex::try_quote(value).map_err(Failure::failed)?;
+        say!("export {variable}={word}");
+        Ok::<(), Failure>(())
+    };
+    line(SESSION_VARIABLE, &client.info().folder.to_string_lossy())?;
     let mut external = client.scene().controller.iter().filter(|controller| controller.external);
     if let (Some(only), None) = (external.next(), external.next()) {
-        say!("export {CONTROLLER_VARIABLE}={}", only.name);
+        line(CONTROLLER_VARIABLE, &only.name)?;
     }
     Ok(())
 }

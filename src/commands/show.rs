@@ -11,7 +11,7 @@ use crate::failure::Failure;
 use crate::launcher::volume_source::{self, VolumeFiles};
 use crate::output::refuse_existing;
 use crate::report::ReportError;
-use crate::say::{Figures, merged};
+use crate::say::{Figures, merged, path_text};
 use crate::scene_picture::facts::Facts;
 use crate::scene_picture::figure::{PictureInput, draw};
 use crate::scene_picture::shape::Shapes;
@@ -61,7 +61,7 @@ pub fn run(arguments: &ShowArguments) -> Result<(), Failure> {
     draw(&pictured).and_then(|figure| figure.write_png(output)).map_err(ReportError::from)?;
     arguments.figures.say(
         || text_of(arguments, &facts),
-        || merged(json!({"scene": scene.name, "output": output}), facts.json(&shapes)),
+        || merged(json!({"scene": scene.name, "output": path_text(output)}), facts.json(&shapes)),
     );
     Ok(())
 }

@@ -11,7 +11,7 @@ use serde_json::json;
 
 use crate::failure::{EXIT_INTERRUPTED, Failure};
 use crate::output::{figure_place, refuse_existing};
-use crate::say::Figures;
+use crate::say::{Figures, path_text};
 use crate::sweep::folder::{Folder, OpenedStudy, joined};
 use crate::sweep::parquet::table;
 use crate::sweep::report;
@@ -144,6 +144,7 @@ fn folder_of(output: Option<&Path>, study: &Path) -> PathBuf {
 fn run_points(arguments: &RunArguments) -> Result<(), Failure> {
     let end = EndRequest::install().map_err(Failure::signals)?;
     let study = OpenedStudy::read(&arguments.study)?;
+    study.refuse_external()?;
     let count = study.study.count();
     if let Some(point) = arguments.point.iter().find(|point| **point >= count) {
         return Err(Failure::bad_input(format!(
@@ -176,7 +177,8 @@ fn run_points(arguments: &RunArguments) -> Result<(), Failure> {
     let completed = rows.iter().filter(|row| row.outcome == Ending::Completed).count();
     arguments.figures.say(
         || {
-            let table = table.as_ref().map_or(String::new(), |table| format!("\ntable        {}", table.display()));
+            let table =
+                table.as_ref().map_or(String::new(), |table| format!("\ntable        {}", table.display()));
             format!(
                 "rows         {} of {}, {completed} completed\nfolder       {}{table}",
                 rows.len(),
@@ -185,7 +187,10 @@ fn run_points(arguments: &RunArguments) -> Result<(), Failure> {
             )
         },
         || {
-            json!({"folder": folder.path(), "rows": rows.len(), "of": points.len(), "completed": completed, "table": table})
+            json!({
+                "folder": path_text(folder.path()), "rows": rows.len(), "of": points.len(),
+                "completed": completed, "table": table.as_deref().map(path_text),
+            })
         },
     );
     match rows.len() == points.len() {
@@ -279,7 +284,7 @@ fn gather(arguments: &GatherArguments) -> Result<(), Failure> {
     output_file::write(output, table(first.keys(), &rows)?)?;
     arguments.figures.say(
         || format!("rows         {} of {}\ntable        {}", rows.len(), first.count(), output.display()),
-        || json!({"rows": rows.len(), "of": first.count(), "table": output}),
+        || json!({"rows": rows.len(), "of": first.count(), "table": path_text(output)}),
     );
     Ok(())
 }

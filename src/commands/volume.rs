@@ -11,7 +11,7 @@ use crate::failure::Failure;
 use crate::launcher::volume_source::{VolumeChoice, VolumeFiles};
 use crate::output::refuse_existing;
 use crate::replay::{OpenedLog, Overrides, RemovedBone};
-use crate::say::Figures;
+use crate::say::{Figures, path_text};
 
 /// Arguments of `volume`.
 #[derive(Debug, Subcommand)]
@@ -145,7 +145,8 @@ fn write_drilled(arguments: &DrilledArguments) -> Result<(), Failure> {
         || format!("{output}: the CT after tick {tick}, {count} voxels removed"),
         || {
             let verdict = json::of_verdict(&gone.verdict);
-            serde_json::json!({"output": arguments.output, "tick": tick, "removed_voxels": count, "verdict": verdict})
+            let path = path_text(&arguments.output);
+            serde_json::json!({"output": path, "tick": tick, "removed_voxels": count, "verdict": verdict})
         },
     );
     judged(&log.path, &gone.verdict)
@@ -241,7 +242,10 @@ pub fn write_phantom(arguments: &PhantomArguments) -> Result<(), Failure> {
     let output = arguments.output.display();
     arguments.figures.say(
         || format!("{output}: synthetic, {i} x {j} x {k} voxels of {spacing_mm} mm"),
-        || serde_json::json!({"output": arguments.output, "dimensions": dimensions, "spacing_m": spacing_m}),
+        || {
+            let path = path_text(&arguments.output);
+            serde_json::json!({"output": path, "dimensions": dimensions, "spacing_m": spacing_m})
+        },
     );
     Ok(())
 }

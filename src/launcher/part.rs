@@ -200,24 +200,26 @@ impl Part {
         running().push(kill_handle.clone());
         let words = Arc::new(Mutex::new(VecDeque::new()));
         let shown_as = (output == ProgramOutput::Shown).then(|| name.to_owned());
-        let mut listeners = Vec::new();
-        if let Some(output) = child.stdout.take() {
-            listeners.push(listen(output, Arc::clone(&words), shown_as.clone()));
-        }
-        if let Some(output) = child.stderr.take() {
-            listeners.push(listen(output, Arc::clone(&words), shown_as));
-        }
-        Ok(Part {
+        let (stdout, stderr) = (child.stdout.take(), child.stderr.take());
+        // Dropped, and so killed, if no thread can be started.
+        let mut part = Part {
             name: name.to_owned(),
             process: child.id(),
             child,
             kill_handle,
-            words,
-            listeners,
+            words: Arc::clone(&words),
+            listeners: Vec::new(),
             status: None,
             memory: Memory::default(),
             processor: Duration::ZERO,
-        })
+        };
+        if let Some(output) = stdout {
+            part.listeners.push(listen(output, Arc::clone(&words), shown_as.clone())?);
+        }
+        if let Some(output) = stderr {
+            part.listeners.push(listen(output, words, shown_as)?);
+        }
+        Ok(part)
     }
 
     /// Process ID of the part.
@@ -324,8 +326,8 @@ fn listen(
     output: impl Read + Send + 'static,
     words: Arc<Mutex<VecDeque<String>>>,
     shown_as: Option<String>,
-) -> JoinHandle<()> {
-    std::thread::spawn(move || {
+) -> std::io::Result<JoinHandle<()>> {
+    std::thread::Builder::new().name("listener".to_owned()).spawn(move || {
         let mut output = BufReader::new(output);
         let mut bytes = Vec::new();
         // Read to the end, whatever the bytes; otherwise SIGPIPE would kill the part at its next write.

@@ -10,6 +10,7 @@ use super::run::RunSnapshot;
 use crate::failure::Failure;
 use crate::printer::{self, ForwardedOutput};
 use crate::report::{History, LiveSnapshot, LiveStats, json_line, progress_line};
+use crate::say::path_text;
 
 const TERMINAL_PERIOD: Duration = Duration::from_millis(250);
 const PLAIN_PERIOD: Duration = Duration::from_secs(2);
@@ -68,6 +69,12 @@ impl Display {
         if let Some(waiting) = snapshot.waiting {
             tell!("{waiting}");
         }
+        if let Some(caution) = snapshot.caution {
+            // Below the table, which is then drawn again below this line.
+            self.end();
+            self.drawn = 0;
+            tell!("caution: {caution}");
+        }
         let period = if self.terminal { TERMINAL_PERIOD } else { PLAIN_PERIOD };
         if self.style == ProgressStyle::Quiet || self.last.elapsed() < period {
             return;
@@ -86,7 +93,7 @@ impl Display {
             ProgressStyle::Quiet => say!("session      {session}"),
             ProgressStyle::Text => tell!("session {session}"),
             ProgressStyle::Json => {
-                say!("{}", serde_json::json!({"phase": "announced", "session": snapshot.session}));
+                say!("{}", serde_json::json!({"phase": "announced", "session": path_text(snapshot.session)}));
             }
         }
         if self.style != ProgressStyle::Quiet {

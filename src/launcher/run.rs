@@ -188,6 +188,8 @@ pub struct RunSnapshot<'a> {
     pub frames: u64,
     /// What the run has been waiting for, reported once.
     pub waiting: Option<&'a str>,
+    /// A limit of this machine that affects the run, reported once.
+    pub caution: Option<&'a str>,
     /// Running parts, with their resource use.
     pub parts: &'a [Part],
 }

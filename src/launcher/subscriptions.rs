@@ -10,6 +10,7 @@ use ipc_types::messages::{
     Event, EventCode, Frame, Part as HubPart, Participant, Phase, RunStatus, State, TickTiming,
 };
 use ipc_types::ports::{PortError, Subscriber};
+use ipc_types::process::FIFO_REFUSED;
 use ipc_types::session::{Session, SessionError};
 
 use super::part::Part;
@@ -28,6 +29,8 @@ pub(super) struct Subscriptions {
     frames: u64,
     /// What the run has been waiting for, since the last update.
     waiting: Option<String>,
+    /// A limit of this machine that the physics has reported since the last update.
+    caution: Option<String>,
 }
 
 impl Subscriptions {
@@ -49,6 +52,7 @@ impl Subscriptions {
             timings: Vec::new(),
             frames: 0,
             waiting: None,
+            caution: None,
         })
     }
 
@@ -69,15 +73,18 @@ impl Subscriptions {
         while let Some(timing) = self.tick_timings.receive()? {
             self.timings.push(*timing.message());
         }
-        self.waiting = None;
+        (self.waiting, self.caution) = (None, None);
         while let Some(event) = self.events.receive_valid(|_| {})? {
             let message = event.message();
-            if message.code() == Ok(EventCode::Waiting)
-                && message.sender() == Some(Participant::Part(HubPart::Physics))
-            {
-                let text = event.tail();
-                let text = String::from_utf8_lossy(text.strip_suffix(&[0]).unwrap_or(text));
+            if message.sender() != Some(Participant::Part(HubPart::Physics)) {
+                continue;
+            }
+            let text = event.tail();
+            let text = String::from_utf8_lossy(text.strip_suffix(&[0]).unwrap_or(text));
+            if message.code() == Ok(EventCode::Waiting) {
                 self.waiting = Some(foreign_line(&text).to_string());
+            } else if text.starts_with(FIFO_REFUSED) {
+                self.caution = Some(foreign_line(&text).to_string());
             }
         }
         if let Some(frames) = &self.frame_messages {
@@ -102,6 +109,7 @@ impl Subscriptions {
             timings: &self.timings,
             frames: self.frames,
             waiting: self.waiting.as_deref(),
+            caution: self.caution.as_deref(),
             parts,
         }
     }

@@ -15,6 +15,7 @@ const STILL_M: f64 = 1e-5;
 /// Returns the cautions of a run, one line each.
 pub(super) fn cautions(run: &RunLane, timing: &TimingLane) -> Vec<String> {
     let found = [
+        timing.fifo_refused.clone(),
         refused(timing),
         force(run),
         tip_at_rest(run),

@@ -5,6 +5,7 @@ use std::path::Path;
 
 use ipc_types::messages::layout::Message;
 use ipc_types::messages::{Command, Event, FrameTiming, Part, Participant, RunStatus, Severity, TickTiming};
+use ipc_types::process::FIFO_REFUSED;
 use recorder_proc::log_file::LogFile;
 use run_log::misses::Misses;
 use run_log::{LogError, LogHeader, LogMessage, MessageStream, ReadOptions, Topic};
@@ -53,6 +54,8 @@ pub struct TimingLane {
     pub refused_commands: u64,
     /// Number of events by kind.
     pub events: BTreeMap<String, u64>,
+    /// The physics' report that it runs without the `SCHED_FIFO` that was asked for.
+    pub fifo_refused: Option<String>,
     /// The last warnings and errors, one line each.
     pub warnings: VecDeque<String>,
     /// Messages lost, by topic, according to the end marker.
@@ -99,6 +102,7 @@ impl TimingLane {
             commands: 0,
             refused_commands: 0,
             events: BTreeMap::new(),
+            fifo_refused: None,
             warnings: VecDeque::new(),
             lost: BTreeMap::new(),
             notes: Vec::new(),
@@ -168,12 +172,15 @@ impl TimingLane {
 
     fn event(&mut self, event: &Event, text: &[u8]) {
         *self.events.entry(event_name(event)).or_default() += 1;
+        let text = String::from_utf8_lossy(text);
+        let text = text.trim_end_matches('\0').replace(char::is_control, " ");
+        if text.starts_with(FIFO_REFUSED) && event.sender() == Some(Participant::Part(Part::Physics)) {
+            self.fifo_refused = Some(text.clone());
+        }
         if event.severity >= Severity::Warning.code() {
             if self.warnings.len() == KEPT_WARNINGS {
                 self.warnings.pop_front();
             }
-            let text = String::from_utf8_lossy(text);
-            let text = text.trim_end_matches('\0').replace(char::is_control, " ");
             self.warnings.push_back(format!("tick {}, {}: {text}", event.tick, self.sender(event)));
         }
     }

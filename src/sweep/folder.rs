@@ -4,6 +4,8 @@ use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use foreign_text::foreign_path;
+use ipc_types::scene::Scene;
+use ipc_types::text_file::read_bytes;
 use output_file::OutputError;
 use recorder_proc::build_info;
 use serde::{Deserialize, Serialize};
@@ -13,6 +15,9 @@ use super::parquet;
 use super::row::Row;
 use crate::failure::Failure;
 use crate::scenes::{BuiltIn, SceneSource};
+
+/// Largest row read, bytes; its 64 parameters and its results take a few thousand.
+const MAX_ROW_BYTES: u64 = 1 << 20;
 
 /// Identity of a sweep; rows of sweeps with another identity are rejected.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -63,6 +68,18 @@ impl OpenedStudy {
         Ok(study)
     }
 
+    /// Refuses a scene that waits for a controller which no sweep can start. A point can still change its
+    /// controllers, so each is checked again.
+    ///
+    /// # Errors
+    /// Bad input: a required controller is external.
+    pub fn refuse_external(&self) -> Result<(), Failure> {
+        let source = SceneSource::new(self.scene.as_deref(), BuiltIn::Femur);
+        // A point whose scene is refused gets a row.
+        let scene = source.with(&self.settings(&self.study.point(0))).and_then(|source| source.load());
+        scene.map_or(Ok(()), |scene| refuse_external(&scene))
+    }
+
     /// Returns the settings of a run in the order of application.
     pub fn settings(&self, point: &sweep::Point) -> Vec<String> {
         [self.study.set.clone(), point.settings()].concat()
@@ -79,6 +96,17 @@ impl OpenedStudy {
     /// Returns the command that repeats a run.
     pub fn command(&self, point: &sweep::Point) -> Result<String, Failure> {
         joined(&[vec!["trabecula".to_owned(), "run".to_owned()], self.arguments(point)].concat())
+    }
+}
+
+/// Refuses a scene with a required controller that is external.
+pub fn refuse_external(scene: &Scene) -> Result<(), Failure> {
+    match scene.controller.iter().find(|controller| controller.external && !controller.optional) {
+        None => Ok(()),
+        Some(external) => Err(Failure::bad_input(format!(
+            "controller `{}` is external, and a sweep cannot start it; give it a `command` in the scene",
+            external.name
+        ))),
     }
 }
 
@@ -152,7 +180,20 @@ impl Folder {
             bad(format!("not a sweep folder; expected one written by `trabecula sweep run` ({cause})"))
         })?;
         let identity = serde_json::from_str(&text).map_err(|cause| bad(format!("study.json: {cause}")))?;
-        Ok(Folder { path: path.to_owned(), identity })
+        let folder = Folder { path: path.to_owned(), identity };
+        // The number of rows to look for must not come from an altered file.
+        let (study, identity) = (folder.study()?, &folder.identity);
+        if identity.count != study.count() {
+            return Err(bad(format!(
+                "study.json: `count` is {}, but its study has {} points",
+                identity.count,
+                study.count()
+            )));
+        }
+        if !identity.keys.iter().eq(study.keys()) {
+            return Err(bad("study.json: `keys` are not those of its study".to_owned()));
+        }
+        Ok(folder)
     }
 
     /// Returns its path.
@@ -204,7 +245,7 @@ impl Folder {
     /// Returns a point's row if its run has ended.
     pub fn row(&self, point: u64) -> Result<Option<Row>, Failure> {
         let file = self.row_file(point);
-        let text = match std::fs::read(&file) {
+        let text = match read_bytes(&file, MAX_ROW_BYTES) {
             Ok(text) => text,
             Err(cause) if cause.kind() == ErrorKind::NotFound => return Ok(None),
             Err(cause) => return Err(Failure::failed(format!("{}: {cause}", foreign_path(&file)))),

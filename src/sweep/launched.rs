@@ -5,6 +5,8 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
+use ipc_types::process::bind_to_parent;
+use ipc_types::text_file::{MAX_TEXT_BYTES, read_bytes};
 use rustix::process::{Pid, Signal, kill_process};
 
 use super::in_process::PointOutcome;
@@ -18,6 +20,8 @@ const LOOK: Duration = Duration::from_millis(20);
 const ENDING_LIMIT: Duration = Duration::from_secs(30);
 /// Timeout for the remaining output of a run that has ended.
 const SAID_LIMIT: Duration = Duration::from_secs(5);
+/// Length of the end of a run's error output that is kept, bytes.
+const SAID_BYTES: usize = 64 << 10;
 
 /// Runs `trabecula run` with these arguments into a folder, and fills in the row from its `summary.json`. The
 /// folder keeps the log, because the behaviour of a user's program cannot be reproduced from the row.
@@ -32,8 +36,10 @@ pub fn run(
     command.arg("run").args(arguments).args(["--quiet", "--output"]).arg(folder);
     // The last line of its error output is why it failed.
     command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped());
-    let child =
-        command.spawn().map_err(|cause| Failure::failed(format!("a run cannot be started: {cause}")))?;
+    // The run ends with this process, even if this process is killed.
+    let child = bind_to_parent(&mut command)
+        .spawn()
+        .map_err(|cause| Failure::failed(format!("a run cannot be started: {cause}")))?;
     let Some((status, said)) = end_of(child, is_to_end)? else { return Ok(PointOutcome::Interrupted) };
     let last_line = said.trim().lines().last().map(str::to_owned);
     row.outcome = match (status.success(), status.code()) {
@@ -60,7 +66,13 @@ fn end_of(mut child: Child, is_to_end: &dyn Fn() -> bool) -> Result<Option<(Exit
     let failed = |cause: std::io::Error| Failure::failed(format!("a run cannot be waited for: {cause}"));
     let pipe = child.stderr.take();
     let (heard, said) = std::sync::mpsc::channel();
-    std::thread::spawn(move || heard.send(pipe.map(std::io::read_to_string)));
+    let hearing = std::thread::Builder::new().name("listener".to_owned());
+    if let Err(cause) = hearing.spawn(move || heard.send(pipe.map(last_of))) {
+        // Without its reader the run would block once the pipe is full.
+        let _ = child.kill();
+        let _ = child.wait();
+        return Err(failed(cause));
+    }
     let mut asked: Option<Instant> = None;
     let status = loop {
         if let Some(status) = child.try_wait().map_err(failed)? {
@@ -81,14 +93,25 @@ fn end_of(mut child: Child, is_to_end: &dyn Fn() -> bool) -> Result<Option<(Exit
         std::thread::sleep(LOOK);
     };
     // A program left behind by the run may hold the pipe open, so do not wait indefinitely.
-    let said = said.recv_timeout(SAID_LIMIT).ok().flatten().and_then(Result::ok).unwrap_or_default();
+    let said = said.recv_timeout(SAID_LIMIT).ok().flatten().unwrap_or_default();
     Ok(asked.is_none().then_some((status, said)))
+}
+
+/// Reads to the end and returns the last part.
+fn last_of(mut pipe: impl std::io::Read) -> String {
+    let (mut kept, mut piece) = (Vec::new(), [0; 4096]);
+    while let Ok(count @ 1..) = pipe.read(&mut piece) {
+        kept.extend_from_slice(&piece[..count]);
+        kept.drain(..kept.len().saturating_sub(SAID_BYTES));
+    }
+    String::from_utf8_lossy(&kept).into_owned()
 }
 
 /// Returns the name and summary of the only run in a folder.
 fn summary_in(folder: &Path) -> Option<(PathBuf, Summary)> {
     let mut runs = std::fs::read_dir(folder).ok()?.flatten().map(|entry| entry.path());
     let (run, None) = (runs.next()?, runs.next()) else { return None };
-    let summary = serde_json::from_slice(&std::fs::read(run.join("summary.json")).ok()?).ok()?;
+    let text = read_bytes(&run.join("summary.json"), MAX_TEXT_BYTES).ok()?;
+    let summary = serde_json::from_slice(&text).ok()?;
     Some((PathBuf::from(run.file_name()?), summary))
 }

@@ -9,7 +9,7 @@ use serde_json::Value;
 use sim::{SharedScene, SimError};
 use sweep::{Point, Record};
 
-use super::folder::{Folder, OpenedStudy};
+use super::folder::{Folder, OpenedStudy, refuse_external};
 use super::in_process::{self, PointOutcome};
 use super::launched;
 use super::row::{Ending, Row};
@@ -104,8 +104,16 @@ pub fn run(
         }
     };
     std::thread::scope(|scope| {
-        for _ in 0..work.jobs.min(left.len()) {
-            scope.spawn(|| note(worker()));
+        for number in 0..work.jobs.min(left.len()) {
+            let thread = std::thread::Builder::new().name(format!("sweep-{number}"));
+            if let Err(cause) = thread.spawn_scoped(scope, || note(worker())) {
+                note(Err(Failure::failed(format!(
+                    "thread {} of {} cannot be started: {cause}",
+                    number + 1,
+                    work.jobs
+                ))));
+                return;
+            }
         }
     });
     failure.into_inner().unwrap_or_else(PoisonError::into_inner).map_or(Ok(()), Err)
@@ -158,15 +166,8 @@ fn one(
         }
         Err(other) => return Err(Failure::failed(other)),
     };
-    let controllers = &shared.scene().controller;
-    if let Some(external) = controllers.iter().find(|controller| controller.external && !controller.optional)
-    {
-        return Err(Failure::bad_input(format!(
-            "controller `{}` is external, and a sweep cannot start it; give it a `command` in the scene",
-            external.name
-        )));
-    }
-    let has_programs = controllers.iter().any(|controller| controller.command.is_some());
+    refuse_external(shared.scene())?;
+    let has_programs = shared.scene().controller.iter().any(|controller| controller.command.is_some());
     let is_session = has_programs || study.study.record == Record::Frames;
     if is_session || study.study.record == Record::All {
         row.log = Some(folder.claim_run(index)?);

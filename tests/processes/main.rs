@@ -32,6 +32,7 @@ mod half_made;
 mod held_back;
 mod hostile;
 mod identity;
+mod inherited;
 mod interrupts;
 mod languages;
 mod late_controllers;

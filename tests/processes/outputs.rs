@@ -2,7 +2,11 @@
 
 use std::ffi::OsStr;
 use std::fs;
+use std::os::unix::ffi::OsStrExt;
 use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use test_support::limited::Limited;
 
 use crate::common::program::{Place, trabecula};
 use crate::common::scenes;
@@ -79,15 +83,8 @@ fn table(place: &Place) -> Vec<Row> {
     ]
 }
 
-fn run(words: &[String]) -> crate::common::program::Done {
-    let words: Vec<&dyn AsRef<OsStr>> = words.iter().map(|word| word as &dyn AsRef<OsStr>).collect();
-    trabecula(&words)
-}
-
-/// Regression: `drr` overwrote everything, including its own CT; `calibrate` overwrote its own earlier
-/// output.
-#[test]
-fn no_command_writes_over_a_file_that_is_there() {
+/// Creates the inputs of the commands of [`table`].
+fn with_inputs() -> Place {
     let place = Place::new();
     let sweep = "tension_sweep = { most_n = 2.0, step_n = 1.0, settle_s = 0.05 }";
     fs::write(
@@ -108,6 +105,19 @@ fn no_command_writes_over_a_file_that_is_there() {
     fs::write(place.path("points.csv"), "run.seed\n1\n2\n").unwrap();
     let done = run(&row(&place, "sweep run @study.toml -o @swept --quiet", &[]).words);
     assert_eq!(done.code, Some(0), "{}", done.err);
+    place
+}
+
+fn run(words: &[String]) -> crate::common::program::Done {
+    let words: Vec<&dyn AsRef<OsStr>> = words.iter().map(|word| word as &dyn AsRef<OsStr>).collect();
+    trabecula(&words)
+}
+
+/// Regression: `drr` overwrote everything, including its own CT; `calibrate` overwrote its own earlier
+/// output.
+#[test]
+fn no_command_writes_over_a_file_that_is_there() {
+    let place = with_inputs();
     let before = contents(&place.path(""));
     for row in table(&place) {
         for file in row.files {
@@ -134,6 +144,43 @@ fn no_command_writes_over_a_file_that_is_there() {
             }
         }
     }
+}
+
+/// Regression: `--json` with a path that is not UTF-8 panicked after the work was done.
+#[test]
+fn every_result_in_json_can_name_a_path_that_is_not_utf8() {
+    let place = with_inputs();
+    let folder = place.path("").join(OsStr::from_bytes(b"gr\xfcn"));
+    fs::create_dir(&folder).unwrap();
+    let of_runs = ["run @scene.toml -o @runs", "sweep run @study.toml --quiet -o @sweep"];
+    let rows = table(&place).into_iter().map(|row| row.words);
+    let mut with_the_path = 0;
+    for words in rows.chain(of_runs.iter().map(|words| row(&place, words, &[]).words)) {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_trabecula"));
+        for (i, word) in words.iter().enumerate() {
+            match i > 0 && matches!(&*words[i - 1], "-o" | "--output") {
+                true => command.arg(folder.join(Path::new(word).file_name().unwrap())),
+                false => command.arg(word),
+            };
+        }
+        let output = command.arg("--json").limited_output().unwrap();
+        let said = String::from_utf8_lossy(&output.stderr);
+        if said.contains("unexpected argument '--json'") {
+            continue;
+        }
+        if said.contains("there is no tunnel") {
+            continue;
+        }
+        // Rows of the table share names.
+        let is_taken = said.contains("already exists");
+        assert_eq!(output.status.code(), Some(if is_taken { 2 } else { 0 }), "{words:?}: {said}");
+        let text = String::from_utf8(output.stdout).unwrap();
+        for line in text.lines() {
+            serde_json::from_str::<serde_json::Value>(line).unwrap_or_else(|_| panic!("{words:?}: {line}"));
+        }
+        with_the_path += usize::from(text.contains("gr\u{fffd}n"));
+    }
+    assert!(with_the_path >= 12, "{with_the_path} commands name the path in their result");
 }
 
 #[test]

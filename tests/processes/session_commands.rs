@@ -1,12 +1,20 @@
 //! `trabecula session`, and the information that a script gets about a run.
 
+use std::fs::{self, Permissions};
+use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
+use std::process::Command;
 
 use serde_json::Value;
 use trabecula_client::{Client, ClientError, Connection};
 
 use crate::common::logs::read;
-use crate::common::program::{Ended, LIMIT, Place, Run, assert_nothing_left, trabecula, wait_for};
+use rustix::process::Signal;
+use test_support::limited::Limited;
+
+use crate::common::program::{
+    Ended, LIMIT, Place, Run, assert_nothing_left, session_below, signal, trabecula, wait_for,
+};
 use crate::common::scenes;
 use crate::strays::joined;
 
@@ -24,6 +32,28 @@ fn told(words: &[&str], session: &str) -> String {
     let done = trabecula(&all);
     assert_eq!(done.code, Some(0), "{words:?}: {}", done.err);
     done.out
+}
+
+/// Regression: the path was printed as it is, and `eval` ran what its name contained.
+#[test]
+fn the_variables_of_a_session_are_quoted_for_the_shell() {
+    let place = Place::new();
+    // The path of a run-time folder has at most 16 bytes.
+    let runtime = tempfile::Builder::new().prefix(";eval x;").rand_bytes(3).tempdir_in("/tmp").unwrap();
+    let runtime = runtime.path();
+    fs::set_permissions(runtime, Permissions::from_mode(0o700)).unwrap();
+    let mut command = Command::new(env!("CARGO_BIN_EXE_trabecula"));
+    let (scene, output) = (place.scene(&scenes::hold("realtime", 600.0)), place.path("out"));
+    command.arg("run").arg(scene).arg("--quiet").arg("--output").arg(&output);
+    command.env("XDG_RUNTIME_DIR", runtime);
+    let run = Run::of(command, output);
+    let session = session_below(runtime);
+    let variables = told(&["env"], session.to_str().unwrap());
+    let script = format!("{variables}\nprintf %s \"$TRABECULA_SESSION\"");
+    let read = Command::new("sh").args(["-c", &script]).current_dir(place.path("")).limited_output().unwrap();
+    assert_eq!(String::from_utf8_lossy(&read.stdout), session.to_str().unwrap(), "{variables}");
+    signal(run.pid(), Signal::INT);
+    assert_eq!(run.end().code, Some(130));
 }
 
 #[test]

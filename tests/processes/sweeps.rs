@@ -200,6 +200,73 @@ fn controllers_that_are_programs_run_as_sessions_and_others_started_elsewhere_ar
         "{}",
         done.err
     );
+    assert!(!place.path("other").exists(), "a refused sweep writes nothing");
+}
+
+/// Regression: the runs of a killed sweep went on, and the same command, given again, had twice as many.
+#[test]
+fn the_runs_of_a_killed_sweep_end_with_it() {
+    let place = Place::new();
+    let text = STUDY
+        .replace("seed = 3", "seed = 3\nset = [\"run.duration_s=600.0\", \"run.mode='realtime'\"]")
+        .replace("controller.0.hold.tension_n", "contact.friction")
+        .replace("min = 0.5\nmax = 6.0", "min = 0.1\nmax = 0.5");
+    let study = study(&place, &text);
+    let program = "command = [\"sleep\", \"600\"]\nconnect_limit_s = 600";
+    fs::write(place.path("scene.toml"), SCENE.replace("hold = { tension_n = 1.0 }", program)).unwrap();
+    let folder = place.path("swept");
+    let sweep = start(&study, &folder);
+    // The launcher of a run and its recorder name the folder of the run.
+    let runs = format!("{}/runs/", folder.display());
+    let of_runs = || {
+        let entries = fs::read_dir("/proc").unwrap().flatten();
+        let lines = entries.filter_map(|entry| fs::read(entry.path().join("cmdline")).ok());
+        lines.filter(|line| String::from_utf8_lossy(line).contains(&runs)).count()
+    };
+    wait_for("a run with its recorder", || (of_runs() >= 2).then_some(()));
+    drop(sweep);
+    wait_for("the end of the runs", || (of_runs() == 0).then_some(()));
+}
+
+/// Regression: a row that is a link to `/dev/zero` filled the memory, a pipe was waited for, and a count of
+/// 2^64 - 1 was counted to.
+#[test]
+fn a_folder_from_elsewhere_is_read_with_limits() {
+    let place = Place::new();
+    let study = study(&place, &STUDY.replace("samples = 8", "samples = 2"));
+    let folder = place.path("swept");
+    complete(&study, &folder, &[]);
+    let (row, table, figure) =
+        (folder.join("rows/0000000.json"), place.path("table.parquet"), place.path("figure"));
+    let refused = |why: &str| {
+        let commands: [&[&dyn AsRef<std::ffi::OsStr>]; 3] = [
+            &[&"report", &folder, &"--of", &"bend_deg"],
+            &[&"plot", &folder, &"--of", &"bend_deg", &"-o", &figure],
+            &[&"gather", &folder, &"-o", &table],
+        ];
+        for command in commands {
+            let done = sweep(command);
+            assert!(matches!(done.code, Some(1 | 2)) && done.err.contains(why), "{why}: {done:?}");
+            assert!(!table.exists() && !place.path("figure.png").exists(), "{why}: written");
+        }
+    };
+    let whole = fs::read(&row).unwrap();
+    fs::remove_file(&row).unwrap();
+    std::os::unix::fs::symlink("/dev/zero", &row).unwrap();
+    refused("0000000.json: not a regular file");
+    fs::remove_file(&row).unwrap();
+    rustix::fs::mkfifoat(rustix::fs::CWD, &row, rustix::fs::Mode::RUSR | rustix::fs::Mode::WUSR).unwrap();
+    refused("0000000.json: not a regular file");
+    fs::remove_file(&row).unwrap();
+    fs::File::create(&row).unwrap().set_len(1 << 34).unwrap();
+    refused("0000000.json: longer than 1048576 bytes");
+    fs::write(&row, whole).unwrap();
+    let identity = folder.join("study.json");
+    let text = fs::read_to_string(&identity).unwrap();
+    fs::write(&identity, text.replace("\"count\": 2", "\"count\": 18446744073709551615")).unwrap();
+    refused("study.json: `count` is 18446744073709551615, but its study has 2 points");
+    fs::write(&identity, text.replace("manipulator.tendon_friction\"", "run.seed\"")).unwrap();
+    refused("study.json");
 }
 
 /// Regression: the page on data sets exported logs of a sweep, and they had no frames.

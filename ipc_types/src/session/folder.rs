@@ -73,7 +73,7 @@ impl HostFolder {
                 other => other.map_err(|cause| SessionError::Unfit { path: path.clone(), cause })?,
             };
             flock(&handle, FlockOperation::LockExclusive).map_err(system)?;
-            match create_file(&handle, MARKER, id.to_string().as_bytes()) {
+            match create_whole(&handle, MARKER, id.to_string().as_bytes()) {
                 Ok(()) => {
                     let host = HostFolder { path, id, handle, above };
                     // Written before there is any memory, and atomically, because a host could not interpret
@@ -95,12 +95,21 @@ impl HostFolder {
         &self.handle
     }
 
+    /// Returns the system's reason for an error of the transport, which has none, if the folder's disk takes
+    /// no more files.
+    pub(crate) fn reason_of(&self, error: SessionError) -> SessionError {
+        const PROBE: &str = ".probe";
+        // More than any file of the transport has.
+        const PROBE_BYTES: usize = 64 << 10;
+        let SessionError::Transported { .. } = error else { return error };
+        let tried = create_file(&self.handle, PROBE, &[0; PROBE_BYTES]);
+        let _ = unlinkat(&self.handle, PROBE, AtFlags::empty());
+        tried.err().map_or(error, file_error(&self.path))
+    }
+
     /// Writes a file atomically.
     pub(crate) fn write(&self, name: &str, content: &[u8]) -> Result<(), SessionError> {
-        let hidden = format!(".{name}");
-        let written = create_file(&self.handle, &hidden, content)
-            .and_then(|()| Ok(rustix::fs::renameat(&self.handle, &hidden, &self.handle, name)?));
-        written.map_err(file_error(&self.path.join(name)))
+        create_whole(&self.handle, name, content).map_err(file_error(&self.path.join(name)))
     }
 }
 
@@ -118,6 +127,18 @@ pub(crate) fn create_file(folder: impl AsFd, name: &str, content: &[u8]) -> io::
     let flags = OFlags::WRONLY | OFlags::CREATE | OFlags::EXCL | OFlags::NOFOLLOW | OFlags::CLOEXEC;
     let file = openat(folder, name, flags, Mode::RUSR | Mode::WUSR)?;
     File::from(file).write_all(content)
+}
+
+/// Returns the name of a file while it is written.
+fn draft_of(name: &str) -> String {
+    format!(".{name}")
+}
+
+/// As [`create_file`], but the file has its name only once it is complete.
+fn create_whole(folder: &OwnedFd, name: &str, content: &[u8]) -> io::Result<()> {
+    let draft = draft_of(name);
+    create_file(folder, &draft, content)?;
+    Ok(rustix::fs::renameat(folder, &draft, folder, name)?)
 }
 
 /// Reads a file of a session's folder. Refuses links and anything a read could block on, and limits the
@@ -263,9 +284,11 @@ fn has_its_memory_here(folder: &OwnedFd) -> bool {
     }
 }
 
-/// Removes a folder that is empty or contains only an empty folder of nodes, as left by a killed client
-/// ([`ClientLeftovers`]). The system refuses to remove a folder that is not empty.
+/// Removes a folder that is empty or contains only the draft of a marker, as left by a killed host, or an
+/// empty folder of nodes, as left by a killed client ([`ClientLeftovers`]). The system refuses to remove a
+/// folder that is not empty.
 fn remove_empty(sessions: &OwnedFd, id: &SessionId, folder: &OwnedFd) -> bool {
+    let _ = unlinkat(folder, draft_of(MARKER), AtFlags::empty());
     let _ = unlinkat(folder, NODES, AtFlags::REMOVEDIR);
     let is_removed = unlinkat(sessions, id.to_string(), AtFlags::REMOVEDIR).is_ok();
     if is_removed {

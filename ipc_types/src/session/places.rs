@@ -9,6 +9,7 @@ use std::fmt::{self, Display, Formatter};
 use std::os::fd::{AsFd, OwnedFd};
 use std::path::{Component, Path, PathBuf};
 
+use iceoryx2::prelude::SemanticString as _;
 use rustix::fs::{AtFlags, CWD, FileType, Mode, OFlags, Stat};
 use rustix::io::Errno;
 use thiserror::Error;
@@ -34,6 +35,12 @@ pub enum PlaceError {
     /// The path is relative, so it depends on the working directory.
     #[error("it is not an absolute path")]
     Relative,
+    /// The transport refuses some characters in paths.
+    #[error("its path holds `{}`, which the transport does not allow", character.escape_debug())]
+    Character {
+        /// The first such character; U+FFFD for bytes that are not UTF-8.
+        character: char,
+    },
     /// It does not exist.
     #[error("it does not exist")]
     Missing,
@@ -135,6 +142,17 @@ pub fn open_private(above: impl AsFd, path: &Path) -> Result<OwnedFd, PlaceError
     Ok(folder)
 }
 
+/// Returns the first character of a path that the transport refuses.
+fn refused_character(path: &Path) -> Option<char> {
+    let text = path.to_string_lossy();
+    let is_refused = |c: &char| {
+        let mut bytes = [0; 4];
+        let name = ["x", c.encode_utf8(&mut bytes)].concat();
+        *c == char::REPLACEMENT_CHARACTER || iceoryx2::prelude::Path::new(name.as_bytes()).is_err()
+    };
+    text.chars().find(is_refused)
+}
+
 impl Place {
     fn new(above: PathBuf, kind: Kind, user: u32) -> Place {
         let name = if kind == Kind::Temporary { format!("{NAME}-{user}") } else { NAME.to_owned() };
@@ -160,6 +178,9 @@ impl Place {
         }
         if !self.above.is_absolute() {
             return Err(PlaceError::Relative);
+        }
+        if let Some(character) = refused_character(&self.above) {
+            return Err(PlaceError::Character { character });
         }
         if bytes > limit {
             return Err(PlaceError::TooLong { bytes, limit });
@@ -305,6 +326,7 @@ pub(crate) fn last_name(path: &Path) -> Option<&str> {
 #[cfg(test)]
 mod tests {
     use std::fs::{self, Permissions};
+    use std::os::unix::ffi::OsStrExt;
     use std::os::unix::fs::PermissionsExt;
 
     use super::*;
@@ -336,6 +358,8 @@ mod tests {
         for (given, reason) in [
             (Path::new(""), "it is empty"),
             (Path::new("run"), "it is not an absolute path"),
+            (&own.join(OsStr::from_bytes(b"gr\xfcn")), "its path holds `\u{fffd}`"),
+            (&own.join("a>b"), "its path holds `>`"),
             (&own.join("n"), "it does not exist"),
             (&link, "it is a link"),
             (&with_slash, "it is a link"),

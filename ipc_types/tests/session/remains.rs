@@ -76,6 +76,8 @@ fn the_session_of_a_dead_host_is_wiped_by_the_next_host() {
     fs::remove_file(marked.path().join("session.id")).unwrap();
     // A host killed, or out of disk, while it wrote where its memory is.
     fs::write(stale.path().join(".session.memory"), "da4d").unwrap();
+    // A host killed while it wrote its marker, which has its name only once it is complete.
+    fs::write(marked.path().join(".session.id"), &name_of(marked.path())[..3]).unwrap();
     // A client killed while it joined a session that was being removed.
     fs::remove_file(joined.path().join("session.id")).unwrap();
     fs::create_dir(joined.path().join("nodes")).unwrap();

@@ -17,8 +17,8 @@ use hub::{Environment, Hub, HubError, Next, Note, Settings};
 use ipc_types::clock::now_ns;
 use ipc_types::messages::{EventCode, Part, Severity, Tick};
 use ipc_types::ports::PortError;
-use ipc_types::process::{EndRequest, Role, prioritise, session_scene};
-use ipc_types::scene::{Mode, Scene, SceneError};
+use ipc_types::process::{EndRequest, FIFO_REFUSED, Role, prioritise, session_scene};
+use ipc_types::scene::{Mode, Policy, Scene, SceneError};
 use ipc_types::session::{Session, SessionError};
 use rustix::mm::MlockAllFlags;
 use simulation::{Simulation, SimulationError};
@@ -120,10 +120,11 @@ fn take_priority(memory: &mut SharedMemory<'_>, scene: &Scene) -> Result<(), Por
     if got == wanted {
         return Ok(());
     }
-    inform(
-        memory,
-        &format!("priority: {wanted:?} is not permitted, the physics has {got:?}; see `trabecula doctor`"),
-    )
+    let refused = match (policy, got.fifo) {
+        (Policy::Fifo, None) => FIFO_REFUSED.to_owned(),
+        _ => format!("priority {wanted} is not permitted"),
+    };
+    inform(memory, &format!("{refused}; the physics runs with {got} (see `trabecula doctor`)"))
 }
 
 fn inform(memory: &mut SharedMemory<'_>, text: &str) -> Result<(), PortError> {

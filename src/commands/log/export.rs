@@ -23,7 +23,7 @@ use crate::dataset::{Format, Split};
 use crate::failure::Failure;
 use crate::launcher::volume_source::VolumeFiles;
 use crate::output::refuse_existing;
-use crate::say::{Figures, merged};
+use crate::say::{Figures, merged, path_text};
 use figures::picture::grey16;
 
 /// Arguments of `log export`.
@@ -106,7 +106,8 @@ impl ExportArguments {
             Some(_) => format!("{}: {said}", self.output.display()),
             None => format!("{}: {said}\n{}", self.output.display(), verdict.ending.describe()),
         };
-        let all = json!({"output": self.output, "exported": said, "verdict": of_verdict(verdict)});
+        let all =
+            json!({"output": path_text(&self.output), "exported": said, "verdict": of_verdict(verdict)});
         self.figures.say(text, || merged(all, figures));
     }
 

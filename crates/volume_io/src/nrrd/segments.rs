@@ -3,6 +3,8 @@
 //! Source: Slicer's developer guide, "Segmentations", `Segment<n>_Name`, `Segment<n>_LabelValue`,
 //! `Segment<n>_Layer`.
 
+use foreign_text::foreign;
+
 use super::axes::Axes;
 use super::header::Header;
 use crate::error::VolumeError;
@@ -88,11 +90,36 @@ fn segments(header: &Header<'_>) -> Result<Vec<Segment>, VolumeError> {
     Ok(out)
 }
 
-/// The segments on one line.
+/// Largest number of segments listed; a segmentation of a whole body has about a hundred.
+const MOST_LISTED: usize = 120;
+
+/// The first segments on one line, with their names cut to a bounded length.
 fn names(segments: &[Segment]) -> String {
     if segments.is_empty() {
         return "no named segments".to_owned();
     }
-    let each = |segment: &Segment| format!("\"{}\" ({})", segment.name, segment.value);
-    segments.iter().map(each).collect::<Vec<_>>().join(", ")
+    let each = |segment: &Segment| format!("\"{}\" ({})", foreign(&segment.name), segment.value);
+    let listed = segments.iter().take(MOST_LISTED).map(each).collect::<Vec<_>>().join(", ");
+    match segments.len().saturating_sub(MOST_LISTED) {
+        0 => listed,
+        more => format!("{listed} and {more} more"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Regression: a file with 20,000 segments filled the terminal.
+    #[test]
+    fn a_list_of_segments_from_a_file_has_a_bounded_length() {
+        let segment = |name: String| Segment { name, layer: 0, value: 1 };
+        let few = names(&[segment("femur".to_owned()), segment("pelvis".to_owned())]);
+        assert_eq!(few, "\"femur\" (1), \"pelvis\" (1)");
+        let long = names(&[segment("x".repeat(300))]);
+        assert_eq!(long, format!("\"{}… (100 more characters)\" (1)", "x".repeat(200)));
+        let many: Vec<Segment> = (0..20_000).map(|number| segment(format!("segment {number}"))).collect();
+        let listed = names(&many);
+        assert!(listed.ends_with("\"segment 119\" (1) and 19880 more") && listed.len() < 4096, "{listed}");
+    }
 }

@@ -1,0 +1,143 @@
+//! State that a run inherits from whoever starts it: ignored and blocked signals, low limits.
+
+use std::os::unix::fs::PermissionsExt;
+use std::path::Path;
+use std::process::Command;
+
+use rustix::process::Signal;
+use test_support::limited::Limited;
+
+use crate::common::program::{Place, Run, assert_nothing_left, signal};
+use crate::common::scenes;
+#[allow(dead_code, reason = "the tests of faults need more of it")]
+#[path = "../faults/name_space.rs"]
+mod name_space;
+
+use name_space::NameSpace;
+
+const PROGRAM: &str = env!("CARGO_BIN_EXE_trabecula");
+
+/// Starts a run by another program, whose words come first.
+fn started_by(words: &[&str], place: &Place, scene: &str) -> Run {
+    let output = place.path("out");
+    let mut command = Command::new(words[0]);
+    command.args(&words[1..]).args([PROGRAM, "run"]).arg(place.scene(scene));
+    command.arg("--output").arg(&output).arg("--quiet");
+    Run::of(command, output)
+}
+
+/// Regression: with SIGCHLD ignored the launcher waited forever for parts that had ended, and printed without
+/// end; with SIGTERM blocked each part had to be killed.
+#[test]
+fn a_run_ends_and_obeys_whatever_signals_its_parent_ignored_or_blocked() {
+    let parents = [
+        &["env", "--ignore-signal=CHLD"][..],
+        &["env", "--block-signal=TERM,INT,HUP,CHLD,CONT", "--ignore-signal=CHLD,TERM,CONT"],
+    ];
+    for parent in parents {
+        let place = Place::new();
+        let run = started_by(parent, &place, &scenes::hold("lockstep", 0.05));
+        let ended = run.end();
+        assert_eq!(ended.code, Some(0), "{parent:?}: {}", ended.err);
+        assert!(!ended.err.contains("did not end in time"), "{parent:?}: {}", ended.err);
+        assert_nothing_left(ended.pid);
+        let run = started_by(parent, &place, &scenes::hold("realtime", 600.0));
+        run.session();
+        signal(run.pid(), Signal::TERM);
+        let ended = run.end();
+        assert_eq!(ended.code, Some(130), "{parent:?}: {}", ended.err);
+        assert_nothing_left(ended.pid);
+    }
+}
+
+/// Regression: a stack of 512 KiB was exceeded, and the program aborted.
+#[test]
+fn a_run_needs_no_more_stack_than_its_parent_leaves_it() {
+    // A hard limit, and one that the program can raise.
+    for limit in ["--stack=524288:524288", "--stack=65536:"] {
+        let place = Place::new();
+        let ended = started_by(&["prlimit", limit], &place, &scenes::hold("lockstep", 0.05)).end();
+        assert_eq!(ended.code, Some(0), "{limit}: {}", ended.err);
+        assert_nothing_left(ended.pid);
+    }
+}
+
+/// Regression: only an event in the log said that `--policy fifo` had no effect, as a data structure.
+#[test]
+fn a_run_without_the_permission_for_fifo_says_so() {
+    // Root may do so, unless the permission is taken away before.
+    let is_root = rustix::process::geteuid().is_root();
+    let without: &[&str] =
+        if is_root { &["setpriv", "--bounding-set=-sys_nice", "--inh-caps=-sys_nice"] } else { &[] };
+    let words = [without, &["prlimit", "--rtprio=0:0"]].concat();
+    let place = Place::new();
+    let scene = scenes::hold("realtime", 0.2).replace("seed = 7", "seed = 7\npolicy = \"fifo\"");
+    let ended = started_by(&words, &place, &scene).end();
+    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    let caution = "SCHED_FIFO is not permitted; the physics runs with nice ";
+    assert!(ended.err.contains(&format!("caution: {caution}")), "{}", ended.err);
+    let summary = std::fs::read_to_string(ended.folder.join("summary.json")).unwrap();
+    assert!(summary.contains(caution), "{summary}");
+    assert!(ended.out.contains(caution), "{}", ended.out);
+}
+
+/// Regression: a full disk of the sessions was an "InternalError" of a service, without the disk's name.
+#[test]
+fn a_session_without_space_on_its_disk_names_the_disk() {
+    let place = Place::new();
+    let runtime = tempfile::Builder::new().prefix("r").rand_bytes(4).tempdir_in("/tmp").unwrap();
+    let runtime = runtime.path();
+    let (scene, output) = (place.scene(&scenes::hold("lockstep", 0.02)), place.path("out"));
+    let mut refused = 0;
+    for pages in [4, 8, 12, 16, 24, 32] {
+        let space = match NameSpace::with_tmpfs(runtime, pages * 4096) {
+            Ok(space) => space,
+            Err(cause) => return println!("skipped: {cause}"),
+        };
+        std::fs::set_permissions(space.path(runtime), PermissionsExt::from_mode(0o700)).unwrap();
+        let mut command = space.command();
+        command.arg("env").arg(format!("XDG_RUNTIME_DIR={}", runtime.display())).args([PROGRAM, "run"]);
+        command.arg(&scene).arg("--output").arg(&output).arg("--quiet");
+        let ended = command.limited_output().unwrap();
+        let said = String::from_utf8_lossy(&ended.stderr);
+        if ended.status.code() == Some(1) {
+            refused += 1;
+            let named = said.contains(runtime.to_str().unwrap()) && said.contains("No space left on device");
+            assert!(named, "{pages} pages: {said}");
+        } else {
+            assert_eq!(ended.status.code(), Some(0), "{pages} pages: {said}");
+        }
+    }
+    assert!(refused > 0, "no disk was too small");
+}
+
+/// Regression: the launcher panicked when it could start a part but no thread to read its output. The kernel
+/// limits the processes of every user but root, counted by user; so root runs this as a user that has none.
+#[test]
+fn a_run_with_too_few_processes_is_refused_without_a_panic() {
+    const NOBODY_ELSE: &str = "3405691";
+    let place = Place::new();
+    let open = |path: &Path| std::fs::set_permissions(path, PermissionsExt::from_mode(0o777)).unwrap();
+    open(&place.path(""));
+    let scene = place.scene(&scenes::hold("lockstep", 0.02));
+    open(&scene);
+    let as_user = |words: &[&str]| {
+        let mut command = Command::new("setpriv");
+        command.args(["--reuid", NOBODY_ELSE, "--regid", NOBODY_ELSE, "--clear-groups"]).args(words);
+        command.env("HOME", place.path("")).env_remove("XDG_RUNTIME_DIR");
+        command
+    };
+    if !as_user(&[PROGRAM, "--version"]).limited_output().is_ok_and(|output| output.status.success()) {
+        println!("skipped: no right to run as another user, or that user cannot run {PROGRAM}");
+        return;
+    }
+    for most in 5..=15 {
+        let limit = format!("--nproc={most}:{most}");
+        let mut command = as_user(&["prlimit", &limit, PROGRAM, "run"]);
+        command.arg(&scene).arg("--output").arg(place.path("out"));
+        let output = command.arg("--quiet").limited_output().unwrap();
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert!(!said.contains("panicked"), "{most} processes: {said}");
+        assert!(matches!(output.status.code(), Some(0 | 1)), "{most} processes: {:?} {said}", output.status);
+    }
+}
