@@ -165,9 +165,11 @@ fn binary_triangles(bytes: &[u8]) -> Vec<Triangle> {
     .collect()
 }
 
+type Lines<'a> = core::slice::Split<'a, u8, fn(&u8) -> bool>;
+
 /// Reads ASCII STL: `solid` blocks, any number of them, in upper or lower case.
 struct AsciiStl<'a> {
-    lines: core::iter::Enumerate<core::slice::Split<'a, u8, fn(&u8) -> bool>>,
+    lines: core::iter::Enumerate<Lines<'a>>,
     /// Words of the present line that are not read yet, and its number.
     words: Vec<&'a [u8]>,
     line: usize,

@@ -1,7 +1,7 @@
 //! DICOM as the world writes it: elements that are not used decide nothing.
 
 // Helpers of tests may fail a test.
-#![allow(clippy::unwrap_used)]
+#![allow(clippy::unwrap_used, clippy::panic)]
 
 use crate::common::dicom_bytes::{DicomSlice, LOSSLESS_JPEG, jpeg_2000, write_series};
 use std::path::Path;

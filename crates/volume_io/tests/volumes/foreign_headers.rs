@@ -1,7 +1,7 @@
 //! Headers as other programs write them, which ITK reads.
 
 // Helpers of tests may fail a test.
-#![allow(clippy::unwrap_used)]
+#![allow(clippy::unwrap_used, clippy::panic)]
 
 use crate::common::nifti_bytes::NiftiBytes;
 use std::io::Write;
