@@ -140,7 +140,8 @@ fn stl(content: &[u8], most: usize) -> Result<Vec<Triangle>, MeshError> {
     let declared = count.filter(|count| length_of(*count) <= content.len() as u64);
     if let Some(count) = declared {
         let (binary, rest) = content.split_at(length_of(count) as usize);
-        if rest.iter().all(|byte| is_padding(*byte)) {
+        // A file of zeros is no STL.
+        if rest.is_empty() || (count > 0 && rest.iter().all(|byte| is_padding(*byte))) {
             return match count as usize > most {
                 true => Err(MeshError::TooMany { most }),
                 false => Ok(binary_triangles(&binary[STL_HEAD_BYTES..])),

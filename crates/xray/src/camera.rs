@@ -51,8 +51,8 @@ fn orthonormal([x, _, z]: [Vec3; 3]) -> [Vec3; 3] {
 }
 
 impl CArm {
-    /// The C-arm of a camera. A rotation with rounded decimals is made orthonormal. K gives the detector distance in pixels only; the pixel pitch along a row
-    /// converts it to metres.
+    /// The C-arm of a camera. A rotation with rounded decimals is made orthonormal. K gives the detector
+    /// distance in pixels only; the pixel pitch along a row converts it to metres.
     ///
     /// # Errors
     /// A number is not finite, K has skew, a last row other than (0, 0, 1) or a focal length of 0, R is not a

@@ -92,6 +92,7 @@ fn hostile_files_are_refused_with_what_is_wrong() {
     let stl = |content: &[u8]| refused(content, MeshFormat::Stl);
     let obj = |content: &str| refused(content.as_bytes(), MeshFormat::Obj);
     assert_eq!(stl(&[]), MeshError::NotStl { bytes: 0, count: None });
+    assert_eq!(stl(&[0; 130]), MeshError::NotStl { bytes: 130, count: Some(0) });
     // Truncated, longer than declared, and a count of 4 billion.
     let whole = binary(b"", 2, &[TRIANGLE; 2]);
     for (content, count) in [
