@@ -79,7 +79,8 @@ fn bytes_that_are_not_used_decide_nothing() {
     }
 }
 
-/// Regression: frames were refused that programs pad with something else than zeros, or before their end mark.
+/// Regression: frames were refused that programs pad with something else than zeros, or before their end
+/// mark.
 #[test]
 fn padded_frames_are_read() {
     let packed = |transfer_syntax, fragment: &[u8]| DicomSlice {
