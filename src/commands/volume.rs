@@ -228,12 +228,8 @@ pub fn write_phantom(arguments: &PhantomArguments) -> Result<(), Failure> {
     let spacing_m = spacing_mm * 1e-3;
     let volume = match arguments.kind {
         PhantomKind::Femur => phantom::femur(&phantom::FemurSpec { spacing_m, ..Default::default() }),
-        PhantomKind::Block => {
-            phantom::block(&phantom::BlockSpec { spacing_m: [spacing_m; 3], ..Default::default() })
-        }
-        PhantomKind::Sphere => {
-            phantom::sphere(&phantom::SphereSpec { spacing_m: [spacing_m; 3], ..Default::default() })
-        }
+        PhantomKind::Block => phantom::block(&phantom::BlockSpec::with_spacing(spacing_m)),
+        PhantomKind::Sphere => phantom::sphere(&phantom::SphereSpec::with_spacing(spacing_m)),
         PhantomKind::Pelvis => phantom::pelvis(&phantom::PelvisSpec { spacing_m, ..Default::default() }),
     };
     let volume = volume.map_err(Failure::bad_input)?;

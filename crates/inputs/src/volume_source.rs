@@ -37,7 +37,8 @@ pub struct VolumeChoice {
     /// Which files it may name.
     #[command(flatten)]
     pub files: VolumeFiles,
-    /// SeriesInstanceUID of the series to read, if the DICOM folder holds several.
+    /// SeriesInstanceUID of the series to read, if the DICOM folder holds several; `UID#2` for the second of
+    /// its phases; `all` to join all series of the folder.
     #[arg(long, value_name = "UID")]
     pub series: Option<String>,
     /// Resample unevenly spaced or sheared slices (tilted gantry) to a rectangular grid.

@@ -3,7 +3,6 @@
 //! The files are untrusted: a count is believed only if it matches the file's length, and no coordinate may
 //! be infinite or NaN.
 
-use std::io::Cursor;
 use std::path::Path;
 
 use foreign_text::foreign;
@@ -128,32 +127,142 @@ fn damaged(cause: &impl ToString) -> MeshError {
     MeshError::Damaged { cause: cause.to_string() }
 }
 
+/// Blanks and zeros, which programs write around the content.
+fn is_padding(byte: u8) -> bool {
+    byte == 0 || byte.is_ascii_whitespace()
+}
+
 /// The count decides whether the file is binary: a binary file's header can begin with `solid`, too.
 fn stl(content: &[u8], most: usize) -> Result<Vec<Triangle>, MeshError> {
     let count =
         content.get(80..STL_HEAD_BYTES).and_then(|bytes| bytes.try_into().ok()).map(u32::from_le_bytes);
     let length_of = |count: u32| STL_HEAD_BYTES as u64 + STL_TRIANGLE_BYTES as u64 * u64::from(count);
-    let readable = if let Some(count) = count.filter(|count| length_of(*count) == content.len() as u64) {
-        if count as usize > most {
-            return Err(MeshError::TooMany { most });
+    let declared = count.filter(|count| length_of(*count) <= content.len() as u64);
+    if let Some(count) = declared {
+        let (binary, rest) = content.split_at(length_of(count) as usize);
+        // A file of zeros is no STL.
+        if rest.is_empty() || (count > 0 && rest.iter().all(|byte| is_padding(*byte))) {
+            return match count as usize > most {
+                true => Err(MeshError::TooMany { most }),
+                false => Ok(binary_triangles(&binary[STL_HEAD_BYTES..])),
+            };
         }
-        [&[0; 80], &content[80..]].concat()
-    } else if content.starts_with(b"solid") {
-        // The reader requires a name in the first line, which some programs do not write.
-        let rest = content.iter().position(|byte| *byte == b'\n').map_or(&[][..], |end| &content[end..]);
-        [b"solid mesh", rest].concat()
-    } else {
-        return Err(MeshError::NotStl { bytes: content.len(), count });
-    };
-    let mut readable = Cursor::new(readable);
-    let mut triangles = Vec::new();
-    for triangle in stl_io::create_stl_reader(&mut readable).map_err(|cause| damaged(&cause))? {
-        if triangles.len() == most {
-            return Err(MeshError::TooMany { most });
-        }
-        triangles.push(triangle.map_err(|cause| damaged(&cause))?.vertices.map(|corner| corner.0));
     }
-    Ok(triangles)
+    let begin = content.iter().position(|byte| !is_padding(*byte)).unwrap_or(content.len());
+    match content.get(begin..begin + 5) {
+        Some(word) if word.eq_ignore_ascii_case(b"solid") => AsciiStl::new(content).triangles(most),
+        _ => Err(MeshError::NotStl { bytes: content.len(), count }),
+    }
+}
+
+/// The corners in the 50 bytes of each triangle, after its normal.
+fn binary_triangles(bytes: &[u8]) -> Vec<Triangle> {
+    let float = |four: &[u8; 4]| f32::from_le_bytes(*four);
+    let each = bytes.as_chunks::<STL_TRIANGLE_BYTES>().0.iter();
+    each.map(|triangle| {
+        let (numbers, _) = triangle[12..48].as_chunks::<4>();
+        [0, 1, 2].map(|corner| [0, 1, 2].map(|axis| float(&numbers[3 * corner + axis])))
+    })
+    .collect()
+}
+
+type Lines<'a> = core::slice::Split<'a, u8, fn(&u8) -> bool>;
+
+/// Reads ASCII STL: `solid` blocks, any number of them, in upper or lower case.
+struct AsciiStl<'a> {
+    lines: core::iter::Enumerate<Lines<'a>>,
+    /// Words of the present line that are not read yet, and its number.
+    words: Vec<&'a [u8]>,
+    line: usize,
+}
+
+impl<'a> AsciiStl<'a> {
+    fn new(content: &'a [u8]) -> Self {
+        let is_end: fn(&u8) -> bool = |byte| *byte == b'\n' || *byte == b'\r';
+        Self { lines: content.split(is_end).enumerate(), words: Vec::new(), line: 0 }
+    }
+
+    /// The next word; `None` at the end.
+    fn next(&mut self) -> Option<&'a [u8]> {
+        while self.words.is_empty() {
+            let (line, text) = self.lines.next()?;
+            self.line = line + 1;
+            self.words = text.split(|byte| is_padding(*byte)).filter(|word| !word.is_empty()).collect();
+            self.words.reverse();
+        }
+        self.words.pop()
+    }
+
+    fn wrong(&self, found: Option<&[u8]>, expected: &str) -> MeshError {
+        let found = found.map_or("the end".into(), |word| format!("`{}`", String::from_utf8_lossy(word)));
+        damaged(&format!("found {found} in line {}, expected {expected}", self.line))
+    }
+
+    /// Takes these words.
+    fn expect(&mut self, words: &[&str]) -> Result<(), MeshError> {
+        words.iter().try_for_each(|expected| {
+            let found = self.next();
+            let is_it = found.is_some_and(|word| word.eq_ignore_ascii_case(expected.as_bytes()));
+            if is_it { Ok(()) } else { Err(self.wrong(found, &format!("`{expected}`"))) }
+        })
+    }
+
+    fn coordinate(&mut self) -> Result<f32, MeshError> {
+        let word = self.next();
+        let number = word.and_then(|word| core::str::from_utf8(word).ok()?.parse::<f32>().ok());
+        number.filter(|x| x.is_finite()).ok_or_else(|| self.wrong(word, "a finite coordinate"))
+    }
+
+    fn triangles(mut self, most: usize) -> Result<Vec<Triangle>, MeshError> {
+        let mut triangles = Vec::new();
+        while let Some(word) = self.next() {
+            if !word.eq_ignore_ascii_case(b"solid") {
+                return Err(self.wrong(Some(word), "`solid`"));
+            }
+            // The rest of the line is a name.
+            self.words.clear();
+            loop {
+                let word = self.next();
+                if word.is_some_and(|word| word.eq_ignore_ascii_case(b"endsolid")) {
+                    self.words.clear();
+                    break;
+                }
+                if !word.is_some_and(|word| word.eq_ignore_ascii_case(b"facet")) {
+                    return Err(self.wrong(word, "`facet` or `endsolid`"));
+                }
+                if triangles.len() == most {
+                    return Err(MeshError::TooMany { most });
+                }
+                self.expect(&["normal"])?;
+                // The normal is not used; some programs write `nan`.
+                for _ in 0..3 {
+                    let _ = self.next();
+                }
+                self.expect(&["outer", "loop"])?;
+                let mut corners = Triangle::default();
+                for corner in &mut corners {
+                    self.expect(&["vertex"])?;
+                    *corner = [self.coordinate()?, self.coordinate()?, self.coordinate()?];
+                }
+                self.expect(&["endloop", "endfacet"])?;
+                triangles.push(corners);
+            }
+        }
+        Ok(triangles)
+    }
+}
+
+/// An OBJ's text with continued lines, which end in a backslash, in one line each.
+fn without_continuations(content: &[u8]) -> Vec<u8> {
+    let mut out = Vec::with_capacity(content.len());
+    let mut at = 0;
+    while at < content.len() {
+        let rest = &content[at..];
+        let end = [b"\\\n".as_slice(), b"\\\r\n"].into_iter().find(|end| rest.starts_with(end));
+        out.push(if end.is_some() { b' ' } else { rest[0] });
+        at += end.map_or(1, <[u8]>::len);
+    }
+    out
 }
 
 /// Finds a face of an OBJ with fewer than three corners, which the reader would take for a line or a point.
@@ -167,6 +276,7 @@ fn short_face(content: &[u8]) -> Option<MeshError> {
 }
 
 fn obj(content: &[u8], most: usize) -> Result<Vec<Triangle>, MeshError> {
+    let content = &*without_continuations(content);
     if let Some(error) = short_face(content) {
         return Err(error);
     }

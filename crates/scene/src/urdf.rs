@@ -29,8 +29,12 @@ const LEAST_TURN_RAD: f64 = 2e-5;
 pub(crate) const GREATEST_RAD: f64 = 4.0 * core::f64::consts::PI;
 /// Range of a continuous joint, as for a wrist of Universal Robots.
 const CONTINUOUS_RAD: f64 = 2.0 * core::f64::consts::PI;
-/// Largest joint speed that a file may give: 10 turns per second.
+/// Largest joint speed that counts as stated: 10 turns per second. Exporters write 0 or a huge number for an
+/// unknown one.
 const FASTEST_RAD_PER_S: f64 = 20.0 * core::f64::consts::PI;
+/// Speed of a joint without a stated one, as for Universal Robots' arms; `arm.max_joint_speed_deg_per_s`
+/// lowers it.
+const USUAL_RAD_PER_S: f64 = core::f64::consts::PI;
 
 /// Replaces `arm.urdf` and its keys in a scene's table by the joints and meshes of that file. Returns false
 /// if the scene names no URDF file.
@@ -245,7 +249,8 @@ impl UrdfJoint<'_> {
         let limit_of = |key: &str, lowest: f64, highest: f64| match limit.and_then(|node| node.attribute(key))
         {
             None => {
-                Err(self.says(&format!("has no `limit {key}`; expected a number from {lowest} to {highest}")))
+                let expected = range(lowest, highest);
+                Err(self.says(&format!("has no `limit {key}`; expected {expected}")))
             }
             Some(text) => self.number("limit", key, text, lowest, highest),
         };
@@ -263,7 +268,13 @@ impl UrdfJoint<'_> {
             );
             return Err(self.says(&problem));
         }
-        let rate = limit_of("velocity", 1e-3, FASTEST_RAD_PER_S)?;
+        // A continuous joint needs no limit (https://wiki.ros.org/urdf/XML/joint).
+        let rate = match limit.and_then(|node| node.attribute("velocity")) {
+            None if is_endless => 0.0,
+            _ => limit_of("velocity", 0.0, f64::INFINITY)?,
+        };
+        let is_stated = (1e-3..=FASTEST_RAD_PER_S).contains(&rate);
+        let rate = if is_stated { rate } else { USUAL_RAD_PER_S };
         table.insert("axis".to_owned(), numbers(axis));
         for (key, value) in [("lower_deg", lower), ("upper_deg", upper), ("max_speed_deg_per_s", rate)] {
             table.insert(key.to_owned(), Value::Float(value.to_degrees()));
@@ -295,10 +306,14 @@ fn number(tag: &str, key: &str, text: &str, lowest: f64, highest: f64) -> Result
     // NaN is in no range and therefore refused too.
     match text.trim().parse::<f64>() {
         Ok(value) if (lowest..=highest).contains(&value) => Ok(value),
-        _ => Err(format!(
-            "has `{tag} {key}` = {}, expected a number from {lowest} to {highest}",
-            foreign(text)
-        )),
+        _ => Err(format!("has `{tag} {key}` = {}, expected {}", foreign(text), range(lowest, highest))),
+    }
+}
+
+fn range(lowest: f64, highest: f64) -> String {
+    match highest.is_finite() {
+        true => format!("a number from {lowest} to {highest}"),
+        false => format!("a number of at least {lowest}"),
     }
 }
 

@@ -149,9 +149,9 @@ pub enum VolumeError {
     /// The axes are not perpendicular: a sheared affine, or a CT taken with a tilted gantry. Holds the
     /// tolerance, a cosine.
     #[error(
-        "{0}; expected perpendicular axes (cosine at most {1}); resample a tilted gantry's slices \
-         (`--rectify`, in a scene `volume.resample = \
-         \"rectify\"`); resample a sheared volume with another program"
+        "{0}; expected perpendicular axes (cosine at most {1}); resample a tilted gantry's slices, of DICOM \
+         or NIfTI (`--rectify`, in a scene `volume.resample = \"rectify\"`); resample any other sheared \
+         volume with another program"
     )]
     Sheared(Field, f64),
     /// Unevenly spaced slices. Holds the tolerance in metres.
@@ -167,6 +167,12 @@ pub enum VolumeError {
          \"rectify\"`)"
     )]
     MissingSlices(Field),
+    /// A gap too wide to interpolate. Holds the limit, in typical slice distances.
+    #[error(
+        "{0}: slices are missing, and the gap is too wide to interpolate (more than {1} slice distances); \
+         export the series again, or move the slices beyond the gap to another folder"
+    )]
+    Gap(Field, f64),
     /// Two slices at the same position.
     #[error("{0}; expected one slice per position; remove the duplicates")]
     DuplicateSlices(Field),
@@ -174,8 +180,8 @@ pub enum VolumeError {
     #[error("{0}; expected the same value in all slices; put each series in its own folder")]
     MixedSeries(Field),
     /// A folder with several series and none selected, or a selected series that is not there.
-    #[error("{}: {given}; select one of its series with `--series UID` (in a scene `volume.series`): \
-             {series}", foreign_path(.path))]
+    #[error("{}: {given}; select one of its series with `--series UID`, or join them with `--series all` \
+             (in a scene `volume.series`): {series}", foreign_path(.path))]
     SeveralSeries {
         /// The folder.
         path: PathBuf,
@@ -183,6 +189,18 @@ pub enum VolumeError {
         given: String,
         /// Each with its UID, number of slices, modality and description, escaped.
         series: String,
+    },
+    /// A series with several slices at each position and none of its phases selected, or a selected phase
+    /// that is not there.
+    #[error("{}: {given}; select one with `--series UID#N` (in a scene `volume.series`): {phases}",
+            foreign_path(.path))]
+    SeveralPhases {
+        /// The folder or file.
+        path: PathBuf,
+        /// The selection, or its absence.
+        given: String,
+        /// Each with its number and its number of slices.
+        phases: String,
     },
     /// A label that is not in the segmentation, or that is ambiguous.
     #[error("{}: {}; available: {}", foreign_path(.path), foreign(.given), foreign(.there))]

@@ -8,7 +8,9 @@ use crate::error::{Field, VolumeError};
 use crate::input::{self, Codec, DataFiles};
 use crate::options::ReadOptions;
 use crate::scalar::{Endian, HuSink, Layout, Scalar, Scale};
-use crate::text_header::{MAX_HEADER_BYTES, all_sizes, numbers, read_ascii, unit_of_length, wrong};
+use crate::text_header::{
+    MAX_HEADER_BYTES, add_field, all_sizes, numbers, read_ascii, text_of, unit_of_length, wrong,
+};
 use crate::volume::{GeometryFields, StatedGeometry, VolumeInfo, placed, placement, voxel_count};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -79,18 +81,14 @@ impl<'a> Header<'a> {
             let end = bytes[at..].iter().position(|b| *b == b'\n').map_or(bytes.len(), |n| at + n);
             let line = bytes[at..end].strip_suffix(b"\r").unwrap_or(&bytes[at..end]);
             at = (end + 1).min(bytes.len());
-            let text = std::str::from_utf8(line).map_err(|_| {
-                wrong(path, "header", &String::from_utf8_lossy(line), "lines of the form `name = value`")
-            })?;
+            let text = &*text_of(line);
             if text.trim().is_empty() {
                 continue;
             }
             let Some((name, value)) = text.split_once('=') else {
                 return Err(wrong(path, "header", text, "lines of the form `name = value`"));
             };
-            if fields.insert(name.trim().to_string(), value.trim().to_string()).is_some() {
-                return Err(wrong(path, name.trim(), value, "each field only once"));
-            }
+            add_field(path, &mut fields, (name.trim(), value.trim()))?;
         }
         let mut list = Vec::new();
         if fields.get("ElementDataFile").is_some_and(|name| is_list(name)) {
@@ -200,8 +198,14 @@ impl<'a> Header<'a> {
     fn geometry(&self, unit_m: f64, notes: &mut Vec<String>) -> Result<Placement, VolumeError> {
         let names =
             GeometryFields { spacing: "ElementSpacing", direction: "TransformMatrix", origin: "Offset" };
-        let (field, text) = self.require(&["ElementSpacing", "ElementSize"], "three distances")?;
-        let spacing = self.of_space(field, text)?;
+        let spacing = match self.get(&["ElementSpacing", "ElementSize"]) {
+            Some((field, text)) => self.of_space(field, text)?,
+            // MetaIO's default.
+            None => {
+                notes.push(format!("no ElementSpacing given; assuming voxels of {} mm", unit_m * 1e3));
+                [1.0; 3]
+            }
+        };
         let origin = match self.get(&["Offset", "Origin", "Position"]) {
             Some((field, text)) => self.of_space(field, text)?,
             None => {

@@ -3,13 +3,14 @@
 use crate::error::{Field, VolumeError};
 use crate::input::{self, Codec, DataFiles};
 use crate::nifti_header::{NIFTI2_SIZE, parse};
-use crate::options::ReadOptions;
+use crate::options::{ReadOptions, SliceHandling};
+use crate::rectify;
 use crate::scalar::HuSink;
 use crate::volume::{
     GeometryFields, StatedGeometry, VolumeInfo, columns, norm, placed, placement, voxel_count,
 };
 use std::path::{Path, PathBuf};
-use voxel_grid::{Placement, Volume};
+use voxel_grid::Volume;
 
 /// Reads the volume whose header is at `path`.
 pub(crate) fn read(path: &Path, options: &ReadOptions) -> Result<(Volume, VolumeInfo), VolumeError> {
@@ -18,7 +19,15 @@ pub(crate) fn read(path: &Path, options: &ReadOptions) -> Result<(Volume, Volume
     let header = parse(path, &bytes)?;
     let count = voxel_count(path, "dim", header.dims)?;
     let mut notes = header.notes;
-    let geometry = geometry(path, &header.affine, header.unit_m, &mut notes)?;
+    let stated = stated(path, &header.affine, header.unit_m)?;
+    let placed_as = match placement(path, NAMES, stated, &mut notes) {
+        Err(VolumeError::Sheared(..))
+            if options.slices == SliceHandling::Rectify && rectify::is_askew_stack(&stated, header.dims) =>
+        {
+            None
+        }
+        placement => Some(placement?),
+    };
 
     let (data_path, data_codec) = if header.single_file {
         (path.to_path_buf(), codec)
@@ -36,7 +45,10 @@ pub(crate) fn read(path: &Path, options: &ReadOptions) -> Result<(Volume, Volume
     }
     let mut hu = sink.finish(&mut notes);
     options.keep_label(path, &mut hu)?;
-    let volume = placed(path, header.dims, geometry, hu)?;
+    let volume = match placed_as {
+        Some(placement) => placed(path, header.dims, placement, hu)?,
+        None => rectify::askew_stack(path, NAMES, &stated, header.dims, &hu, &mut notes)?,
+    };
     let pair = if header.single_file { "" } else { ", .hdr/.img" };
     let format = format!("NIfTI-{} ({}{pair})", header.version, data_codec.name());
     let stored_as = header.layout.scalar.describe(header.endian);
@@ -50,29 +62,24 @@ fn codec_of(path: &Path) -> Result<Codec, VolumeError> {
     Ok(if magic == [0x1f, 0x8b] { Codec::Gzip } else { Codec::Raw })
 }
 
+const NAMES: GeometryFields =
+    GeometryFields { spacing: "pixdim or srow", direction: "srow or quatern", origin: "srow or qoffset" };
+
 /// Converts the RAS affine to LPS geometry in metres: x and y change sign.
-fn geometry(
-    path: &Path,
-    affine: &[[f64; 4]; 3],
-    unit_m: f64,
-    notes: &mut Vec<String>,
-) -> Result<Placement, VolumeError> {
+fn stated(path: &Path, affine: &[[f64; 4]; 3], unit_m: f64) -> Result<StatedGeometry, VolumeError> {
     let [x, y, z] = *affine;
     let lps = [x.map(|v| -v), y.map(|v| -v), z];
     let axes = columns(lps.map(|row| [row[0], row[1], row[2]]));
-    let names =
-        GeometryFields { spacing: "pixdim or srow", direction: "srow or quatern", origin: "srow or qoffset" };
     // A zero column is reported as a direction error: that is the actual fault, not the size.
     let singular = axes.iter().any(|axis| {
         let length = norm(*axis);
         !(length.is_finite() && length > 0.0)
     });
     if singular {
-        return Err(VolumeError::SingularDirection(Field::new(path, names.direction, format!("{affine:?}"))));
+        return Err(VolumeError::SingularDirection(Field::new(path, NAMES.direction, format!("{affine:?}"))));
     }
     let spacing_m = axes.map(|axis| norm(axis) * unit_m);
-    let stated = StatedGeometry { spacing_m, origin_m: lps.map(|row| row[3] * unit_m), axes };
-    placement(path, names, stated, notes)
+    Ok(StatedGeometry { spacing_m, origin_m: lps.map(|row| row[3] * unit_m), axes })
 }
 
 /// The .img file of a .hdr file (plain or gzip).

@@ -166,12 +166,14 @@ pub(crate) fn parse(path: &Path, bytes: &[u8]) -> Result<NiftiHeader, VolumeErro
         }
     };
     let scalar = voxel_type(path, raw.datatype)?;
-    if raw.bitpix != 8 * scalar.size() as i64 {
+    let mut notes = Vec::new();
+    if raw.bitpix == 0 {
+        notes.push(format!("bitpix is 0; assuming {}, by the datatype", 8 * scalar.size()));
+    } else if raw.bitpix != 8 * scalar.size() as i64 {
         let expected = format!("{} for datatype {}", 8 * scalar.size(), raw.datatype);
         return Err(wrong("bitpix", raw.bitpix.to_string(), &expected));
     }
     let dims = dimensions(path, &raw.dim)?;
-    let mut notes = Vec::new();
     let (unit_m, unit_name) = unit(path, raw.xyzt_units)?;
     let affine = affine(&raw, &mut notes);
     let least = if !single_file {
@@ -181,8 +183,13 @@ pub(crate) fn parse(path: &Path, bytes: &[u8]) -> Result<NiftiHeader, VolumeErro
     } else {
         544
     };
+    let mut vox_offset = raw.vox_offset;
+    if vox_offset == 0.0 && least > 0 {
+        vox_offset = f64::from(least);
+        notes.push(format!("vox_offset is 0; assuming {least}, the end of the header"));
+    }
     let whole = raw.vox_offset.is_finite() && libm::floor(raw.vox_offset) == raw.vox_offset;
-    if !(whole && raw.vox_offset >= f64::from(least) && raw.vox_offset <= 1e15) {
+    if !(whole && vox_offset >= f64::from(least) && raw.vox_offset <= 1e15) {
         let expected = format!("a whole number of bytes, at least {least}");
         return Err(wrong("vox_offset", raw.vox_offset.to_string(), &expected));
     }
@@ -197,7 +204,7 @@ pub(crate) fn parse(path: &Path, bytes: &[u8]) -> Result<NiftiHeader, VolumeErro
         endian,
         dims,
         layout: Layout { scalar, endian, scale },
-        data_offset: raw.vox_offset as u64,
+        data_offset: vox_offset as u64,
         single_file,
         unit_m,
         unit_name,
@@ -271,7 +278,10 @@ fn unit(path: &Path, xyzt_units: i64) -> Result<(f64, &'static str), VolumeError
 /// 2 and 1).
 fn affine(raw: &RawHeader, notes: &mut Vec<String>) -> [[f64; 4]; 3] {
     let quaternion = (raw.qform_code > 0).then(|| quaternion_affine(raw));
-    if raw.sform_code > 0 {
+    let is_empty = raw.srow.iter().all(|row| row[..3] == [0.0; 3]);
+    if raw.sform_code > 0 && is_empty && quaternion.is_some() {
+        notes.push("the sform is all zeros; using the qform".into());
+    } else if raw.sform_code > 0 {
         if let Some(q) = quaternion {
             let size = raw.pixdim[1..4].iter().fold(0.0_f64, |a, b| a.max(b.abs()));
             let differs = raw.srow.iter().flatten().zip(q.iter().flatten()).any(|(a, b)| {

@@ -5,7 +5,7 @@ use crate::error::VolumeError;
 use crate::input::{self, Codec, lower_name};
 use crate::options::{ReadOptions, SliceHandling};
 use crate::volume::VolumeInfo;
-use crate::{dicom, metaimage, nifti, nifti_header, nrrd};
+use crate::{dicom, metaimage, nifti, nifti_header, nrrd, rectify};
 use std::path::Path;
 use voxel_grid::Volume;
 
@@ -95,13 +95,13 @@ fn on_a_grid(
     options: &ReadOptions,
 ) -> Result<(Volume, VolumeInfo), VolumeError> {
     let (volume, mut info) = read?;
+    let is_rectified = info.notes.iter().any(|note| note.starts_with(rectify::NOTE));
     let for_dicom = [
         (options.series.is_some(), "--series", "volume.series"),
-        (options.slices != SliceHandling::AsTheyLie, "--rectify", "volume.resample"),
+        (options.slices != SliceHandling::AsTheyLie && !is_rectified, "--rectify", "volume.resample"),
     ];
     for (_, flag, key) in for_dicom.iter().filter(|(is_given, ..)| *is_given) {
-        info.notes
-            .push(format!("`{flag}` (in a scene `{key}`) has no effect: it applies only to DICOM series"));
+        info.notes.push(format!("`{flag}` (in a scene `{key}`) has no effect on this file"));
     }
     Ok((volume, info))
 }

@@ -1,11 +1,16 @@
 //! Resamples slices that are not on a rectangular grid (unevenly spaced, or sheared by a tilted gantry).
 
-use crate::error::VolumeError;
-use crate::volume::voxel_count;
+use crate::error::{Field, VolumeError};
+use crate::volume::{GeometryFields, StatedGeometry, cross, dot, norm, placed, placement, voxel_count};
 use std::path::Path;
+use voxel_grid::Volume;
 
 /// Value of voxels outside the slices: air.
 const AIR_HU: i16 = -1000;
+/// Smallest cosine between the normal and the line through the slices: a tilt of 60 degrees.
+const LEAST_NORMAL_PART: f64 = 0.5;
+/// How a note on resampled slices begins.
+pub(crate) const NOTE: &str = "resampled linearly to a rectangular grid";
 /// Positions closer than this fraction of a voxel count as equal.
 const SAME_PLACE: f64 = 1e-6;
 
@@ -34,8 +39,9 @@ pub(crate) struct RectifiedVolume {
 /// Resamples by linear interpolation within and between slices. The slice distance is the smallest one found,
 /// or slightly less so that the first and the last slice lie on the grid.
 ///
-/// The note states an error estimate: each inner slice is predicted from its two neighbours in the same way,
-/// and the root mean square of the differences is taken. Those neighbours are twice as far apart as for any
+/// The note states an error estimate and the widest distance that was bridged: each inner slice is predicted
+/// from its two neighbours in the same way, and the root mean square of the differences is taken, of all
+/// slices and of the worst. Those neighbours are twice as far apart as for any
 /// voxel of the result, whose error is smaller where the tissue is smooth.
 ///
 /// # Errors
@@ -79,21 +85,74 @@ pub(crate) fn rectify(path: &Path, slices: &Slices<'_>) -> Result<RectifiedVolum
     }
     let count = hu.len();
     let error = match predicted_error_hu(slices) {
-        Some(error_hu) => format!(
-            "predicting each slice from its two neighbours in the same way gives an error of {error_hu:.1} \
-             HU (root mean square, at twice the distance)"
+        Some(PredictedError { all_hu, worst_hu, worst_slice }) => format!(
+            "predicting each slice from its two neighbours in the same way gives an error of {all_hu:.1} HU \
+             (root mean square, at twice the distance), {worst_hu:.1} HU in the worst slice, at {:.3} mm",
+            (places[worst_slice][2] - low[2]) * 1e3
         ),
         None => "with fewer than three slices the error cannot be measured".to_owned(),
     };
     let tilt_deg = tilt_deg(places);
     let note = format!(
-        "resampled linearly to a rectangular grid: slices {:.3} to {:.3} mm apart, stack tilted by \
+        "{NOTE}: slices {:.3} to {:.3} mm apart, stack tilted by \
          {tilt_deg:.2} degrees; {error}; {outside} of {count} voxels are outside the slices and set to \
          {AIR_HU} HU",
         smallest * 1e3,
         largest * 1e3,
     );
     Ok(RectifiedVolume { dims, spacing_m, first_m: low, hu, note })
+}
+
+/// Unit directions of a grid whose slices, perpendicular in themselves, are stacked at an angle: of the rows,
+/// the columns, and the normal on the side of the next slice. `None` if the slices are sheared, too.
+fn stack_axes(stated: &StatedGeometry) -> Option<[[f64; 3]; 3]> {
+    let unit = |axis: [f64; 3]| axis.map(|x| x / norm(axis));
+    let [u, v] = [unit(stated.axes[0]), unit(stated.axes[1])];
+    let cosine = dot(u, v);
+    let v = unit([0, 1, 2].map(|i| v[i] - cosine * u[i]));
+    let normal = unit(cross(u, v));
+    let side = dot(normal, unit(stated.axes[2]));
+    let is_stack = cosine.abs() <= voxel_grid::PERPENDICULAR_TOLERANCE && side.abs() > LEAST_NORMAL_PART;
+    is_stack.then_some([u, v, normal.map(|x| x * side.signum())])
+}
+
+/// Whether a sheared grid is a stack of rectangular slices at an angle, as of a tilted gantry.
+pub(crate) fn is_askew_stack(stated: &StatedGeometry, dims: [usize; 3]) -> bool {
+    dims[2] > 1 && stack_axes(stated).is_some()
+}
+
+/// Resamples a stack of slices at an angle to a rectangular grid; see [`is_askew_stack`].
+///
+/// # Errors
+/// As [`rectify`] and [`placement`].
+pub(crate) fn askew_stack(
+    path: &Path,
+    names: GeometryFields,
+    stated: &StatedGeometry,
+    dims: [usize; 3],
+    hu: &[i16],
+    notes: &mut Vec<String>,
+) -> Result<Volume, VolumeError> {
+    let StatedGeometry { spacing_m: [across, down, along], origin_m, axes: [.., k] } = *stated;
+    let axes = stack_axes(stated)
+        .ok_or_else(|| VolumeError::SingularDirection(Field::new(path, names.direction, format!("{k:?}"))))?;
+    // Refuses invalid spacings before dividing by them.
+    placement(path, names, StatedGeometry { axes, ..*stated }, &mut Vec::new())?;
+    let step = k.map(|x| x / norm(k) * along);
+    let place = |n: usize| {
+        let corner = [0, 1, 2].map(|i| origin_m[i] + n as f64 * step[i]);
+        axes.map(|axis| dot(axis, corner))
+    };
+    let places_m: Vec<[f64; 3]> = (0..dims[2]).map(place).collect();
+    let slices =
+        Slices { columns: dims[0], rows: dims[1], spacing_m: [across, down], places_m: &places_m, hu };
+    let out = rectify(path, &slices)?;
+    let [u, v, w] = out.first_m;
+    let origin_m = [0, 1, 2].map(|i| u * axes[0][i] + v * axes[1][i] + w * axes[2][i]);
+    let geometry =
+        placement(path, names, StatedGeometry { spacing_m: out.spacing_m, origin_m, axes }, notes)?;
+    notes.push(out.note);
+    placed(path, out.dims, geometry, out.hu)
 }
 
 /// Angle between the line through the first and last slice's corners and the normal.
@@ -152,13 +211,22 @@ fn cell(place: f64, voxels: usize) -> Option<(usize, f64)> {
     Some((low as usize, place - low))
 }
 
-/// Root mean square difference of each inner slice from the interpolation of its neighbours; `None` without
-/// inner slices.
-fn predicted_error_hu(slices: &Slices<'_>) -> Option<f64> {
+/// Root mean square differences of inner slices from the interpolation of their neighbours.
+struct PredictedError {
+    all_hu: f64,
+    /// The largest of a single slice, and its index.
+    worst_hu: f64,
+    worst_slice: usize,
+}
+
+/// The error that [`rectify`] states; `None` without inner slices.
+fn predicted_error_hu(slices: &Slices<'_>) -> Option<PredictedError> {
     let (mut sum, mut count) = (0.0, 0_u64);
+    let (mut worst, mut worst_slice) = (0.0, 0);
     for slice in 1..slices.places_m.len().saturating_sub(1) {
         let place = slices.places_m[slice];
         let pair = Between::new(slices, slice - 1, slice + 1, place[2]);
+        let (sum_before, count_before) = (sum, count);
         for j in 0..slices.rows {
             for i in 0..slices.columns {
                 let at_m =
@@ -169,8 +237,19 @@ fn predicted_error_hu(slices: &Slices<'_>) -> Option<f64> {
                 count += 1;
             }
         }
+        if count > count_before {
+            let own = (sum - sum_before) / (count - count_before) as f64;
+            if own >= worst {
+                (worst, worst_slice) = (own, slice);
+            }
+        }
     }
-    (count > 0).then(|| (sum / count as f64).sqrt())
+    let root = |square: f64| square.max(0.0).sqrt();
+    (count > 0).then(|| PredictedError {
+        all_hu: root(sum / count as f64),
+        worst_hu: root(worst),
+        worst_slice,
+    })
 }
 
 #[cfg(test)]

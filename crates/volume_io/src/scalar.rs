@@ -119,7 +119,11 @@ pub(crate) struct HuSink {
     clamped: u64,
     rounded: u64,
     not_a_number: u64,
+    padding: u64,
 }
+
+/// Hounsfield units of air.
+const AIR_HU: i16 = -1000;
 
 impl HuSink {
     /// Appends one stored number. Halves round away from zero; NaN becomes air.
@@ -133,7 +137,7 @@ impl HuSink {
         }
         if value.is_nan() {
             self.not_a_number += 1;
-            self.hu.push(-1000);
+            self.hu.push(AIR_HU);
             return;
         }
         let whole = libm::round(value);
@@ -144,6 +148,15 @@ impl HuSink {
             self.rounded += 1;
         }
         self.hu.push(kept as i16);
+    }
+
+    /// Appends a stored number that its file declares to be padding: air, where it would be denser.
+    pub fn push_padding(&mut self, stored: f64, scale: Scale) {
+        if scale.slope * stored + scale.intercept <= f64::from(AIR_HU) {
+            return self.push(stored, scale);
+        }
+        self.padding += 1;
+        self.hu.push(AIR_HU);
     }
 
     /// Appends numbers of `N` bytes each.
@@ -175,6 +188,7 @@ impl HuSink {
         note(self.clamped, "were outside -32768..32767 and were clamped");
         note(self.rounded, "were rounded to integer HU");
         note(self.not_a_number, "were not a number and were set to -1000 HU");
+        note(self.padding, "were padding (PixelPaddingValue) and were set to -1000 HU");
         self.hu
     }
 }

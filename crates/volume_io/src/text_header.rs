@@ -3,10 +3,33 @@
 use crate::error::VolumeError;
 use crate::input::{Codec, open_stream, read_full};
 use crate::scalar::{HuSink, Scale};
+use std::collections::BTreeMap;
 use std::path::Path;
 
 /// Longest accepted text header, bytes.
 pub(crate) const MAX_HEADER_BYTES: usize = 1 << 20;
+
+/// A header's bytes as text: UTF-8, or else Latin-1, as older programs write names and comments.
+pub(crate) fn text_of(bytes: &[u8]) -> String {
+    match std::str::from_utf8(bytes) {
+        Ok(text) => text.to_owned(),
+        Err(_) => bytes.iter().map(|byte| char::from(*byte)).collect(),
+    }
+}
+
+/// Adds a field to those of a header. The same again changes nothing; another value is a contradiction.
+pub(crate) fn add_field(
+    path: &Path,
+    fields: &mut BTreeMap<String, String>,
+    (name, value): (&str, &str),
+) -> Result<(), VolumeError> {
+    match fields.insert(name.to_owned(), value.to_owned()) {
+        Some(earlier) if earlier != value => {
+            Err(wrong(path, name, value, &format!("the same value each time (`{earlier}` before)")))
+        }
+        _ => Ok(()),
+    }
+}
 
 /// A [`VolumeError::Header`] for a field of a text header.
 pub(crate) fn wrong(path: &Path, field: &str, given: &str, expected: &str) -> VolumeError {

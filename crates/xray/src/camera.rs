@@ -13,8 +13,10 @@ use crate::carm::CArm;
 use crate::error::{DrrError, check_orthonormal, check_range};
 use crate::vector::{Vec3, add_scaled, cross, dot, scale, sub};
 
-/// Tolerance on the orthonormality of R.
-const ROTATION_LIMIT: f64 = 1e-6;
+/// Tolerance on the orthonormality of R, as for the axes of a volume: files with five decimals keep it.
+const ROTATION_LIMIT: f64 = 1e-4;
+/// Deviations up to this are rounding of the last bits, and R is used as it is.
+const EXACT_LIMIT: f64 = 1e-6;
 
 /// A pinhole camera.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -40,9 +42,17 @@ pub struct Positioner {
     pub source_isocentre_m: f64,
 }
 
+/// The rotation next to one with rounded decimals: keeps the viewing direction, the last row.
+fn orthonormal([x, _, z]: [Vec3; 3]) -> [Vec3; 3] {
+    let unit = |v: Vec3| scale(v, 1.0 / dot(v, v).sqrt());
+    let z = unit(z);
+    let x = unit(add_scaled(x, -dot(x, z), z));
+    [x, cross(z, x), z]
+}
+
 impl CArm {
-    /// The C-arm of a camera. K gives the detector distance in pixels only; the pixel pitch along a row
-    /// converts it to metres.
+    /// The C-arm of a camera. A rotation with rounded decimals is made orthonormal. K gives the detector
+    /// distance in pixels only; the pixel pitch along a row converts it to metres.
     ///
     /// # Errors
     /// A number is not finite, K has skew, a last row other than (0, 0, 1) or a focal length of 0, R is not a
@@ -68,9 +78,10 @@ impl CArm {
         }
         check_range("pixel_pitch_m", pixel_pitch_m, 1e-6, 0.1, "1e-6 to 0.1 m")?;
         check_orthonormal("rows of the rotation", &camera.rotation, ROTATION_LIMIT)?;
-        let [x, y, z] = camera.rotation;
-        let handed = dot(cross(x, y), z);
+        let handed = dot(cross(camera.rotation[0], camera.rotation[1]), camera.rotation[2]);
         check_range("determinant of the rotation", handed, 0.5, 1.5, "1: a mirror is a negative fx or fy")?;
+        let is_exact = check_orthonormal("rows of the rotation", &camera.rotation, EXACT_LIMIT).is_ok();
+        let [x, y, z] = if is_exact { camera.rotation } else { orthonormal(camera.rotation) };
         for t in camera.translation_m {
             check_range("translation_m", t, -100.0, 100.0, "-100 to 100 m")?;
         }

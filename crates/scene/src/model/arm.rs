@@ -15,7 +15,8 @@ pub struct Arm {
     pub model: Option<ArmModel>,
     /// URDF file of another serial arm with six or seven revolute joints, relative to the scene file's
     /// folder; replaces `model`. The joints between its base and its tip become `[[arm.joint]]`, so a log
-    /// needs no file.
+    /// needs no file. A joint of no stated speed (absent, 0 or beyond 10 turns per second) may turn at 180
+    /// deg/s.
     #[schemars(extend("x-kind" = "path", "x-absent" = "none"))]
     pub urdf: Option<PathBuf>,
     /// Link of the URDF file where the arm begins. Absent: the only link without a parent.

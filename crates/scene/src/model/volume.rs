@@ -22,7 +22,8 @@ pub struct Volume {
     /// The bone's label in a segmentation with several labels: its value, or the name of a segment in a
     /// `.seg.nrrd` from 3D Slicer.
     pub label: Option<Label>,
-    /// SeriesInstanceUID of the series to read, if the DICOM folder holds several.
+    /// SeriesInstanceUID of the series to read, if the DICOM folder holds several; `UID#2` for the second of
+    /// its phases; `all` to join all series of the folder.
     pub series: Option<String>,
     /// Resamples unevenly spaced or sheared slices (tilted gantry) to a rectangular grid; if absent, they are
     /// refused.

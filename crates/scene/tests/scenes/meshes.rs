@@ -61,12 +61,38 @@ fn the_same_triangle_comes_out_of_every_kind_of_file() {
     }
 }
 
+/// Regressions: of several `solid` blocks only the first was drawn; upper case, `nan` normals, leading
+/// blanks, trailing ones and continued lines of an OBJ were refused.
+#[test]
+fn meshes_as_other_programs_write_them_are_read_as_a_whole() {
+    let solid =
+        |name: &str, facets: usize| format!("solid {name}\n{}endsolid {name}\n", FACET.repeat(facets));
+    let text = |text: &str, count: usize| {
+        let read = triangles(text.as_bytes(), MeshFormat::Stl, 9);
+        assert_eq!(read, Ok(vec![TRIANGLE; count]), "{text}");
+    };
+    text(&[solid("a", 1), solid("b facet", 2), solid("", 0), solid("c", 1)].concat(), 4);
+    text(&solid("a", 2).to_uppercase(), 2);
+    text(&solid("a", 1).replace("0 0 1", "nan -nan(ind) NaN"), 1);
+    text(&format!("\n \t{}\n\0", solid("a", 1)), 1);
+    text(&solid("a", 1).replace('\n', "\r\n"), 1);
+    for wrong in [solid("a", 1) + "more", solid("a", 1).replace("endloop", "vertex 0 0 0\nendloop")] {
+        let said = triangles(wrong.as_bytes(), MeshFormat::Stl, 9).unwrap_err().to_string();
+        assert!(said.contains("in line") && said.contains("expected"), "{said}");
+    }
+    let padded = [binary(b"", 2, &[TRIANGLE; 2]), b"\r\n\0".to_vec()].concat();
+    assert_eq!(triangles(&padded, MeshFormat::Stl, 9), Ok(vec![TRIANGLE; 2]));
+    let continued = b"v 0 0 \\\n0.5\nv 1 0 .5\nv 0 2 0.5\nf 1 \\\r\n 2 \\\n3\n";
+    assert_eq!(triangles(continued, MeshFormat::Obj, 9), Ok(vec![TRIANGLE]));
+}
+
 #[test]
 fn hostile_files_are_refused_with_what_is_wrong() {
     let refused = |content: &[u8], format| triangles(content, format, 2).unwrap_err();
     let stl = |content: &[u8]| refused(content, MeshFormat::Stl);
     let obj = |content: &str| refused(content.as_bytes(), MeshFormat::Obj);
     assert_eq!(stl(&[]), MeshError::NotStl { bytes: 0, count: None });
+    assert_eq!(stl(&[0; 130]), MeshError::NotStl { bytes: 130, count: Some(0) });
     // Truncated, longer than declared, and a count of 4 billion.
     let whole = binary(b"", 2, &[TRIANGLE; 2]);
     for (content, count) in [

@@ -90,6 +90,22 @@ fn a_joint_that_turns_without_end_has_a_turn_each_way() {
     assert_eq!((joints[0].lower_deg, joints[0].upper_deg), (Some(-360.0), Some(360.0)));
 }
 
+/// Regression: an arm was refused for a continuous joint without limits, and for a speed of 0 or without
+/// bound, which exporters write for an unknown one.
+#[test]
+fn a_joint_of_no_stated_speed_has_the_usual_one() {
+    let endless = six().replacen("type=\"revolute\"", "type=\"continuous\"", 1);
+    let limit = "<limit lower=\"-1.5\" upper=\"2.5\" velocity=\"3.0\" effort=\"1\"/>";
+    let with = |velocity: &str| six().replacen("velocity=\"3.0\"", &format!("velocity=\"{velocity}\""), 1);
+    let effort = endless.replacen(limit, "<limit effort=\"1\"/>", 1);
+    let files = [endless.replacen(limit, "", 1), effort, with("0"), with("0.0"), with("1e6"), with("inf")];
+    for file in files {
+        let joints = parse(TIP, &file).unwrap().arm.joint.unwrap();
+        let speeds = [0, 1].map(|joint: usize| joints[joint].max_speed_deg_per_s.unwrap());
+        assert!((speeds[0] - 180.0).abs() < 1e-9 && (speeds[1] - 171.887).abs() < 1e-3, "{speeds:?}");
+    }
+}
+
 #[test]
 fn what_cannot_stand_is_refused_with_file_joint_value_and_what_was_expected() {
     let said = |keys: &str, urdf: &str, words: &[&str]| {
@@ -112,7 +128,10 @@ fn what_cannot_stand_is_refused_with_file_joint_value_and_what_was_expected() {
         of_file(file("upper=\"2.5\"", &format!("upper=\"{upper}\"")), &words);
     }
     of_file(file("upper=\"2.5\"", "upper=\"1e9\""), &["`j1`", "`limit upper` = 1e9"]);
-    of_file(file("velocity=\"3.0\"", "velocity=\"0\""), &["`limit velocity` = 0", "0.001"]);
+    for velocity in ["-1", "NaN"] {
+        let words = ["`limit velocity`", velocity, "at least 0"];
+        of_file(file("velocity=\"3.0\"", &format!("velocity=\"{velocity}\"")), &words);
+    }
     of_file(file("xyz=\"0 0 0.1\"", "xyz=\"0 0 inf\""), &["`j1`", "`origin xyz` = inf", "-10 to 10"]);
     of_file(file("xyz=\"0 0 0.1\"", "xyz=\"0 0\""), &["`origin xyz` = \"0 0\"", "three numbers"]);
     of_file(file("<axis", "<mimic joint=\"j2\"/><axis"), &["`j1` mimics another joint (`mimic`)"]);

@@ -73,11 +73,14 @@ fn unpack_bits(segment: &[u8], samples: &mut [u32]) -> Option<()> {
     Some(())
 }
 
-/// Whether the data end with the end-of-image marker (EOI, `ff d9`). A fragment is padded to even length;
-/// some programs pad further.
-fn is_ended(data: &[u8]) -> bool {
-    let padding = data.iter().rev().take_while(|byte| **byte == 0).count();
-    data[..data.len() - padding].ends_with(&[0xff, 0xd9])
+/// Most zero bytes that are dropped before the end-of-image marker.
+const MOST_ZEROS: usize = 3;
+
+/// A frame without the bytes that programs pad it with, to even length or further: 00, 20 (a text's padding)
+/// or ff (T.81 B.1.1.2 allows it before a marker).
+pub(super) fn without_padding(data: &[u8]) -> &[u8] {
+    let padding = data.iter().rev().take_while(|byte| matches!(byte, 0 | b' ' | 0xff)).count();
+    &data[..data.len() - padding]
 }
 
 /// Size of a frame as stated in its own header.
@@ -109,7 +112,8 @@ pub(super) fn check_frame(
     if pixels > most_pixels {
         return Err(corrupt(path, codec, format!("{} bytes cannot hold {pixels} pixels", data.len())));
     }
-    if !is_ended(data) {
+    // The end-of-image marker (EOI).
+    if !data.ends_with(&[0xff, 0xd9]) {
         return Err(corrupt(path, codec, "the data end without an end-of-image marker"));
     }
     Ok(())
@@ -174,6 +178,7 @@ fn frame_header(segments: &[(u8, &[u8])]) -> Option<FrameHeader> {
 /// JPEG baseline, extended (8 and 12 bits) and lossless, one frame.
 pub(super) fn jpeg(path: &Path, data: &[u8], shape: Shape) -> Result<Vec<u32>, VolumeError> {
     use jpeg_decoder::PixelFormat;
+    let data = without_padding(data);
     let header = segments(data).as_deref().and_then(frame_header);
     let header = header.ok_or_else(|| corrupt(path, "JPEG", "no image header"))?;
     let most = data.len() as u64 * JPEG_PIXELS_PER_BYTE;
@@ -217,6 +222,7 @@ fn jpeg_of_12_bits(path: &Path, data: &[u8]) -> Result<Vec<u32>, VolumeError> {
 /// JPEG-LS (ITU-T T.87), lossless and near-lossless, one component.
 pub(super) fn jpeg_ls(path: &Path, data: &[u8], shape: Shape) -> Result<Vec<u32>, VolumeError> {
     let fail = |reason: &str| corrupt(path, "JPEG-LS", reason);
+    let data = without_padding(data);
     let parts = segments(data).ok_or_else(|| fail("broken chain of segments before the scan"))?;
     let header = frame_header(&parts).filter(|header| header.marker == JPEG_LS_FRAME);
     let header = header.ok_or_else(|| fail("no frame header"))?;
@@ -227,7 +233,18 @@ pub(super) fn jpeg_ls(path: &Path, data: &[u8], shape: Shape) -> Result<Vec<u32>
     check_frame(path, "JPEG-LS", data, header.size(), shape, run_limit(data))?;
     check_presets(&parts, header.bits).ok_or_else(|| fail("parameters out of the ranges of ITU-T T.87"))?;
     let (columns, rows) = (header.columns as u32, header.rows as u32);
-    let (samples, ..) = jpegls::decode(data, columns, rows).map_err(|e| fail(&e.to_string()))?;
+    let decode = |data: &[u8]| jpegls::decode(data, columns, rows).map(|(samples, ..)| samples);
+    let mut decoded = decode(data);
+    // Some programs pad to even length before the end-of-image marker, where the decoder expects nothing.
+    let (body, end) = data.split_at(data.len() - 2);
+    let zeros = body.iter().rev().take_while(|byte| **byte == 0).count().min(MOST_ZEROS);
+    for dropped in 1..=zeros {
+        if decoded.is_ok() {
+            break;
+        }
+        decoded = decode(&[&body[..body.len() - dropped], end].concat()).or(decoded);
+    }
+    let samples = decoded.map_err(|e| fail(&e.to_string()))?;
     Ok(samples.into_iter().map(u32::from).collect())
 }
 

@@ -1,48 +1,47 @@
 //! Elements of a DICOM data set as text and numbers.
 
+use super::elements::{self, Elements, Value};
 use crate::error::{Field, VolumeError};
-use dicom_object::{InMemDicomObject, Tag};
 use std::path::Path;
 
-/// An error and its causes on one line.
-pub(super) fn chain(error: &dyn std::error::Error) -> String {
-    let mut text = error.to_string();
-    let mut cause = error.source();
-    while let Some(inner) = cause {
-        text.push_str(": ");
-        text.push_str(&inner.to_string());
-        cause = inner.source();
-    }
-    text
-}
+/// Group and number of an element.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Tag(pub u16, pub u16);
+
+/// Longest value that is read, bytes: a position in digits takes a hundredth of it.
+const MAX_VALUE_BYTES: usize = 1 << 14;
 
 /// The elements of a data set, or of an item in a sequence.
 #[derive(Clone, Copy)]
 pub(super) struct Fields<'a> {
     pub path: &'a Path,
-    pub object: &'a InMemDicomObject,
+    /// The bytes in which the elements are.
+    pub bytes: &'a [u8],
+    pub elements: &'a Elements,
 }
 
 impl<'a> Fields<'a> {
     pub fn wrong(&self, tag: Tag, name: &str, given: String, expected: &str) -> VolumeError {
-        VolumeError::header(
-            self.path,
-            format!("({:04x},{:04x}) {name}", tag.group(), tag.element()),
-            given,
-            expected,
-        )
+        let name = format!("({:04x},{:04x}) {name}", tag.0, tag.1);
+        VolumeError::header(self.path, name.trim_end(), given, expected)
     }
 
     /// The value as text; `None` if the element is absent or empty.
     pub fn text(&self, tag: Tag) -> Result<Option<String>, VolumeError> {
-        let Ok(element) = self.object.element(tag) else { return Ok(None) };
-        match element.to_str() {
-            Ok(text) => {
-                let text = text.trim_end_matches('\0').trim();
-                Ok((!text.is_empty()).then(|| text.to_string()))
-            }
-            Err(error) => Err(self.wrong(tag, "", chain(&error), "a value")),
+        let Some(Value::Bytes { vr, big_endian, range }) = self.elements.get((tag.0, tag.1)) else {
+            return Ok(None);
+        };
+        if range.len() > MAX_VALUE_BYTES {
+            let expected = format!("at most {MAX_VALUE_BYTES} bytes");
+            return Err(self.wrong(tag, "", format!("{} bytes", range.len()), &expected));
         }
+        let bytes = self.bytes.get(range.clone()).unwrap_or_default();
+        let text = elements::text(*vr, *big_endian, bytes).map_err(|unit| {
+            let expected = format!("a multiple of {unit} bytes");
+            self.wrong(tag, "", format!("{} bytes", bytes.len()), &expected)
+        })?;
+        let text = text.trim_end_matches(['\0', ' ']).trim();
+        Ok((!text.is_empty()).then(|| text.to_string()))
     }
 
     pub fn numbers<const N: usize>(&self, tag: Tag, name: &str) -> Result<[f64; N], VolumeError> {
@@ -75,7 +74,7 @@ impl<'a> Fields<'a> {
                 format!("{samples}, {photometric}"),
             )));
         }
-        if self.object.element(Tag(0x0028, 0x3000)).is_ok() {
+        if self.elements.get((0x0028, 0x3000)).is_some() {
             return Err(VolumeError::unsupported(
                 self.path,
                 "(0028,3000) ModalityLUTSequence",
@@ -88,8 +87,8 @@ impl<'a> Fields<'a> {
 
     /// The items of a sequence; empty if it is absent.
     pub fn items(&self, tag: Tag) -> Vec<Fields<'a>> {
-        let items = self.object.element(tag).ok().and_then(|element| element.items()).unwrap_or_default();
-        items.iter().map(|object| Fields { path: self.path, object }).collect()
+        let Some(Value::Items(items)) = self.elements.get((tag.0, tag.1)) else { return Vec::new() };
+        items.iter().map(|elements| Fields { elements, ..*self }).collect()
     }
 
     /// The single item of a sequence; `None` if it is absent or empty.

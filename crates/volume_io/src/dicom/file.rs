@@ -1,14 +1,14 @@
-//! A DICOM file in memory, with or without preamble: its data set is decompressed, and every length in it
-//! checked.
+//! A DICOM file in memory, with or without preamble: its data set is decompressed, and its used elements are
+//! found.
 //!
 //! Source: DICOM PS3.10 section 7 (preamble, file meta group), PS3.5 annex A.5 (deflate).
 
-use super::scan::{self, Pixels, Transfer, Vr};
+use super::elements::Elements;
+use super::fields::Fields;
+use super::scan::{self, Meta, Pixels, Transfer, Vr};
 use crate::error::VolumeError;
 use crate::input;
 use dicom_core::VR;
-use dicom_object::InMemDicomObject;
-use dicom_transfer_syntax_registry::entries;
 use std::io::Read;
 use std::path::Path;
 
@@ -19,13 +19,12 @@ const MOST_DEFLATE: u64 = 1032;
 /// Leading bytes needed to recognize a DICOM file.
 pub(super) const HEAD_BYTES: usize = 136;
 
-/// A file whose structure has been checked.
+/// A file whose used elements have been found.
 pub(super) struct DicomFile {
     pub bytes: Vec<u8>,
     pub transfer: Transfer,
     pub pixels: Option<Pixels>,
-    /// Where the data set begins, and where its pixels begin.
-    data_set: std::ops::Range<usize>,
+    elements: Elements,
 }
 
 /// How a file begins.
@@ -79,10 +78,21 @@ impl DicomFile {
     /// `NotAVolume` if the beginning is not recognized; `Truncated`, `Header`, `Unsupported` or `Corrupt`
     /// from [`scan`].
     pub fn open(path: &Path) -> Result<DicomFile, VolumeError> {
+        match DicomFile::scan(path)? {
+            (file, None) => Ok(file),
+            (_, Some(problem)) => Err(problem),
+        }
+    }
+
+    /// Reads a file as far as possible, with the problem that ended it or makes its pixels unreadable.
+    ///
+    /// # Errors
+    /// As [`DicomFile::open`], if not even the beginning of the data set can be read.
+    pub fn scan(path: &Path) -> Result<(DicomFile, Option<VolumeError>), VolumeError> {
         let bytes = read_bytes(path)?;
-        let (transfer, begin) = match start(&bytes) {
+        let Meta { transfer, end, refused } = match start(&bytes) {
             Some(Start::Meta(at)) => scan::meta_group(path, &bytes, at)?,
-            Some(Start::DataSet(transfer)) => (transfer, 0),
+            Some(Start::DataSet(transfer)) => Meta { transfer, end: 0, refused: None },
             None => {
                 return Err(VolumeError::not_a_volume(
                     path,
@@ -91,27 +101,18 @@ impl DicomFile {
             }
         };
         let (bytes, begin) =
-            if transfer.deflated { (inflate(path, &bytes[begin..])?, 0) } else { (bytes, begin) };
-        let (end, pixels) = scan::data_set(path, &bytes, begin, transfer)?;
-        Ok(DicomFile { bytes, transfer, pixels, data_set: begin..end })
+            if transfer.deflated { (inflate(path, &bytes[end..])?, 0) } else { (bytes, end) };
+        let mut elements = Elements::default();
+        let (pixels, problem) = match scan::data_set(path, &bytes, begin, transfer, &mut elements) {
+            Ok(pixels) => (pixels, None),
+            Err(problem) => (None, Some(problem)),
+        };
+        Ok((DicomFile { bytes, transfer, pixels, elements }, refused.or(problem)))
     }
 
     /// The elements before the pixels.
-    pub fn header(&self, path: &Path) -> Result<InMemDicomObject, VolumeError> {
-        let syntax = match (self.transfer.explicit_vr, self.transfer.big_endian) {
-            (false, _) => entries::IMPLICIT_VR_LITTLE_ENDIAN.erased(),
-            (true, false) => entries::EXPLICIT_VR_LITTLE_ENDIAN.erased(),
-            (true, true) => entries::EXPLICIT_VR_BIG_ENDIAN.erased(),
-        };
-        let bytes = &self.bytes[self.data_set.clone()];
-        InMemDicomObject::read_dataset_with_ts(bytes, &syntax).map_err(|error| {
-            VolumeError::header(
-                path,
-                "data set",
-                super::fields::chain(&error),
-                "a well-formed DICOM data set",
-            )
-        })
+    pub fn fields<'a>(&'a self, path: &'a Path) -> Fields<'a> {
+        Fields { path, bytes: &self.bytes, elements: &self.elements }
     }
 }
 

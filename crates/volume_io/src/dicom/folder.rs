@@ -9,7 +9,8 @@ use crate::options::ReadOptions;
 use crate::sources::Sources;
 use crate::volume::VolumeInfo;
 use foreign_text::foreign;
-use std::collections::BTreeMap;
+use std::cmp::Ordering;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use voxel_grid::Volume;
 
@@ -22,28 +23,42 @@ const LISTED: usize = 12;
 
 /// Reads a series in a folder or below it: the selected one, or the only one.
 pub(crate) fn read_folder(folder: &Path, options: &ReadOptions) -> Result<(Volume, VolumeInfo), VolumeError> {
+    let choice = options.series.as_deref().map(Choice::of);
     let found = Found::of(folder, options, 0)?;
     let mut series: BTreeMap<String, Series> = BTreeMap::new();
     let (mut others, mut localizers) = (found.others, 0);
+    let mut damaged = Damaged::default();
     for file in found.files {
-        let identity = identify(&file)?;
+        let Some(identity) = damaged.identify(&file)? else { continue };
         match identity.images {
             Images::None => others += 1,
             Images::Localizer => localizers += 1,
             Images::Frames(frames) => {
-                series.entry(identity.series_uid.clone()).or_default().add(file, frames, identity)
+                let uid = match choice {
+                    Some(Choice { uid: ALL, .. }) => ALL.to_owned(),
+                    _ => identity.series_uid.clone(),
+                };
+                series.entry(uid).or_default().add(file, frames, identity);
             }
         }
     }
     if series.is_empty() {
+        damaged.refuse_any()?;
         let given = format!("a folder without DICOM slices ({others} other files, {localizers} localizers)");
         return Err(VolumeError::not_a_volume(folder, given));
     }
     let count = series.len();
-    let chosen = chosen(folder, series, options.series.as_deref())?;
-    let mut notes = Vec::new();
+    let (uid, chosen) = chosen(folder, series, choice.map(|choice| choice.uid))?;
+    // Without a choice, a file of an unknown series might belong to the only one.
+    let mut notes = match choice {
+        None => damaged.refuse_unknown(&uid)?,
+        Some(_) => damaged.refuse_series(&uid)?,
+    };
     if count > 1 {
         notes.push(format!("{} other series in the folder ignored", count - 1));
+    }
+    if uid == ALL {
+        notes.push(format!("{} series joined, as asked for by `{ALL}`", chosen.uids.len()));
     }
     if others > 0 {
         notes.push(format!("{others} files ignored: not DICOM images"));
@@ -51,11 +66,173 @@ pub(crate) fn read_folder(folder: &Path, options: &ReadOptions) -> Result<(Volum
     if localizers > 0 {
         notes.push(format!("{localizers} localizers ignored"));
     }
-    let mut slices = Vec::new();
+    let mut stack = Stack::default();
     for file in chosen.files {
-        slices.extend(read_headers(&file)?);
+        stack.add(&file)?;
     }
+    let slices = stack.finish(folder, choice.and_then(|choice| choice.phase), &mut notes)?;
     assemble(folder, slices, options.slices, notes)
+}
+
+/// The choice that joins all series of a folder.
+const ALL: &str = "all";
+
+/// Which series, and which of its phases: `UID`, `UID#2`, or `all`.
+#[derive(Clone, Copy)]
+struct Choice<'a> {
+    uid: &'a str,
+    /// From 1, as listed in the error for a series of several.
+    phase: Option<&'a str>,
+}
+
+impl<'a> Choice<'a> {
+    fn of(text: &'a str) -> Self {
+        match text.split_once('#') {
+            Some((uid, phase)) => Self { uid, phase: Some(phase) },
+            None => Self { uid: text, phase: None },
+        }
+    }
+}
+
+/// Files that cannot be read, with the series that they state, if they do.
+#[derive(Default)]
+struct Damaged(Vec<(Option<String>, VolumeError)>);
+
+impl Damaged {
+    /// Identifies a file; `None` for one that cannot be read, which is kept.
+    ///
+    /// # Errors
+    /// `Io`.
+    fn identify(&mut self, file: &Path) -> Result<Option<Identity>, VolumeError> {
+        match identify(file) {
+            Ok(Identity { problem: Some(problem), series_uid, .. }) => {
+                self.0.push((Some(series_uid).filter(|uid| !uid.is_empty()), problem));
+                Ok(None)
+            }
+            Ok(identity) => Ok(Some(identity)),
+            Err(error @ VolumeError::Io { .. }) => Err(error),
+            Err(problem) => {
+                self.0.push((None, problem));
+                Ok(None)
+            }
+        }
+    }
+
+    /// Refuses a folder in which any file cannot be read.
+    fn refuse_any(self) -> Result<(), VolumeError> {
+        self.0.into_iter().next().map_or(Ok(()), |(_, problem)| Err(problem))
+    }
+
+    /// Refuses a damaged file of this series; returns a note on the others.
+    fn refuse_series(self, uid: &str) -> Result<Vec<String>, VolumeError> {
+        self.refuse(|of| uid == ALL || of == Some(uid))
+    }
+
+    /// Refuses a damaged file of this series, or of an unknown one; returns a note on the others.
+    fn refuse_unknown(self, uid: &str) -> Result<Vec<String>, VolumeError> {
+        self.refuse(|of| of.is_none_or(|of| of == uid))
+    }
+
+    fn refuse(self, belongs: impl Fn(Option<&str>) -> bool) -> Result<Vec<String>, VolumeError> {
+        let count = self.0.len();
+        let mut first = None;
+        for (uid, problem) in self.0 {
+            if belongs(uid.as_deref()) {
+                return Err(problem);
+            }
+            first.get_or_insert(problem);
+        }
+        let note = |problem| format!("unreadable DICOM files ignored: {count}; the first: {problem}");
+        Ok(first.map(note).into_iter().collect())
+    }
+}
+
+/// The slices of a series, in which identical copies count once.
+#[derive(Default)]
+struct Stack {
+    slices: Vec<Slice>,
+    /// The file of each SOPInstanceUID.
+    instances: BTreeMap<String, PathBuf>,
+    copies: usize,
+}
+
+impl Stack {
+    /// Adds the slices of a file, unless it is a copy of an earlier one.
+    fn add(&mut self, file: &Path) -> Result<(), VolumeError> {
+        let slices = read_headers(file)?;
+        if let Some(uid) = slices.first().and_then(|slice| slice.sop_instance_uid.clone()) {
+            if let Some(earlier) = self.instances.get(&uid) {
+                let bytes = |path: &Path| std::fs::read(path).map_err(input::io_error(path, "read"));
+                if bytes(earlier)? == bytes(file)? {
+                    self.copies += 1;
+                    return Ok(());
+                }
+            }
+            self.instances.entry(uid).or_insert_with(|| file.to_owned());
+        }
+        self.slices.extend(slices);
+        Ok(())
+    }
+
+    /// The slices, or those of the chosen phase.
+    fn finish(
+        self,
+        path: &Path,
+        phase: Option<&str>,
+        notes: &mut Vec<String>,
+    ) -> Result<Vec<Slice>, VolumeError> {
+        if self.copies > 0 {
+            notes.push(format!("identical copies of slices ignored: {}", self.copies));
+        }
+        let mut phases = phases(&self.slices);
+        let each = phases.iter().enumerate().take(LISTED);
+        let listed: Vec<String> =
+            each.map(|(index, phase)| format!("#{} ({} slices)", index + 1, phase.len())).collect();
+        let refuse = |given: String| {
+            Err(VolumeError::SeveralPhases { path: path.into(), given, phases: listed.join(", ") })
+        };
+        let Some(number) = phase else {
+            return match phases.len() {
+                0 => Ok(self.slices),
+                count => refuse(format!("the series holds {count} phases, with the same positions")),
+            };
+        };
+        let index = number.parse::<usize>().ok().and_then(|number| number.checked_sub(1));
+        let Some(index) = index.filter(|index| *index < phases.len()) else {
+            return refuse(format!("phase `#{}` not found", foreign(number)));
+        };
+        notes.push(format!("other phases of the series ignored: {}", phases.len() - 1));
+        Ok(phases.swap_remove(index))
+    }
+}
+
+/// The phases of a series in which slices share positions: by what tells phases apart, or by multi-frame
+/// file. Empty if no positions are shared, or if these leave shared ones.
+fn phases(slices: &[Slice]) -> Vec<Vec<Slice>> {
+    let apart = |slices: &[Slice]| {
+        let places: BTreeSet<_> = slices.iter().map(|slice| slice.position_mm.map(f64::to_bits)).collect();
+        places.len() == slices.len()
+    };
+    if apart(slices) {
+        return Vec::new();
+    }
+    let number = |text: &Option<String>| text.as_ref()?.parse::<f64>().ok();
+    let stated = |a: &Slice, b: &Slice| {
+        let each = a.phase.iter().zip(&b.phase);
+        let order = each.map(|(a, b)| number(a).partial_cmp(&number(b)).unwrap_or_else(|| a.cmp(b)));
+        order.fold(Ordering::Equal, Ordering::then)
+    };
+    let filed = |a: &Slice, b: &Slice| (a.frames.min(2), &a.path).cmp(&(b.frames.min(2), &b.path));
+    let split = |order: &dyn Fn(&Slice, &Slice) -> Ordering| -> Vec<Vec<Slice>> {
+        let mut sorted = slices.to_vec();
+        sorted.sort_by(order);
+        sorted.chunk_by(|a, b| order(a, b) == Ordering::Equal).map(<[Slice]>::to_vec).collect()
+    };
+    let is_split = |phases: &Vec<Vec<Slice>>| phases.len() > 1 && phases.iter().all(|phase| apart(phase));
+    let by_file = || if slices.iter().all(|slice| slice.frames > 1) { split(&filed) } else { Vec::new() };
+    Some(split(&stated))
+        .filter(is_split)
+        .unwrap_or_else(|| Some(by_file()).filter(is_split).unwrap_or_default())
 }
 
 /// The files that [`read_folder`] reads, and what else its notes depend on.
@@ -68,12 +245,12 @@ pub(crate) fn sources(folder: &Path, options: &ReadOptions) -> Result<Sources, V
     Ok(Sources { files: found.files, names, are_encoded: true })
 }
 
-/// The selected series, or the only one.
+/// The selected series, or the only one, with its UID.
 fn chosen(
     folder: &Path,
     mut series: BTreeMap<String, Series>,
     wanted: Option<&str>,
-) -> Result<Series, VolumeError> {
+) -> Result<(String, Series), VolumeError> {
     let refuse = |series: &BTreeMap<String, Series>| VolumeError::SeveralSeries {
         path: folder.into(),
         given: wanted.map_or_else(
@@ -83,12 +260,12 @@ fn chosen(
         series: list(series),
     };
     if let Some(uid) = wanted {
-        return series.remove(uid).ok_or_else(|| refuse(&series));
+        return series.remove_entry(uid).ok_or_else(|| refuse(&series));
     }
     if series.len() > 1 {
         return Err(refuse(&series));
     }
-    series.pop_first().map(|(_, series)| series).ok_or_else(|| refuse(&BTreeMap::new()))
+    series.pop_first().ok_or_else(|| refuse(&BTreeMap::new()))
 }
 
 /// The series on one line, longest first.
@@ -110,32 +287,49 @@ fn list(series: &BTreeMap<String, Series>) -> String {
 /// Reads the series of a DICOM file: every file beside it with the same SeriesInstanceUID.
 pub(crate) fn read_file(path: &Path, options: &ReadOptions) -> Result<(Volume, VolumeInfo), VolumeError> {
     let identity = identify(path)?;
+    if let Some(problem) = identity.problem {
+        return Err(problem);
+    }
     if identity.images == Images::None {
         let given = "a DICOM file without an image".to_owned();
         return Err(VolumeError::not_a_volume(path, given));
     }
-    let mut slices: Vec<Slice> = read_headers(path)?;
     let uid = identity.series_uid.as_str();
+    let choice = options.series.as_deref().map(Choice::of);
+    if let Some(Choice { uid: wanted, .. }) = choice.filter(|choice| choice.uid != uid) {
+        let (given, series) = match wanted {
+            ALL => ("`all` joins the series of a folder, but this is a file".to_owned(), uid),
+            wanted => (format!("series {} not found", foreign(wanted)), uid),
+        };
+        return Err(VolumeError::SeveralSeries {
+            path: path.into(),
+            given,
+            series: foreign(series).to_string(),
+        });
+    }
+    let mut stack = Stack::default();
+    stack.add(path)?;
     let mut notes = Vec::new();
     if !uid.is_empty() && identity.images != Images::Localizer {
         let folder = folder_of(path);
         // Only the files beside it.
         let found = Found::of(folder, options, MAX_DEPTH + 1)?;
         let own_name = path.file_name();
-        let mut localizers = 0;
+        let (mut localizers, mut damaged) = (0, Damaged::default());
         for file in found.files.into_iter().filter(|file| file.file_name() != own_name) {
-            // A file that cannot be identified does not belong to the series.
-            let Some(other) = identify(&file).ok().filter(|other| other.series_uid == uid) else { continue };
-            match other.images {
-                Images::None => {}
-                Images::Localizer => localizers += 1,
-                Images::Frames(_) => slices.extend(read_headers(&file)?),
+            let other = damaged.identify(&file)?.filter(|other| other.series_uid == uid);
+            match other.map(|other| other.images) {
+                None | Some(Images::None) => {}
+                Some(Images::Localizer) => localizers += 1,
+                Some(Images::Frames(_)) => stack.add(&file)?,
             }
         }
+        notes = damaged.refuse_series(uid)?;
         if localizers > 0 {
             notes.push(format!("{localizers} localizers ignored"));
         }
     }
+    let slices = stack.finish(path, choice.and_then(|choice| choice.phase), &mut notes)?;
     assemble(path, slices, options.slices, notes)
 }
 
@@ -146,12 +340,14 @@ struct Series {
     slices: usize,
     modality: String,
     description: String,
+    uids: BTreeSet<String>,
 }
 
 impl Series {
     fn add(&mut self, file: PathBuf, frames: usize, identity: Identity) {
         self.files.push(file);
         self.slices += frames;
+        self.uids.insert(identity.series_uid);
         (self.modality, self.description) = (identity.modality, identity.description);
     }
 }

@@ -4,7 +4,7 @@
 //! Source: ITU-T T.800 (ISO/IEC 15444-1), annexes A (codestream) and B (tiles, precincts, code-blocks); DICOM
 //! PS3.5 annex A.4.4.
 
-use super::codec::{StatedSize, check_frame, corrupt};
+use super::codec::{StatedSize, check_frame, corrupt, without_padding};
 use super::pixels::{Bits, Shape};
 use crate::error::VolumeError;
 use hayro_jpeg2000::{DecodeSettings, DecoderContext, Image};
@@ -67,6 +67,7 @@ pub(super) fn check_file(path: &Path, frames: usize, shape: Shape, bytes: u64) -
 /// `Corrupt` if the codestream is damaged, incomplete or contradicts the slice's header; `Unsupported` for
 /// features not supported here.
 pub(super) fn jpeg_2000(path: &Path, data: &[u8], shape: Shape, bits: Bits) -> Result<Vec<u32>, VolumeError> {
+    let data = without_padding(codestream(data));
     let component = check(path, data, shape)?;
     // Readers agree on samples of the other sign only if both headers state the same bits.
     if component.signed != bits.signed && u32::from(component.bits) != bits.stored {
@@ -91,6 +92,33 @@ pub(super) fn jpeg_2000(path: &Path, data: &[u8], shape: Shape, bits: Bits) -> R
     let zero = if component.signed { 1 << (component.bits - 1) } else { 0 };
     let number = |sample: &f32| sample.round_ties_even().clamp(0.0, most as f32) as i32 - zero;
     Ok(samples.samples().iter().map(|sample| number(sample) as u32).collect())
+}
+
+/// The codestream of a frame, or the frame itself if it has no box with one. DICOM wants it bare (PS3.5 annex
+/// A.4.4), but some programs write a JP2 file: boxes of which one holds the codestream (T.800 annex I.4).
+fn codestream(data: &[u8]) -> &[u8] {
+    let mut at = 0;
+    while let Some(length) = word(data, at) {
+        let kind = data.get(at + 4..at + 8);
+        if at == 0 && kind != Some(b"jP  ") {
+            break;
+        }
+        // 0: up to the end; 1: the length follows in 64 bits.
+        let (head, length) = match length {
+            0 => (8, data.len() - at),
+            1 => match (word(data, at + 8), word(data, at + 12)) {
+                (Some(0), Some(low)) => (16, low as usize),
+                _ => break,
+            },
+            length => (8, length as usize),
+        };
+        let Some(content) = at.checked_add(length).and_then(|end| data.get(at + head..end)) else { break };
+        if kind == Some(b"jp2c") {
+            return content;
+        }
+        at += length;
+    }
+    data
 }
 
 /// The single component of an image.

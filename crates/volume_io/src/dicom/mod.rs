@@ -1,6 +1,7 @@
 //! DICOM CT series: files in a folder or one by one, classic and enhanced (multi-frame).
 
 mod codec;
+mod elements;
 mod fields;
 mod file;
 mod folder;

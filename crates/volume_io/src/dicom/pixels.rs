@@ -1,14 +1,13 @@
 //! Decodes the pixels of one frame.
 
 use super::codec;
-use super::fields::Fields;
+use super::fields::{Fields, Tag};
 use super::file::DicomFile;
 use super::jpeg2000;
 use super::scan::{PixelCodec, Pixels};
 use super::slice::Slice;
 use crate::error::VolumeError;
 use crate::scalar::{Endian, HuSink};
-use dicom_object::Tag;
 use std::borrow::Cow;
 use std::path::Path;
 
@@ -70,6 +69,23 @@ impl Bits {
         })
     }
 
+    /// PixelPaddingValue and PixelPaddingRangeLimit as values of the pixels, in order (PS3.3 C.7.5.1.1.2).
+    /// Their VR is that of the pixels, US or SS, but some files have the other, with the same bits.
+    pub fn padding(self, fields: Fields<'_>) -> Result<Option<[f64; 2]>, VolumeError> {
+        let value = |tag, name| -> Result<Option<f64>, VolumeError> {
+            let Some(value) = fields.optional(tag, name)? else { return Ok(None) };
+            // One of 16 bits in the other sign; a cast keeps the bits.
+            Ok(Some(match (self.signed, value) {
+                (true, 32768.0..=65535.0) if self.stored <= 16 => value - 65536.0,
+                (false, -32768.0..0.0) if self.stored <= 16 => value + 65536.0,
+                (_, value) => value,
+            }))
+        };
+        let Some(first) = value(Tag(0x0028, 0x0120), "PixelPaddingValue")? else { return Ok(None) };
+        let second = value(Tag(0x0028, 0x0121), "PixelPaddingRangeLimit")?.unwrap_or(first);
+        Ok(Some([first.min(second), first.max(second)]))
+    }
+
     /// The value of a stored sample: the bits up to and including `high`, sign-extended if signed; overlay
     /// bits above are dropped.
     fn value(self, sample: u32) -> f64 {
@@ -102,7 +118,7 @@ pub(super) fn append(slice: &Slice, file: &DicomFile, sink: &mut HuSink) -> Resu
             for sample in frame.chunks_exact(width) {
                 let mut word = [0; 4];
                 word[..width].copy_from_slice(sample);
-                sink.push(slice.bits.value(u32::from_le_bytes(word)), slice.scale);
+                push(slice, u32::from_le_bytes(word), sink);
             }
         }
         Pixels::Floats(value) => {
@@ -135,11 +151,20 @@ pub(super) fn append(slice: &Slice, file: &DicomFile, sink: &mut HuSink) -> Resu
             }
             let frame = packed_frame(path, slice, bytes(offsets), &parts)?;
             for sample in unpacked(slice, file, &frame, shape)? {
-                sink.push(slice.bits.value(sample), slice.scale);
+                push(slice, sample, sink);
             }
         }
     }
     Ok(())
+}
+
+/// Appends one stored sample; padding becomes air.
+fn push(slice: &Slice, sample: u32, sink: &mut HuSink) {
+    let value = slice.bits.value(sample);
+    match slice.padding {
+        Some([low, high]) if (low..=high).contains(&value) => sink.push_padding(value, slice.scale),
+        _ => sink.push(value, slice.scale),
+    }
 }
 
 fn wrong(path: &Path, given: String, expected: &str) -> VolumeError {
@@ -218,7 +243,9 @@ fn packed_frame<'a>(
 fn unpacked(slice: &Slice, file: &DicomFile, data: &[u8], shape: Shape) -> Result<Vec<u32>, VolumeError> {
     let path = slice.path.as_path();
     let samples = match file.transfer.codec {
-        PixelCodec::Native => return Err(wrong(path, "compressed pixels".into(), file.transfer.name)),
+        PixelCodec::Native | PixelCodec::Unsupported => {
+            return Err(wrong(path, "compressed pixels".into(), file.transfer.name));
+        }
         PixelCodec::Rle => codec::rle(path, data, shape),
         PixelCodec::Jpeg => codec::jpeg(path, data, shape),
         PixelCodec::JpegLs => codec::jpeg_ls(path, data, shape),

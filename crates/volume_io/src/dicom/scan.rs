@@ -1,13 +1,11 @@
-//! Checks the structure of a DICOM file before it goes to a parser that allocates whatever a length field
-//! promises.
+//! Walks a DICOM file: collects the elements that the reader uses, checks every length on the way against the
+//! bytes, and skips everything else, whatever it holds. Nothing after the pixels is looked at.
 //!
-//! Source: DICOM PS3.5 section 7 (data element structure, sequences, encapsulated pixel data) and PS3.10
-//! section 7 (file meta group).
+//! Source: DICOM PS3.5 section 7 (data element structure, sequences, encapsulated pixel data), section 6.2.2
+//! (UN) and PS3.10 section 7 (file meta group).
 
+use super::elements::{Elements, Value, used_vr};
 use crate::error::VolumeError;
-use dicom_core::VR;
-use dicom_core::dictionary::{DataDictionary, DataDictionaryEntry};
-use dicom_object::StandardDataDictionary;
 use std::ops::Range;
 use std::path::Path;
 
@@ -29,6 +27,8 @@ pub(crate) enum PixelCodec {
     Jpeg,
     JpegLs,
     Jpeg2000,
+    /// One that is not read.
+    Unsupported,
 }
 
 /// Location of the pixels in the scanned bytes.
@@ -55,19 +55,24 @@ pub(crate) struct Transfer {
     pub name: &'static str,
 }
 
-/// The supported transfer syntaxes, and names for the unsupported ones.
-fn transfer(path: &Path, uid: &str) -> Result<Transfer, VolumeError> {
-    let native = |explicit_vr, big_endian, name| {
-        Ok(Transfer { explicit_vr, big_endian, deflated: false, codec: PixelCodec::Native, name })
+/// The supported transfer syntaxes, and names for the unsupported ones. Every compressed one has explicit
+/// VRs, little-endian (PS3.5 annex A.4).
+fn transfer(uid: &str) -> Transfer {
+    let native = |explicit_vr, big_endian, name| Transfer {
+        explicit_vr,
+        big_endian,
+        deflated: false,
+        codec: PixelCodec::Native,
+        name,
     };
     let packed =
-        |codec, name| Ok(Transfer { explicit_vr: true, big_endian: false, deflated: false, codec, name });
+        |codec, name| Transfer { explicit_vr: true, big_endian: false, deflated: false, codec, name };
     let refused = match uid {
         "1.2.840.10008.1.2" => return native(false, false, "implicit VR little-endian"),
         "1.2.840.10008.1.2.1" => return native(true, false, "explicit VR little-endian"),
         "1.2.840.10008.1.2.2" => return native(true, true, "explicit VR big-endian"),
         "1.2.840.10008.1.2.1.99" => {
-            return native(true, false, "deflated").map(|transfer| Transfer { deflated: true, ..transfer });
+            return Transfer { deflated: true, ..native(true, false, "deflated") };
         }
         "1.2.840.10008.1.2.5" => return packed(PixelCodec::Rle, "RLE lossless"),
         "1.2.840.10008.1.2.4.50" => return packed(PixelCodec::Jpeg, "JPEG baseline"),
@@ -86,26 +91,27 @@ fn transfer(path: &Path, uid: &str) -> Result<Transfer, VolumeError> {
         "1.2.840.10008.1.2.4.110" | "1.2.840.10008.1.2.4.111" | "1.2.840.10008.1.2.4.112" => "JPEG XL",
         _ => "unknown",
     };
-    Err(VolumeError::unsupported(
-        path,
-        "(0002,0010) TransferSyntaxUID",
-        format!("{uid} ({refused})"),
-        "an uncompressed, deflated, RLE, JPEG, JPEG-LS or JPEG 2000 file; convert it, for example with \
-         `gdcmconv --raw`",
-    ))
+    packed(PixelCodec::Unsupported, refused)
 }
 
-/// Reads the file meta group from byte `at`; returns the transfer syntax and the start of the data set.
+/// The file meta group.
+pub(crate) struct Meta {
+    pub transfer: Transfer,
+    /// Start of the data set.
+    pub end: usize,
+    /// Error for an unsupported transfer syntax.
+    pub refused: Option<VolumeError>,
+}
+
+/// Reads the file meta group from byte `start`. It ends where its elements do; its stated length is not
+/// needed, and wrong in some files.
 ///
 /// # Errors
-/// `Truncated` if a length reaches past the file; `Header` for a malformed group; `Unsupported` for an
-/// unsupported transfer syntax.
-pub(crate) fn meta_group(path: &Path, bytes: &[u8], start: usize) -> Result<(Transfer, usize), VolumeError> {
+/// `Truncated` if a length reaches past the file; `Header` for a malformed group.
+pub(crate) fn meta_group(path: &Path, bytes: &[u8], start: usize) -> Result<Meta, VolumeError> {
     let meta = Scanner { path, bytes, explicit_vr: true, big_endian: false };
     let mut at = start;
     let mut uid = None;
-    // End of the group according to its length field.
-    let mut told = None;
     while meta.u16(at) == Some(0x0002) {
         let element = meta.element(at)?;
         let end = meta.value_end(&element, bytes.len())?;
@@ -113,20 +119,22 @@ pub(crate) fn meta_group(path: &Path, bytes: &[u8], start: usize) -> Result<(Tra
             let text = String::from_utf8_lossy(&bytes[element.value..end]);
             uid = Some(text.trim_end_matches(['\0', ' ']).to_string());
         }
-        if element.tag == (0x0002, 0x0000) {
-            told = meta.u32(element.value).map(|length| end as u64 + u64::from(length));
-        }
         at = end;
-    }
-    if let Some(told) = told.filter(|told| *told != at as u64) {
-        let given = format!("a file meta group ending at byte {told}");
-        let expected = format!("byte {at}, where it ends");
-        return Err(meta.malformed("(0002,0000) FileMetaInformationGroupLength", given, &expected));
     }
     let uid = uid.ok_or_else(|| {
         meta.malformed("(0002,0010) TransferSyntaxUID", "no value".into(), "a transfer syntax")
     })?;
-    Ok((transfer(path, &uid)?, at))
+    let transfer = transfer(&uid);
+    let refused = (transfer.codec == PixelCodec::Unsupported).then(|| {
+        VolumeError::unsupported(
+            path,
+            "(0002,0010) TransferSyntaxUID",
+            format!("{uid} ({})", transfer.name),
+            "an uncompressed, deflated, RLE, JPEG, JPEG-LS or JPEG 2000 file; convert it, for example with \
+             `gdcmconv --raw`",
+        )
+    });
+    Ok(Meta { transfer, end: at, refused })
 }
 
 /// Whether elements carry their value representation (PS3.5 section 7.1).
@@ -146,8 +154,8 @@ pub(crate) fn bare(vr: Vr) -> Transfer {
     Transfer { explicit_vr, big_endian: false, deflated: false, codec: PixelCodec::Native, name }
 }
 
-/// Checks every length in a data set against the bytes; returns its pixels and the byte at which they begin
-/// (the end if there are none).
+/// Collects the used elements of a data set into `found`, up to its pixels, which it returns. After an error
+/// `found` holds what came before.
 ///
 /// # Errors
 /// `Truncated` if a length reaches past the bytes; `Header` for a malformed structure.
@@ -156,18 +164,21 @@ pub(crate) fn data_set(
     bytes: &[u8],
     start: usize,
     transfer: Transfer,
-) -> Result<(usize, Option<Pixels>), VolumeError> {
+    found: &mut Elements,
+) -> Result<Option<Pixels>, VolumeError> {
     let scanner = Scanner { path, bytes, explicit_vr: transfer.explicit_vr, big_endian: transfer.big_endian };
-    scanner.elements(start, bytes.len(), End::Length, 0)?;
     let mut at = start;
     while at < bytes.len() {
         let element = scanner.element(at)?;
         if let Some(pixels) = scanner.pixels(&element)? {
-            return Ok((at, Some(pixels)));
+            return Ok(Some(pixels));
         }
-        at = scanner.element_end(&element, bytes.len(), 0)?;
+        if element.tag.0 == 0xfffe {
+            return Err(scanner.stray_item(&element));
+        }
+        at = scanner.take(&element, bytes.len(), 0, Some(found))?;
     }
-    Ok((at, None))
+    Ok(None)
 }
 
 struct Scanner<'a> {
@@ -241,21 +252,17 @@ impl Scanner<'_> {
         }
     }
 
-    /// Bytes per number in an element's value. The parser reads complete numbers and continues after the last
-    /// one: after a partial number, it would take the remaining bytes for the next element, lengths included.
-    fn unit(&self, element: &Element) -> u32 {
-        let vr = if self.explicit_vr {
-            VR::from_binary(element.vr)
-        } else {
-            let (group, number) = element.tag;
-            StandardDataDictionary.by_tag(dicom_core::Tag(group, number)).map(|entry| entry.vr().relaxed())
-        };
-        match vr {
-            Some(VR::OW | VR::SS | VR::US) => 2,
-            Some(VR::AT | VR::FL | VR::OF | VR::OL | VR::SL | VR::UL) => 4,
-            Some(VR::FD | VR::OD | VR::OV | VR::SV | VR::UV) => 8,
-            _ => 1,
+    /// A scanner for the content of an element: what has VR UN is implicit VR, little-endian inside (PS3.5
+    /// section 6.2.2).
+    fn inside(&self, element: &Element) -> Scanner<'_> {
+        match &element.vr {
+            b"UN" => Scanner { explicit_vr: false, big_endian: false, ..*self },
+            _ => Scanner { ..*self },
         }
+    }
+
+    fn stray_item(&self, element: &Element) -> VolumeError {
+        self.malformed(&tag_name(element.tag), "an item outside a sequence".into(), "a data element")
     }
 
     /// The end of a value of defined length; must be within `limit`.
@@ -269,7 +276,15 @@ impl Scanner<'_> {
     }
 
     /// Walks the elements from `at` to `limit`, or to an item delimiter before it; returns where they end.
-    fn elements(&self, mut at: usize, limit: usize, ends: End, depth: usize) -> Result<usize, VolumeError> {
+    /// Collects the used ones into `found`, if any.
+    fn elements(
+        &self,
+        mut at: usize,
+        limit: usize,
+        ends: End,
+        depth: usize,
+        mut found: Option<&mut Elements>,
+    ) -> Result<usize, VolumeError> {
         if depth > MAX_DEPTH {
             return Err(self.malformed(
                 "sequence",
@@ -283,13 +298,9 @@ impl Scanner<'_> {
                 return Ok(element.value);
             }
             if element.tag.0 == 0xfffe {
-                return Err(self.malformed(
-                    &tag_name(element.tag),
-                    "an item outside a sequence".into(),
-                    "a data element",
-                ));
+                return Err(self.stray_item(&element));
             }
-            at = self.element_end(&element, limit, depth)?;
+            at = self.take(&element, limit, depth, found.as_deref_mut())?;
         }
         if ends == End::Delimiter {
             return Err(self.truncated("sequence item".into(), limit, limit as u64 + 8));
@@ -297,35 +308,52 @@ impl Scanner<'_> {
         Ok(at)
     }
 
-    /// Walks one element and its items.
-    fn element_end(&self, element: &Element, limit: usize, depth: usize) -> Result<usize, VolumeError> {
+    /// Walks one element, with its items if their end is the element's only end or they are used; returns
+    /// where it ends.
+    fn take(
+        &self,
+        element: &Element,
+        limit: usize,
+        depth: usize,
+        found: Option<&mut Elements>,
+    ) -> Result<usize, VolumeError> {
         if element.tag == PIXEL_DATA && element.length == UNDEFINED {
             return self.fragments(element.value, limit, &mut Vec::new());
         }
-        if element.length == UNDEFINED {
-            // A UN of undefined length holds implicit-VR items (PS3.5 section 6.2.2).
-            let implicit = Scanner { explicit_vr: false, big_endian: false, ..*self };
-            let inner = if &element.vr == b"UN" { &implicit } else { self };
-            return inner.items(element.value, limit, End::Delimiter, depth);
+        let used = found.zip(used_vr(element.tag));
+        let inside = self.inside(element);
+        let (end, ends) = match element.length {
+            UNDEFINED => (limit, End::Delimiter),
+            _ => (self.value_end(element, limit)?, End::Length),
+        };
+        match used {
+            None if ends == End::Length => Ok(end),
+            None => inside.items(element.value, end, ends, depth, None),
+            Some((found, b"SQ")) => {
+                let mut items = Vec::new();
+                let end = inside.items(element.value, end, ends, depth, Some(&mut items))?;
+                found.insert(element.tag, Value::Items(items));
+                Ok(end)
+            }
+            Some((found, usual)) => {
+                let end = self.value_end(element, limit)?;
+                let stated = self.explicit_vr && &element.vr != b"UN";
+                let vr = if stated { element.vr } else { *usual };
+                let big_endian = inside.big_endian;
+                found.insert(element.tag, Value::Bytes { vr, big_endian, range: element.value..end });
+                Ok(end)
+            }
         }
-        let end = self.value_end(element, limit)?;
-        let unit = self.unit(element);
-        if !element.length.is_multiple_of(unit) {
-            let (field, given) = (tag_name(element.tag), format!("{} bytes", element.length));
-            return Err(self.malformed(&field, given, &format!("a multiple of {unit} bytes")));
-        }
-        // In implicit VR a sequence is recognized only by its first item.
-        let looks_like_items = !self.explicit_vr
-            && element.tag != PIXEL_DATA
-            && element.length >= 8
-            && (self.u16(element.value), self.u16(element.value + 2)) == (Some(ITEM.0), Some(ITEM.1));
-        if &element.vr == b"SQ" || looks_like_items {
-            self.items(element.value, end, End::Length, depth)?;
-        }
-        Ok(end)
     }
 
-    fn items(&self, mut at: usize, limit: usize, ends: End, depth: usize) -> Result<usize, VolumeError> {
+    fn items(
+        &self,
+        mut at: usize,
+        limit: usize,
+        ends: End,
+        depth: usize,
+        mut found: Option<&mut Vec<Elements>>,
+    ) -> Result<usize, VolumeError> {
         while at < limit {
             let item = self.element(at)?;
             if item.tag == SEQUENCE_END && ends == End::Delimiter {
@@ -338,12 +366,19 @@ impl Scanner<'_> {
                     "a sequence item",
                 ));
             }
+            let mut inner = found.is_some().then(Elements::default);
             at = if item.length == UNDEFINED {
-                self.elements(item.value, limit, End::Delimiter, depth + 1)?
+                self.elements(item.value, limit, End::Delimiter, depth + 1, inner.as_mut())?
             } else {
                 let end = self.value_end(&item, limit)?;
-                self.elements(item.value, end, End::Length, depth + 1)?
+                match inner.as_mut() {
+                    None => end,
+                    inner => self.elements(item.value, end, End::Length, depth + 1, inner)?,
+                }
             };
+            if let Some((found, inner)) = found.as_deref_mut().zip(inner) {
+                found.push(inner);
+            }
         }
         if ends == End::Delimiter {
             return Err(self.truncated("sequence".into(), limit, limit as u64 + 8));
@@ -370,7 +405,10 @@ impl Scanner<'_> {
         Ok(Some(match element.tag {
             FLOAT_PIXEL_DATA => Pixels::Floats(value),
             DOUBLE_PIXEL_DATA => Pixels::Doubles(value),
-            _ => Pixels::Native { value, words: self.unit(element) == 2 },
+            _ => {
+                let words = !self.explicit_vr || matches!(&element.vr, b"OW" | b"SS" | b"US");
+                Pixels::Native { value, words }
+            }
         }))
     }
 

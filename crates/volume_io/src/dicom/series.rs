@@ -24,6 +24,13 @@ const SAME_DIRECTION: f64 = 1e-3;
 const STRAIGHT_M: f64 = 5e-5;
 /// Largest deviation of a slice distance from the mean, as a fraction of it.
 const EVEN: f64 = 0.01;
+/// Largest distance of a slice from its place on the even grid, as a fraction of the slice distance: small
+/// steps within [`EVEN`] may add up.
+const OFF_PLACE: f64 = 0.1;
+/// Smaller distances are rounding, as a fraction of the slice distance.
+const NOTED_OFF_PLACE: f64 = 0.01;
+/// Widest gap that is interpolated, in typical slice distances.
+const WIDEST_GAP: f64 = 5.0;
 /// Smaller tilts are rounding.
 const LEAST_TILT_DEG: f64 = 0.05;
 
@@ -60,6 +67,7 @@ pub(super) fn assemble(
     });
     let heights_m: Vec<f64> = slices.iter().map(along_m).collect();
     check_apart(path, &slices, &heights_m)?;
+    check_gaps(path, &slices, &heights_m)?;
     let straight = check_straight(path, &slices, axes[2]);
     let distance = slice_distance(path, &slices, &heights_m, &mut notes);
     let askew = straight.is_err() || distance.is_err();
@@ -155,10 +163,12 @@ fn described(volume: Volume, slices: &[Slice], mut notes: Vec<String>) -> (Volum
 /// Adds a note if CT values might not be Hounsfield units. Without RescaleType they are (DICOM PS3.3, table
 /// C.8-3).
 fn note_unit(slices: &[Slice], notes: &mut Vec<String>) {
-    if slices.iter().any(|slice| !slice.has_intercept) {
-        notes.push(
-            "no RescaleIntercept (0028,1052): the stored values are read as Hounsfield units".to_owned(),
-        );
+    let bare = slices.iter().filter(|slice| !slice.has_intercept).count();
+    if bare > 0 {
+        let part = if bare == slices.len() { String::new() } else { format!(" in {bare} slices") };
+        notes.push(format!(
+            "no RescaleIntercept (0028,1052){part}: the stored values are read as Hounsfield units"
+        ));
     }
     let other = slices.iter().filter_map(|slice| slice.rescale_type.as_deref()).find(|kind| !is_hu(kind));
     if let Some(kind) = other {
@@ -212,6 +222,13 @@ fn check_same(path: &Path, slices: &[Slice]) -> Result<(), VolumeError> {
             &|s| format!("{} x {}", s.rows, s.columns),
         ),
     ];
+    // The stored values of slices without RescaleIntercept are their own unit.
+    if let Some(bare) = slices.iter().find(|slice| !slice.has_intercept)
+        && let Some(scaled) = slices.iter().find(|slice| slice.has_intercept && slice.scale != bare.scale)
+    {
+        let given = format!("no value in {} and {} in {}", name(bare), scaled.scale.intercept, name(scaled));
+        return Err(VolumeError::MixedSeries(Field::new(path, "(0028,1052) RescaleIntercept", given)));
+    }
     for other in &slices[1..] {
         if let Some((field, _, say)) = all.iter().find(|(_, is_same, _)| !is_same(other)) {
             let given = format!("{} in {} and {} in {}", say(first), name(first), say(other), name(other));
@@ -323,8 +340,8 @@ fn slice_distance(
     let even = |step: f64, whole: f64| (step - whole * smallest).abs() <= 2.0 * EVEN * smallest;
     let uneven = steps.iter().position(|step| !even(*step, 1.0));
     let Some(i) = uneven else {
-        let total: f64 = along_m[along_m.len() - 1] - along_m[0];
-        return Ok(total / steps.len() as f64);
+        let mean = (along_m[along_m.len() - 1] - along_m[0]) / steps.len() as f64;
+        return off_place(path, slices, along_m, mean, notes).map(|()| mean);
     };
     let given = format!(
         "{:.4} mm between {} and {}, but {:.4} mm elsewhere",
@@ -337,6 +354,48 @@ fn slice_distance(
         return Err(VolumeError::MissingSlices(Field::new(path, POSITION, given)));
     }
     Err(VolumeError::VariableSpacing(Field::new(path, POSITION, given), 2.0 * EVEN * smallest))
+}
+
+/// Refuses slices that lie too far from their places on the even grid of this step; notes smaller distances.
+fn off_place(
+    path: &Path,
+    slices: &[Slice],
+    along_m: &[f64],
+    step_m: f64,
+    notes: &mut Vec<String>,
+) -> Result<(), VolumeError> {
+    let off = |i: usize| (along_m[i] - along_m[0] - i as f64 * step_m).abs();
+    let Some(worst) = (0..along_m.len()).max_by(|a, b| off(*a).total_cmp(&off(*b))) else { return Ok(()) };
+    let said = format!(
+        "{} {:.3} mm from its place among slices {:.4} mm apart",
+        name(&slices[worst]),
+        off(worst) * 1e3,
+        step_m * 1e3
+    );
+    if off(worst) > OFF_PLACE * step_m {
+        return Err(VolumeError::VariableSpacing(Field::new(path, POSITION, said), OFF_PLACE * step_m));
+    }
+    if off(worst) > NOTED_OFF_PLACE * step_m {
+        notes.push(format!("slices slightly uneven: at worst {said}"));
+    }
+    Ok(())
+}
+
+/// Refuses a gap that is too wide to interpolate, compared with the median slice distance.
+fn check_gaps(path: &Path, slices: &[Slice], along_m: &[f64]) -> Result<(), VolumeError> {
+    let steps: Vec<f64> = along_m.windows(2).map(|w| w[1] - w[0]).collect();
+    let mut sorted = steps.clone();
+    sorted.sort_by(f64::total_cmp);
+    let Some(typical) = sorted.get(sorted.len() / 2) else { return Ok(()) };
+    let Some(i) = steps.iter().position(|step| *step > WIDEST_GAP * typical) else { return Ok(()) };
+    let given = format!(
+        "{:.4} mm between {} and {}, with a median of {:.4} mm",
+        steps[i] * 1e3,
+        name(&slices[i]),
+        name(&slices[i + 1]),
+        typical * 1e3
+    );
+    Err(VolumeError::Gap(Field::new(path, POSITION, given), WIDEST_GAP))
 }
 
 fn name(slice: &Slice) -> String {

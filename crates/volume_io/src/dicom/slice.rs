@@ -4,13 +4,12 @@
 //! Source: DICOM PS3.3 section C.7.6.2 (image plane), C.7.6.16 (multi-frame functional groups), C.8.15
 //! (enhanced CT).
 
-use super::fields::Fields;
+use super::fields::{Fields, Tag};
 use super::file::DicomFile;
 use super::pixels::Bits;
 use super::scan::Transfer;
 use crate::error::VolumeError;
 use crate::scalar::Scale;
-use dicom_object::Tag;
 use std::path::{Path, PathBuf};
 use voxel_grid::MAX_VOXELS_ALONG_AXIS;
 
@@ -45,15 +44,21 @@ pub(super) struct Slice {
     /// RescaleType: unit of the scaled values.
     pub rescale_type: Option<String>,
     pub bits: Bits,
+    /// PixelPaddingValue to PixelPaddingRangeLimit: stored values outside the reconstructed field.
+    pub padding: Option<[f64; 2]>,
+    pub sop_instance_uid: Option<String>,
+    /// What tells the phases of a series apart: TemporalPositionIdentifier, AcquisitionNumber, TriggerTime.
+    pub phase: [Option<String>; 3],
 }
 
 /// Kind of a file, before its geometry is read.
-#[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Identity {
     pub series_uid: String,
     pub modality: String,
     pub description: String,
     pub images: Images,
+    /// Why the file cannot be read beyond this.
+    pub problem: Option<VolumeError>,
 }
 
 /// Image content of a file.
@@ -70,11 +75,10 @@ pub(super) enum Images {
 /// Identifies a file.
 ///
 /// # Errors
-/// As [`DicomFile::open`].
+/// As [`DicomFile::scan`].
 pub(super) fn identify(path: &Path) -> Result<Identity, VolumeError> {
-    let file = DicomFile::open(path)?;
-    let object = file.header(path)?;
-    let fields = Fields { path, object: &object };
+    let (file, problem) = DicomFile::scan(path)?;
+    let fields = file.fields(path);
     let text = |tag| fields.text(tag).map(Option::unwrap_or_default);
     let kind = text(Tag(0x0008, 0x0008))?;
     let has_size = fields.text(Tag(0x0028, 0x0010))?.is_some() && fields.text(Tag(0x0028, 0x0011))?.is_some();
@@ -90,6 +94,7 @@ pub(super) fn identify(path: &Path) -> Result<Identity, VolumeError> {
         modality: text(Tag(0x0008, 0x0060))?,
         description: text(Tag(0x0008, 0x103e))?,
         images,
+        problem,
     })
 }
 
@@ -106,8 +111,7 @@ fn frame_count(fields: Fields<'_>) -> Result<usize, VolumeError> {
 /// Reads and checks the headers of a file's slices.
 pub(super) fn read_headers(path: &Path) -> Result<Vec<Slice>, VolumeError> {
     let file = DicomFile::open(path)?;
-    let object = file.header(path)?;
-    let fields = Fields { path, object: &object };
+    let fields = file.fields(path);
     fields.refuse_other_layouts()?;
     let frames = frame_count(fields)?;
     let groups = fields.items(FRAME_GROUPS);
@@ -174,13 +178,17 @@ fn slice(
     let slope = values.optional(Tag(0x0028, 0x1053), "RescaleSlope")?.unwrap_or(1.0);
     let intercept = values.optional(Tag(0x0028, 0x1052), "RescaleIntercept")?;
     let measures = groups.get(PIXEL_MEASURES);
+    let bits = Bits::of(fields)?;
+    let modality = fields.text(Tag(0x0008, 0x0060))?.unwrap_or_default();
+    // Other modalities use a value of the measured range, and have no Hounsfield units of air.
+    let padding = if modality == "CT" { bits.padding(fields)? } else { None };
     let scale_name = "(0028,1053) RescaleSlope, (0028,1052) RescaleIntercept";
     Ok(Slice {
         path: fields.path.into(),
         frame: number.index,
         frames: number.count,
         transfer: file.transfer,
-        modality: fields.text(Tag(0x0008, 0x0060))?.unwrap_or_default(),
+        modality,
         rows: size(Tag(0x0028, 0x0010), "Rows")?,
         columns: size(Tag(0x0028, 0x0011), "Columns")?,
         position_mm: groups.get(PLANE_POSITION).numbers(Tag(0x0020, 0x0032), "ImagePositionPatient")?,
@@ -191,6 +199,13 @@ fn slice(
         scale: Scale::checked(fields.path, scale_name, slope, intercept.unwrap_or(0.0))?,
         has_intercept: intercept.is_some(),
         rescale_type: values.text(Tag(0x0028, 0x1054))?,
-        bits: Bits::of(fields)?,
+        bits,
+        padding,
+        sop_instance_uid: fields.text(Tag(0x0008, 0x0018))?,
+        phase: [
+            fields.text(Tag(0x0020, 0x0100))?,
+            fields.text(Tag(0x0020, 0x0012))?,
+            fields.text(Tag(0x0018, 0x1060))?,
+        ],
     })
 }

@@ -4,7 +4,7 @@ use crate::data_files::is_list;
 use crate::error::VolumeError;
 use crate::input::{self, Codec, DataFiles};
 use crate::scalar::{Endian, Scalar};
-use crate::text_header::{MAX_HEADER_BYTES, wrong};
+use crate::text_header::{MAX_HEADER_BYTES, add_field, text_of, wrong};
 use std::collections::BTreeMap;
 use std::path::Path;
 
@@ -44,9 +44,7 @@ impl<'a> Header<'a> {
             if line.is_empty() {
                 break;
             }
-            let text = std::str::from_utf8(line).map_err(|_| {
-                wrong(path, "header", &String::from_utf8_lossy(line), "text lines, then an empty line")
-            })?;
+            let text = &*text_of(line);
             if first {
                 let known = ["NRRD0001", "NRRD0002", "NRRD0003", "NRRD0004", "NRRD0005"];
                 if !known.contains(&text.trim_end()) {
@@ -78,10 +76,7 @@ impl<'a> Header<'a> {
             return Ok(());
         };
         let name = canonical(&name.trim().to_lowercase());
-        if self.fields.insert(name.clone(), value.trim().to_string()).is_some() {
-            return Err(wrong(self.path, &name, value, "each field only once"));
-        }
-        Ok(())
+        add_field(self.path, &mut self.fields, (&name, value.trim()))
     }
 
     /// Whether an earlier line was `data file: LIST`: every line after it is a file name.
@@ -127,7 +122,8 @@ impl<'a> Header<'a> {
     }
 
     pub fn endian(&self, scalar: Scalar) -> Result<Endian, VolumeError> {
-        match (self.get("endian"), scalar.size()) {
+        let given = self.get("endian").map(str::to_lowercase);
+        match (given.as_deref(), scalar.size()) {
             (Some("little"), _) => Ok(Endian::Little),
             (Some("big"), _) => Ok(Endian::Big),
             (None, 1) => Ok(Endian::Little),

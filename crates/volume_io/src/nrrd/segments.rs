@@ -37,8 +37,8 @@ pub(super) fn wanted(
     label: Option<&Label>,
     notes: &mut Vec<String>,
 ) -> Result<Option<SegmentSelection>, VolumeError> {
-    let segments = segments(header)?;
     let layers = axes.other.map_or(1, |other| other.size);
+    let segments = segments(header, layers)?;
     let refuse =
         |given: String| VolumeError::NoSuchLabel { path: header.path.into(), given, there: names(&segments) };
     match label {
@@ -72,7 +72,9 @@ pub(super) fn wanted(
     }
 }
 
-fn segments(header: &Header<'_>) -> Result<Vec<Segment>, VolumeError> {
+/// The segments of a file with `layers` layers. Slicer before 4.11 gave each segment a layer of its own and
+/// wrote no `Segment<n>_Layer`; Slicer still reads the index as the layer (`vtkMRMLSegmentationStorageNode`).
+fn segments(header: &Header<'_>, layers: usize) -> Result<Vec<Segment>, VolumeError> {
     let mut out = Vec::new();
     for number in 0_usize.. {
         let field = |what: &str| format!("Segment{number}_{what}");
@@ -84,8 +86,11 @@ fn segments(header: &Header<'_>) -> Result<Vec<Segment>, VolumeError> {
                 crate::text_header::wrong(header.path, &field(what), text, "a whole number from 0 to 32767")
             }),
         };
-        let layer = whole("Layer", 0)?;
-        out.push(Segment { name: name.to_owned(), layer: layer as usize, value: whole("LabelValue", 1)? });
+        let layer = match get("Layer") {
+            None if layers > 1 => number,
+            _ => whole("Layer", 0)? as usize,
+        };
+        out.push(Segment { name: name.to_owned(), layer, value: whole("LabelValue", 1)? });
     }
     Ok(out)
 }

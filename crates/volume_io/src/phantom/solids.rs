@@ -15,8 +15,8 @@ pub struct BlockSpec {
     pub spacing_m: [f64; 3],
     /// Centre of voxel (0, 0, 0), world LPS, metres.
     pub origin_m: [f64; 3],
-    /// Air between the edge of the volume and the block, metres; 0 fills the volume.
-    pub margin_m: f64,
+    /// Air between the edge of the volume and the block along x, y, z, metres; 0 fills the volume.
+    pub margin_m: [f64; 3],
     /// A point of the plane between the two materials, world, metres.
     pub plane_point_m: [f64; 3],
     /// Normal of that plane (any length but zero); it points into the `hu_ahead` material.
@@ -37,13 +37,54 @@ impl Default for BlockSpec {
             dims: [80, 60, 60],
             spacing_m: [0.5e-3; 3],
             origin_m: [-0.01975, -0.01475, -0.01475],
-            margin_m: 2.5e-3,
+            margin_m: [2.5e-3; 3],
             plane_point_m: [0.0; 3],
             plane_normal: [0.0, 0.0, 1.0],
             hu_behind: 200,
             hu_ahead: 1400,
             hu_outside: -1000,
         }
+    }
+}
+
+/// Voxels along an axis, and the centre of the first one: at least `extent_m`, centred at 0.
+fn centred(extent_m: f64, spacing_m: f64) -> (usize, f64) {
+    // A spacing that divides the extent but for rounding needs no voxel more. Casts saturate.
+    let count = (libm::ceil(extent_m / spacing_m - 1e-6) as usize).max(1);
+    (count, -0.5 * spacing_m * (count - 1) as f64)
+}
+
+impl BlockSpec {
+    /// The default block in voxels of another size, metres: the same object at the same place, in a volume of
+    /// at least the same extent.
+    pub fn with_spacing(spacing_m: f64) -> Self {
+        let usual = Self::default();
+        if spacing_m == usual.spacing_m[0] {
+            return usual;
+        }
+        let extents_m = [0, 1, 2].map(|axis| usual.dims[axis] as f64 * usual.spacing_m[axis]);
+        let axes = extents_m.map(|extent_m| centred(extent_m, spacing_m));
+        let margin_m = [0, 1, 2].map(|axis| {
+            let size_m = extents_m[axis] - 2.0 * usual.margin_m[axis];
+            // A centre on the surface counts as inside, whatever its rounding.
+            (0.5 * (axes[axis].0 as f64 * spacing_m - size_m) - 1e-9).max(0.0)
+        });
+        let (dims, origin_m) = (axes.map(|(count, _)| count), axes.map(|(_, first_m)| first_m));
+        Self { dims, spacing_m: [spacing_m; 3], origin_m, margin_m, ..usual }
+    }
+}
+
+impl SphereSpec {
+    /// The default ball in voxels of another size, metres: the same object at the same place, in a volume of
+    /// at least the same extent.
+    pub fn with_spacing(spacing_m: f64) -> Self {
+        let usual = Self::default();
+        if spacing_m == usual.spacing_m[0] {
+            return usual;
+        }
+        let axes = [0, 1, 2].map(|i| centred(usual.dims[i] as f64 * usual.spacing_m[i], spacing_m));
+        let (dims, origin_m) = (axes.map(|(count, _)| count), axes.map(|(_, first_m)| first_m));
+        Self { dims, spacing_m: [spacing_m; 3], origin_m, ..usual }
     }
 }
 
@@ -94,8 +135,8 @@ pub fn block(spec: &BlockSpec) -> Result<Volume, VolumeError> {
             "a finite vector that is not zero",
         ));
     }
-    if !(spec.margin_m.is_finite() && spec.margin_m >= 0.0) {
-        return Err(VolumeError::argument("margin_m", format!("{}", spec.margin_m), "zero or more metres"));
+    if !spec.margin_m.iter().all(|margin_m| margin_m.is_finite() && *margin_m >= 0.0) {
+        return Err(VolumeError::argument("margin_m", format!("{:?}", spec.margin_m), "zero or more metres"));
     }
     let grid = grid_along_axes("block phantom", spec.dims, spec.spacing_m, spec.origin_m)?;
     Ok(fill(grid, spec, 1))
@@ -125,9 +166,9 @@ impl Field for BlockSpec {
     fn hu(&self, (): (), p: [f64; 3]) -> f64 {
         let inside = (0..3).all(|axis| {
             // The volume ends half a voxel beyond the outermost centres.
-            let low = self.origin_m[axis] - 0.5 * self.spacing_m[axis] + self.margin_m;
-            let high =
-                self.origin_m[axis] + (self.dims[axis] as f64 - 0.5) * self.spacing_m[axis] - self.margin_m;
+            let low = self.origin_m[axis] - 0.5 * self.spacing_m[axis] + self.margin_m[axis];
+            let high = self.origin_m[axis] + (self.dims[axis] as f64 - 0.5) * self.spacing_m[axis]
+                - self.margin_m[axis];
             (low..=high).contains(&p[axis])
         });
         if !inside {

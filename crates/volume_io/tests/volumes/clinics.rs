@@ -63,6 +63,24 @@ fn a_label_that_is_not_there_is_refused_with_those_that_are() {
     assert!(said.contains("label 7") && said.contains("[0, 2]"), "{said}");
 }
 
+/// Regression: in a segmentation of an older Slicer every segment was taken from the first layer: another
+/// bone.
+#[test]
+fn a_segment_without_a_layer_is_the_layer_of_its_index() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("old.seg.nrrd");
+    let header = "NRRD0004\ntype: uchar\ndimension: 4\nsizes: 2 2 2 1\nspace: LPS\nkinds: list domain \
+                  domain domain\nspace directions: none (1,0,0) (0,1,0) (0,0,1)\nencoding: raw\n\
+                  Segment0_Name:=femur\nSegment1_Name:=implant\n\n";
+    std::fs::write(&path, [header.as_bytes(), &[1, 0, 0, 1, 0, 1, 0, 1]].concat()).unwrap();
+    let read = |name: &str| {
+        let options = ReadOptions { label: Some(Label::Name(name.into())), ..ReadOptions::default() };
+        read_as(&path, &options).unwrap().0.hu
+    };
+    assert_eq!(read("femur"), [1, 0, 0, 0]);
+    assert_eq!(read("implant"), [0, 1, 1, 1]);
+}
+
 /// Two voxels of a CT, -1000 and 300 HU.
 fn two_voxels(folder: &Path) -> PathBuf {
     let path = folder.join("ct.nrrd");
@@ -173,7 +191,7 @@ fn values_that_need_not_be_hounsfield_units_are_said() {
     let noted = |change: fn(&mut DicomSlice)| {
         let folder = tempfile::tempdir().unwrap();
         let mut slices = stack(&[0.0, 2.0]);
-        change(&mut slices[1]);
+        slices.iter_mut().for_each(change);
         write_series(folder.path(), &slices);
         read_as(folder.path(), &ReadOptions::default()).unwrap().1.to_string()
     };
@@ -184,4 +202,128 @@ fn values_that_need_not_be_hounsfield_units_are_said() {
     for plain in [noted(|_| ()), noted(|slice| slice.rescale_type = Some("HU"))] {
         assert!(!plain.contains("Rescale"), "{plain}");
     }
+}
+
+/// Regression: in slices without rescale the stored values stood beside the Hounsfield units of the others,
+/// 1024 HU off, with a note that spoke of the whole series.
+#[test]
+fn a_rescale_that_only_some_slices_have_is_refused_unless_it_changes_nothing() {
+    let with = |intercepts: [Option<&'static str>; 2]| {
+        let folder = tempfile::tempdir().unwrap();
+        let mut slices = stack(&[0.0, 2.0]);
+        (slices[0].intercept, slices[1].intercept) = (intercepts[0], intercepts[1]);
+        write_series(folder.path(), &slices);
+        read_as(folder.path(), &ReadOptions::default()).map(|(_, info)| info.notes.join("; "))
+    };
+    for intercepts in [[None, Some("-1024")], [Some("-1024"), None]] {
+        let error = with(intercepts).unwrap_err();
+        assert!(matches!(error, VolumeError::MixedSeries { .. }), "{error}");
+    }
+    let same = with([Some("0"), None]).unwrap();
+    assert!(same.contains("no RescaleIntercept (0028,1052) in 1 slices"), "{same}");
+}
+
+/// Regression: small differences of the slice distance added up: a slice in the middle of 200 lay 0.95 mm
+/// from where it was read, without a word.
+#[test]
+fn slice_distances_that_add_up_are_refused_or_said() {
+    let at = |z_mm: &[f64]| {
+        let folder = tempfile::tempdir().unwrap();
+        write_series(folder.path(), &stack(z_mm));
+        read_as(folder.path(), &ReadOptions::default()).map(|(_, info)| info.notes.join("; "))
+    };
+    let of_two_steps = |count: usize, step: f64| -> Vec<f64> {
+        (0..=2 * count).map(|i| i as f64 + (i.saturating_sub(count)) as f64 * (step - 1.0)).collect()
+    };
+    let error = at(&of_two_steps(50, 1.019)).unwrap_err();
+    assert!(matches!(error, VolumeError::VariableSpacing { .. }), "{error}");
+    assert!(error.to_string().contains("050.dcm 0.475 mm from its place"), "{error}");
+    let noted = at(&of_two_steps(10, 1.019 - 0.001)).unwrap();
+    assert!(noted.contains("at worst 010.dcm 0.090 mm from its place"), "{noted}");
+    assert_eq!(at(&[0.0, 1.0, 2.0, 3.001]).unwrap(), "");
+}
+
+/// Regression: `--rectify` invented tissue in a gap of 67 slice distances and stated an error of 4.5 HU.
+#[test]
+fn a_wide_gap_is_not_filled_and_the_worst_slice_is_named() {
+    let rectified = |z_mm: &[f64]| {
+        let folder = tempfile::tempdir().unwrap();
+        let mut slices = stack(z_mm);
+        slices[2].stored = 1524;
+        write_series(folder.path(), &slices);
+        let options = ReadOptions { slices: SliceHandling::Rectify, ..ReadOptions::default() };
+        read_as(folder.path(), &options).map(|(_, info)| info.notes.join("; "))
+    };
+    let error = rectified(&[0.0, 1.0, 2.0, 3.0, 8.5, 9.5]).unwrap_err();
+    assert!(matches!(error, VolumeError::Gap { .. }), "{error}");
+    assert!(error.to_string().contains("5.5000 mm between 003.dcm and 004.dcm"), "{error}");
+    let noted = rectified(&[0.0, 1.0, 2.0, 3.0, 7.0, 8.0]).unwrap();
+    assert!(noted.contains("500.0 HU in the worst slice, at 2.000 mm"), "{noted}");
+}
+
+/// Regression: padding outside the reconstructed field became the densest bone.
+#[test]
+fn pixel_padding_is_air() {
+    // A slice of padding below one of 1024, which is 0 HU. The padding value's VR has the other sign at last.
+    let paddings: [(i16, [u8; 2], &[u8]); 3] =
+        [(32767, [0xff, 0x7f], b"SS"), (-2000, [0x30, 0xf8], b"SS"), (2000, [0xd0, 0x07], b"US")];
+    for (stored, value, vr) in paddings {
+        let folder = tempfile::tempdir().unwrap();
+        for (number, stored) in [stored, 1024].into_iter().enumerate() {
+            let slice =
+                DicomSlice { stored, position_mm: [0.0, 0.0, number as f64], ..DicomSlice::default() };
+            let element = [&[0x28, 0, 0x20, 1], vr, &[2, 0], &value].concat();
+            let bytes = inserted(&slice.bytes(), b"\x28\0\x52\x10DS", &element);
+            std::fs::write(folder.path().join(format!("{number}.dcm")), bytes).unwrap();
+        }
+        let (volume, info) = read_as(folder.path(), &ReadOptions::default()).unwrap();
+        let notes = info.notes.join("; ");
+        assert_eq!(volume.hu[20], 0);
+        if stored < 0 {
+            // Below air already.
+            assert_eq!((volume.hu[0], notes.as_str()), (-3024, ""));
+        } else {
+            assert_eq!(volume.hu[0], -1000);
+            assert!(notes.contains("20 of 40 voxels were padding (PixelPaddingValue)"), "{notes}");
+        }
+    }
+}
+
+/// The bytes with an element before the one that starts with `next`.
+fn inserted(bytes: &[u8], next: &[u8], element: &[u8]) -> Vec<u8> {
+    let at = bytes.windows(next.len()).position(|window| window == next).unwrap();
+    [&bytes[..at], element, &bytes[at..]].concat()
+}
+
+/// Regression: neighbours of a named slice that could not be read were dropped without a word; a file of
+/// another series spoiled the named one.
+#[test]
+fn an_unreadable_file_is_refused_in_the_series_and_noted_beside_it() {
+    let folder = tempfile::tempdir().unwrap();
+    write_series(folder.path(), &stack(&[0.0, 2.0]));
+    let first = folder.path().join("000.dcm");
+    let bad = folder.path().join("bad.dcm");
+    let read = |path: &Path, series: Option<&str>| {
+        let options = ReadOptions { series: series.map(str::to_owned), ..ReadOptions::default() };
+        read_as(path, &options).map(|(volume, info)| (volume.grid.dims()[2], info.notes.join("; ")))
+    };
+    // The pixels are missing in part.
+    let other = DicomSlice { series_uid: "1.2.9", ..DicomSlice::default() }.bytes();
+    std::fs::write(&bad, &other[..other.len() - 2]).unwrap();
+    for (path, series) in [(first.as_path(), None), (folder.path(), None), (folder.path(), Some("1.2.3"))] {
+        let (slices, notes) = read(path, series).unwrap();
+        assert_eq!(slices, 2);
+        assert!(notes.contains("unreadable DICOM files ignored: 1") && notes.contains("bad.dcm"), "{notes}");
+    }
+    // The same of the series itself.
+    let own = DicomSlice { position_mm: [0.0, 0.0, 4.0], ..DicomSlice::default() }.bytes();
+    std::fs::write(&bad, &own[..own.len() - 2]).unwrap();
+    for (path, series) in [(first.as_path(), None), (folder.path(), None), (folder.path(), Some("1.2.3"))] {
+        assert!(matches!(read(path, series), Err(VolumeError::Truncated { .. })));
+    }
+    // A file that ends before its series.
+    std::fs::write(&bad, &own[..own.len() - 300]).unwrap();
+    assert!(read(folder.path(), None).is_err());
+    assert!(read(folder.path(), Some("1.2.3")).unwrap().1.contains("bad.dcm"));
+    assert!(read(&first, None).unwrap().1.contains("bad.dcm"));
 }

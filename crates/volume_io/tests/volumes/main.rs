@@ -5,6 +5,8 @@ mod common;
 
 mod clinics;
 mod conformance;
+mod foreign_dicom;
+mod foreign_headers;
 mod formats;
 mod jpeg2000;
 mod mask;

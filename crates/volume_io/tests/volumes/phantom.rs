@@ -207,6 +207,35 @@ fn block_has_exact_counts() {
     assert_eq!(count(spec.hu_outside), 80 * 60 * 60 - 70 * 50 * 50);
 }
 
+/// Regression: another voxel size made another object: the default's voxel counts were kept.
+#[test]
+fn another_voxel_size_does_not_change_the_object() {
+    for spacing_m in [0.25e-3_f64, 0.5e-3, 0.7e-3, 1e-3, 2e-3] {
+        let inside = |volume: Volume, air: i16| {
+            let [ni, nj, _] = volume.grid.dims();
+            let bone = (0..volume.hu.len()).filter(|index| volume.hu[*index] != air);
+            let places: Vec<[f64; 3]> = bone
+                .map(|n| volume.grid.world_m([n % ni, n / ni % nj, n / (ni * nj)].map(|i| i as f64)))
+                .collect();
+            let centre_m = [0, 1, 2]
+                .map(|axis| places.iter().map(|place| place[axis]).sum::<f64>() / places.len() as f64);
+            assert!(centre_m.iter().all(|x| x.abs() < 1e-9), "{spacing_m}: {centre_m:?}");
+            (places.len() as f64 * spacing_m.powi(3) * 1e9, volume.grid.dims())
+        };
+        let ball = SphereSpec::with_spacing(spacing_m);
+        let (ball_mm3, dims) = inside(sphere(&ball).unwrap(), ball.hu_outside);
+        assert!((ball_mm3 / 4188.8 - 1.0).abs() < 0.06, "{spacing_m}: {ball_mm3} mm3, {dims:?}");
+        let spec = BlockSpec::with_spacing(spacing_m);
+        let (block_mm3, dims) = inside(block(&spec).unwrap(), spec.hu_outside);
+        let wide = |mm: f64| mm + spacing_m * 1e3;
+        let most = wide(35.0) * wide(25.0) * wide(25.0) * 1.0001;
+        assert!((34.0 * 24.0 * 24.0..most).contains(&block_mm3), "{spacing_m}: {block_mm3} mm3, {dims:?}");
+        assert!((dims[0] as f64 * spacing_m - 0.04).abs() < spacing_m, "{dims:?}");
+    }
+    assert_eq!(BlockSpec::with_spacing(0.5e-3), BlockSpec::default());
+    assert_eq!(SphereSpec::with_spacing(0.5e-3), SphereSpec::default());
+}
+
 #[test]
 fn unusable_specifications_are_refused() {
     let refused =

@@ -194,7 +194,7 @@ fn nrrd_header() {
     header(nrrd("type: short\ndimension: 3\nsizes: 2 -3 4\nspacings: 1 1 1"), "sizes");
     header(nrrd("type: short\ndimension: 3\nsizes: 2 3\nspacings: 1 1 1"), "sizes");
     header(nrrd("dimension: 3\nsizes: 2 3 4\nspacings: 1 1 1"), "type");
-    header(nrrd("type: short\ntype: short\ndimension: 3\nsizes: 2 3 4\nspacings: 1 1 1"), "type");
+    header(nrrd("type: short\ntype: int\ndimension: 3\nsizes: 2 3 4\nspacings: 1 1 1"), "type");
     let spacing = |text: &str| nrrd(&format!("type: short\ndimension: 3\nsizes: 2 3 4\nspacings: {text}"));
     for text in ["1 0 1", "1 -1 1", "1 nan 1", "inf 1 1"] {
         assert!(matches!(spacing(text), VolumeError::Spacing { .. }), "{text}");
@@ -230,8 +230,8 @@ fn metaimage_header() {
     assert!(matches!(colour, VolumeError::NotScalar { .. }));
     let scaled = metaimage(&format!("{base}ElementToIntensityFunctionSlope = 2"));
     assert!(matches!(scaled, VolumeError::Unsupported { .. }));
-    let none = metaimage("NDims = 3\nDimSize = 2 3 4");
-    assert!(matches!(none, VolumeError::Header { field, .. } if field.name == "ElementSpacing"));
+    let twice = metaimage(&format!("{base}Offset = 1 2 3\nOffset = 1 2 4"));
+    assert!(matches!(twice, VolumeError::Header { field, .. } if field.name == "Offset"));
 }
 
 #[test]
@@ -311,8 +311,7 @@ fn dicom_files() {
     );
 }
 
-/// Regression: in an `SL` of two bytes the parser read no number, took its bytes for the next element and
-/// allocated 1.3 GB for that one's value, in a file of 524 bytes.
+/// A used element with a part of a number. What is not used may have any length.
 #[test]
 fn a_dicom_value_with_a_part_of_a_number_is_refused() {
     let mut explicit = DicomSlice::default().bytes();
@@ -332,25 +331,6 @@ fn a_dicom_value_with_a_part_of_a_number_is_refused() {
     implicit.extend(b"\x08\0\x60\x11\x02\0\0\x001 \x28\0\x10\0\x03\0\0\0\x04\0\0");
     let refused = field(refuse("v.dcm", &implicit));
     assert_eq!(refused, ("(0028,0010)".to_owned(), "a multiple of 2 bytes".to_owned()));
-}
-
-/// The parser trusts the stated end of the file meta group, and would read the data set in another encoding.
-#[test]
-fn a_dicom_group_length_that_is_not_the_groups_is_refused() {
-    let whole = DicomSlice::default().bytes();
-    let length = u32::from_le_bytes(whole[140..144].try_into().unwrap());
-    for wrong in [0, length - 2, length + 10, u32::MAX] {
-        let mut file = whole.clone();
-        file[140..144].copy_from_slice(&wrong.to_le_bytes());
-        let refused = refuse("v.dcm", &file);
-        assert!(
-            matches!(
-                &refused,
-                VolumeError::Header { field, .. } if field.name.contains("FileMetaInformationGroupLength")
-            ),
-            "{wrong}: {refused}"
-        );
-    }
 }
 
 #[test]

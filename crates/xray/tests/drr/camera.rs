@@ -80,6 +80,22 @@ fn a_deepdrr_camera_with_negative_focal_length_and_half_pixels() {
     }
 }
 
+/// Regression: a rotation with five decimals, as text files have, was refused.
+#[test]
+fn a_rotation_of_five_decimals_is_made_orthonormal() {
+    for angles in [[10.0, 5.0], [-33.0, 21.0], [77.0, -8.0]] {
+        let exact = arm(angles[0], angles[1]).camera(PixelCentre::Whole);
+        let mut rounded = exact;
+        rounded.rotation = exact.rotation.map(|row| row.map(|x| (x * 1e5).round() / 1e5));
+        let of = |camera| CArm::from_camera(camera, PixelCentre::Whole, 6e-4, 512, 400).unwrap();
+        let (exact, rounded) = (of(&exact), of(&rounded));
+        for x in points() {
+            let (a, b) = (exact.project(x).unwrap(), rounded.project(x).unwrap());
+            assert!((a.column - b.column).abs() < 0.1 && (a.row - b.row).abs() < 0.1);
+        }
+    }
+}
+
 #[test]
 fn what_is_no_camera_is_refused_by_name() {
     let good = arm(10.0, 5.0).camera(PixelCentre::Whole);
