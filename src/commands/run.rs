@@ -17,7 +17,7 @@ use crate::failure::{EXIT_INTERRUPTED, Failure};
 use crate::feasibility;
 use crate::launcher::hub::View;
 use crate::launcher::interrupt::{Interrupts, remove_empty};
-use crate::launcher::part::{self, Part};
+use crate::launcher::part::{self, PartProcess};
 use crate::launcher::progress::{Display, ProgressStyle};
 use crate::launcher::run::{Outcome, RunPlan, RunResult, output_folder, run_with};
 use crate::launcher::volume_source::{self, VolumeFiles};
@@ -204,7 +204,7 @@ fn refuse_taken_port(arguments: &RunArguments) -> Result<(), Failure> {
 }
 
 /// Keeps the viewer open on the run's log until the page is closed.
-fn show_on(mut viewer: Part, arguments: &RunArguments) {
+fn show_on(mut viewer: PartProcess, arguments: &RunArguments) {
     if arguments.style() == ProgressStyle::Text {
         say!("the page now shows the log; this command ends when the page is closed, or on Ctrl-C");
     }

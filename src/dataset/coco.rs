@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use serde_json::{Value, json};
 use xray::{Class, Visibility};
 
-use super::{Dataset, DatasetFile, Part, Run, Sample, bounds};
+use super::{Dataset, DatasetFile, Run, Sample, SplitData, bounds};
 use figures::picture::grey16;
 
 impl Dataset {
@@ -36,7 +36,7 @@ impl Dataset {
     pub(super) fn end_coco(self) -> Vec<DatasetFile> {
         let info = json!({"description": "X-ray frames of Trabecula", "bone_from_hu": self.bone_from_hu});
         let categories = json!(Class::ALL.map(|class| category(class, &self.keypoints)));
-        let file = |part: Part| {
+        let file = |part: SplitData| {
             let (images, annotations) = (part.images.join(",\n"), part.annotations.join(",\n"));
             // The parts are already JSON.
             let text = format!(

@@ -90,19 +90,19 @@ pub struct Dataset {
     format: Format,
     bone_from_hu: i16,
     /// Without a split there is a single unnamed part.
-    parts: Vec<Part>,
+    parts: Vec<SplitData>,
     keypoints: Vec<String>,
 }
 
 /// Accumulated data of a part.
 #[derive(Debug, Default)]
-struct Part {
+struct SplitData {
     name: Option<&'static str>,
     images: Vec<String>,
     annotations: Vec<String>,
 }
 
-impl Part {
+impl SplitData {
     /// Returns the folder of the part, `of` itself without a split.
     fn folder(&self, of: &str) -> PathBuf {
         Path::new(of).join(self.name.unwrap_or_default())
@@ -113,10 +113,12 @@ impl Dataset {
     /// Creates an empty data set.
     pub fn new(format: Format, bone_from_hu: i16, split: Option<&Split>) -> Dataset {
         let parts = match split {
-            None => vec![Part::default()],
-            Some(split) => {
-                split.names().into_iter().map(|name| Part { name: Some(name), ..Part::default() }).collect()
-            }
+            None => vec![SplitData::default()],
+            Some(split) => split
+                .names()
+                .into_iter()
+                .map(|name| SplitData { name: Some(name), ..SplitData::default() })
+                .collect(),
         };
         Dataset { format, bone_from_hu, parts, keypoints: Vec::new() }
     }

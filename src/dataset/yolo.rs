@@ -10,7 +10,7 @@ use std::path::PathBuf;
 use xray::{Class, Visibility};
 
 use super::outline::polygons;
-use super::{Dataset, DatasetFile, Format, Part, Run, Sample, bounds};
+use super::{Dataset, DatasetFile, Format, Run, Sample, SplitData, bounds};
 use figures::picture::grey8;
 
 impl Dataset {
@@ -34,7 +34,7 @@ impl Dataset {
         let mut text = format!("# X-ray frames of Trabecula; bone from {} HU.\n", self.bone_from_hu);
         // Writing to a string cannot fail.
         match self.parts.as_slice() {
-            [Part { name: None, .. }] => text.push_str("train: images\nval: images\n"),
+            [SplitData { name: None, .. }] => text.push_str("train: images\nval: images\n"),
             parts => parts.iter().filter_map(|part| part.name).for_each(|name| {
                 let _ = writeln!(text, "{name}: images/{name}");
             }),

@@ -5,7 +5,7 @@ use markups::vector::{dot, length, minus, plus};
 
 /// A position of the burr's centre.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Place {
+pub struct PathPoint {
     /// Tick.
     pub tick: u64,
     /// Simulated time.
@@ -18,7 +18,7 @@ pub struct Place {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Deviation {
     /// Position of the burr.
-    pub place: Place,
+    pub place: PathPoint,
     /// Length of the planned path up to the nearest point.
     pub along_mm: f64,
     /// Distance from the nearest point.
@@ -29,8 +29,8 @@ pub struct Deviation {
 #[derive(Debug)]
 pub struct PathRecorder {
     step_mm: f64,
-    places: Vec<Place>,
-    last: Option<Place>,
+    places: Vec<PathPoint>,
+    last: Option<PathPoint>,
 }
 
 impl PathRecorder {
@@ -42,8 +42,8 @@ impl PathRecorder {
     /// Adds the next state.
     pub fn see(&mut self, state: &State) {
         let burr_mm = state.t_world_burr.position_m.map(|x| 1e3 * x);
-        let place = Place { tick: state.tick, time_s: state.sim_time_s, burr_mm };
-        let is_far = |kept: &Place| length(minus(burr_mm, kept.burr_mm)) >= self.step_mm;
+        let place = PathPoint { tick: state.tick, time_s: state.sim_time_s, burr_mm };
+        let is_far = |kept: &PathPoint| length(minus(burr_mm, kept.burr_mm)) >= self.step_mm;
         if self.places.last().is_none_or(is_far) {
             self.places.push(place);
         }
@@ -51,12 +51,12 @@ impl PathRecorder {
     }
 
     /// Returns the samples so far.
-    pub fn so_far(&self) -> &[Place] {
+    pub fn so_far(&self) -> &[PathPoint] {
         &self.places
     }
 
     /// Returns all samples.
-    pub fn places(mut self) -> Vec<Place> {
+    pub fn places(mut self) -> Vec<PathPoint> {
         if let Some(last) = self.last.filter(|last| self.places.last() != Some(last)) {
             self.places.push(last);
         }
@@ -66,7 +66,7 @@ impl PathRecorder {
 
 /// Returns the deviations of the burr from the planned path during insertion, that is, up to the position
 /// farthest along the path; what follows is the retraction.
-pub fn deviations(planned_mm: &[[f64; 3]], places: &[Place]) -> Vec<Deviation> {
+pub fn deviations(planned_mm: &[[f64; 3]], places: &[PathPoint]) -> Vec<Deviation> {
     let mut all: Vec<Deviation> = places.iter().filter_map(|place| deviation(planned_mm, *place)).collect();
     let farthest = (0..all.len()).max_by(|a, b| all[*a].along_mm.total_cmp(&all[*b].along_mm));
     all.truncate(farthest.map_or(0, |farthest| farthest + 1));
@@ -74,7 +74,7 @@ pub fn deviations(planned_mm: &[[f64; 3]], places: &[Place]) -> Vec<Deviation> {
 }
 
 /// Returns the deviation from the nearest point of the path's segments.
-fn deviation(planned_mm: &[[f64; 3]], place: Place) -> Option<Deviation> {
+fn deviation(planned_mm: &[[f64; 3]], place: PathPoint) -> Option<Deviation> {
     let mut passed_mm = 0.0;
     let mut nearest: Option<Deviation> = None;
     for piece in planned_mm.windows(2) {
@@ -101,8 +101,8 @@ mod tests {
         line.chain(arc.map(|(sin, cos)| [25.0 - 25.0 * cos, 0.0, 42.0 + 25.0 * sin])).collect()
     }
 
-    fn at(burr_mm: [f64; 3]) -> Place {
-        Place { tick: 0, time_s: 0.0, burr_mm }
+    fn at(burr_mm: [f64; 3]) -> PathPoint {
+        PathPoint { tick: 0, time_s: 0.0, burr_mm }
     }
 
     #[test]

@@ -14,7 +14,7 @@ use recorder_proc::reason_file;
 use run_log::EndReason;
 
 use super::hub::{DRR, PHYSICS, RECORDER};
-use super::part::Part;
+use super::part::PartProcess;
 use super::run::{Outcome, RunPlan, RunState, has_gap, judge};
 
 const POLL_PERIOD: Duration = Duration::from_millis(5);
@@ -73,7 +73,7 @@ impl Ending<'_> {
 
     /// Ends all parts in order; returns when the physics ended, and the outcome, which the other parts can
     /// worsen.
-    pub(super) fn end_parts(&self, outcome: Outcome, parts: &mut [Part]) -> (Instant, Outcome) {
+    pub(super) fn end_parts(&self, outcome: Outcome, parts: &mut [PartProcess]) -> (Instant, Outcome) {
         let mut outcome = outcome;
         let mut reason = None;
         self.write_reason(&mut reason, &outcome, parts);
@@ -120,12 +120,12 @@ impl Ending<'_> {
 
     /// Ends the physics. It waits until the DRR process and the recorder have received everything; if one of
     /// them dies, or after a signal, it is asked to stop waiting.
-    fn end_physics(&self, limit: Duration, ask: TerminationTiming, parts: &mut [Part]) {
+    fn end_physics(&self, limit: Duration, ask: TerminationTiming, parts: &mut [PartProcess]) {
         let (mut wait, mut asked) = (self.wait(), false);
         loop {
             let mut has_died = |name: &str| {
                 let part = parts.iter_mut().find(|part| part.name == name);
-                part.and_then(Part::ended).is_some_and(|status| !status.success())
+                part.and_then(PartProcess::ended).is_some_and(|status| !status.success())
             };
             let nobody_comes = has_died(DRR) || has_died(RECORDER);
             let Some(physics) = parts.iter_mut().find(|part| part.name == PHYSICS) else { return };
@@ -148,8 +148,8 @@ impl Ending<'_> {
 
     /// Ends the DRR process and the controllers in parallel. With [`TerminationTiming::AtOnce`], they have
     /// not been notified that the run is over.
-    fn end_others(&self, limit: Duration, ask: TerminationTiming, parts: &mut [Part]) {
-        let mut others: Vec<(&mut Part, bool)> = parts
+    fn end_others(&self, limit: Duration, ask: TerminationTiming, parts: &mut [PartProcess]) {
+        let mut others: Vec<(&mut PartProcess, bool)> = parts
             .iter_mut()
             .filter(|part| part.name != PHYSICS && part.name != RECORDER)
             .map(|part| (part, false))
@@ -182,7 +182,7 @@ impl Ending<'_> {
 
     /// Waits for the viewer to end, or kills it. After a regular recorded run it shows the log while a page
     /// is open, and is returned.
-    pub(super) fn end_viewer(&self, mut viewer: Part, outcome: &Outcome) -> Option<Part> {
+    pub(super) fn end_viewer(&self, mut viewer: PartProcess, outcome: &Outcome) -> Option<PartProcess> {
         let may_stay = self.plan.output.is_some() && outcome.is_regular();
         let mut wait = self.wait();
         while viewer.ended().is_none() {
@@ -197,7 +197,7 @@ impl Ending<'_> {
         None
     }
 
-    fn tell_killed(&self, part: &Part) {
+    fn tell_killed(&self, part: &PartProcess) {
         if self.has_begun && !self.end.is_urgent() {
             tell!("trabecula: {} did not end in time and was killed", part.name);
         }
@@ -205,7 +205,7 @@ impl Ending<'_> {
 
     /// Returns the outcome given how a part ended. A run with an unfinished log or missing last frames has
     /// failed even if all ticks were run; an interrupted run may lack frames.
-    fn with_end_of(&self, name: &str, outcome: Outcome, parts: &mut [Part]) -> Outcome {
+    fn with_end_of(&self, name: &str, outcome: Outcome, parts: &mut [PartProcess]) -> Outcome {
         let expected = self.end.is_urgent() || (name == DRR && outcome == Outcome::Interrupted);
         let found = parts.iter_mut().find(|part| part.name == name);
         let Some(part) = found.filter(|_| !expected && outcome.death().is_none()) else { return outcome };
@@ -219,7 +219,7 @@ impl Ending<'_> {
 
     /// Passes the end reason for the log to the recorder through a file in the session's folder, or in the
     /// run's folder if the former was removed.
-    fn write_reason(&self, in_output: &mut Option<SavedFile>, outcome: &Outcome, parts: &[Part]) {
+    fn write_reason(&self, in_output: &mut Option<SavedFile>, outcome: &Outcome, parts: &[PartProcess]) {
         let reason = match outcome {
             Outcome::Completed => EndReason::Completed,
             Outcome::Stopped => EndReason::Stopped,

@@ -20,7 +20,7 @@ use xray::from_scene::scene_c_arm;
 use xray::message::c_arm_message;
 use zerocopy::IntoBytes;
 
-use super::part::{Part, ProgramOutput};
+use super::part::{PartProcess, ProgramOutput};
 
 /// Name of this process.
 pub const LAUNCHER: &str = HubPart::Host.name();
@@ -190,7 +190,12 @@ impl Hub {
     }
 
     /// Starts one of our own parts as `trabecula proc NAME …`.
-    pub fn start(&self, part: &str, arguments: &[&str], output: Option<&Path>) -> Result<Part, HubError> {
+    pub fn start(
+        &self,
+        part: &str,
+        arguments: &[&str],
+        output: Option<&Path>,
+    ) -> Result<PartProcess, HubError> {
         let mut command = own_program(part)?;
         command.arg("proc").args(arguments).arg("--session").arg(self.folder());
         if let Some(output) = output {
@@ -200,7 +205,7 @@ impl Hub {
     }
 
     /// Starts an external controller program.
-    pub fn start_program(&self, name: &str, words: &[String]) -> Result<Part, HubError> {
+    pub fn start_program(&self, name: &str, words: &[String]) -> Result<PartProcess, HubError> {
         let start_error = |cause| HubError::Start {
             part: name.to_owned(),
             program: words.first().cloned().unwrap_or_default(),
@@ -209,11 +214,11 @@ impl Hub {
         let mut keeper = own_program(name)?;
         keeper.args(["proc", "keep", "--"]).args(words);
         keeper.env(CONTROLLER_VARIABLE, name).env(SESSION_VARIABLE, self.folder());
-        Part::start_kept(name, &mut keeper, ProgramOutput::Shown).map_err(start_error)
+        PartProcess::start_kept(name, &mut keeper, ProgramOutput::Shown).map_err(start_error)
     }
 
     /// Starts the viewer as `trabecula view`; the viewer prints its page's address.
-    pub fn start_viewer(&self, view: View) -> Result<Part, HubError> {
+    pub fn start_viewer(&self, view: View) -> Result<PartProcess, HubError> {
         let mut command = own_program(VIEWER)?;
         command.args(["view", "--port", &view.port.to_string(), "--session"]).arg(self.folder());
         if view.watch_by_anyone {
@@ -222,9 +227,14 @@ impl Hub {
         self.spawn(VIEWER, &mut command, ProgramOutput::Shown)
     }
 
-    fn spawn(&self, part: &str, command: &mut Command, output: ProgramOutput) -> Result<Part, HubError> {
+    fn spawn(
+        &self,
+        part: &str,
+        command: &mut Command,
+        output: ProgramOutput,
+    ) -> Result<PartProcess, HubError> {
         let program = command.get_program().to_string_lossy().into_owned();
-        Part::start(part, command.env(SESSION_VARIABLE, self.folder()), output)
+        PartProcess::start(part, command.env(SESSION_VARIABLE, self.folder()), output)
             .map_err(|cause| HubError::Start { part: part.to_owned(), program, cause })
     }
 }

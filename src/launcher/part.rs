@@ -110,7 +110,7 @@ fn running() -> MutexGuard<'static, Vec<KillHandle>> {
 
 /// A running part.
 #[derive(Debug)]
-pub struct Part {
+pub struct PartProcess {
     /// Its name in messages.
     pub name: String,
     child: Child,
@@ -167,19 +167,23 @@ pub enum ProgramOutput {
     Hidden,
 }
 
-impl Part {
+impl PartProcess {
     /// Starts a program. Keeps its last output lines.
-    pub fn start(name: &str, command: &mut Command, output: ProgramOutput) -> std::io::Result<Part> {
-        Part::start_with(name, command.stdin(Stdio::null()), None, output)
+    pub fn start(name: &str, command: &mut Command, output: ProgramOutput) -> std::io::Result<PartProcess> {
+        PartProcess::start_with(name, command.stdin(Stdio::null()), None, output)
     }
 
     /// Starts a program through its keeper's command line (`src/keeper.rs`).
-    pub fn start_kept(name: &str, keeper: &mut Command, output: ProgramOutput) -> std::io::Result<Part> {
+    pub fn start_kept(
+        name: &str,
+        keeper: &mut Command,
+        output: ProgramOutput,
+    ) -> std::io::Result<PartProcess> {
         let (ours, its) = UnixStream::pair()?;
         ours.set_read_timeout(Some(START_LIMIT))?;
         let leash = Arc::new(ours);
         let keeper = keeper.stdin(OwnedFd::from(its));
-        let mut part = Part::start_with(name, keeper, Some(Arc::clone(&leash)), output)?;
+        let mut part = PartProcess::start_with(name, keeper, Some(Arc::clone(&leash)), output)?;
         // Drop the command's copy, so that our side of the socket closes when the keeper ends.
         keeper.stdin(Stdio::null());
         match StartReport::read(&leash)? {
@@ -194,7 +198,7 @@ impl Part {
         command: &mut Command,
         leash: Option<Arc<UnixStream>>,
         output: ProgramOutput,
-    ) -> std::io::Result<Part> {
+    ) -> std::io::Result<PartProcess> {
         let mut child = bind_to_parent(command.stdout(Stdio::piped()).stderr(Stdio::piped())).spawn()?;
         let kill_handle = KillHandle { pid: i32::try_from(child.id()).ok().and_then(Pid::from_raw), leash };
         running().push(kill_handle.clone());
@@ -202,7 +206,7 @@ impl Part {
         let shown_as = (output == ProgramOutput::Shown).then(|| name.to_owned());
         let (stdout, stderr) = (child.stdout.take(), child.stderr.take());
         // Dropped, and so killed, if no thread can be started.
-        let mut part = Part {
+        let mut part = PartProcess {
             name: name.to_owned(),
             process: child.id(),
             child,
@@ -315,7 +319,7 @@ impl Part {
     }
 }
 
-impl Drop for Part {
+impl Drop for PartProcess {
     fn drop(&mut self) {
         // Also reaps it, so that no zombie stays.
         self.kill();

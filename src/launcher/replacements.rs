@@ -8,7 +8,7 @@ use ipc_types::scene::Controller;
 use ipc_types::session::{Session, SessionError};
 
 use super::hub::Hub;
-use super::part::Part;
+use super::part::PartProcess;
 use super::run::RunPlan;
 
 /// Programs that have ended, and the report about each.
@@ -16,7 +16,7 @@ use super::run::RunPlan;
 pub(super) struct Replacements {
     events: EventSender,
     /// Parts that the run continues without.
-    pub(super) gone: Vec<Part>,
+    pub(super) gone: Vec<PartProcess>,
 }
 
 impl Replacements {
@@ -28,7 +28,11 @@ impl Replacements {
     }
 
     /// Returns the program of this part and its restart count, if the run can continue without it.
-    fn dispensable<'a>(&self, plan: &'a RunPlan, part: &Part) -> Option<(&'a Controller, &'a [String], u32)> {
+    fn dispensable<'a>(
+        &self,
+        plan: &'a RunPlan,
+        part: &PartProcess,
+    ) -> Option<(&'a Controller, &'a [String], u32)> {
         let controller = plan.scene.controller.iter().find(|controller| controller.name == part.name)?;
         let command = controller.command.as_ref()?;
         let before = self.gone.iter().filter(|gone| gone.name == part.name).count() as u32;
@@ -37,7 +41,7 @@ impl Replacements {
 
     /// Removes the part at this index after the end of the run. Returns false if the run could not have
     /// continued without it, in which case its exit status counts.
-    pub(super) fn dismiss(&mut self, plan: &RunPlan, parts: &mut Vec<Part>, index: usize) -> bool {
+    pub(super) fn dismiss(&mut self, plan: &RunPlan, parts: &mut Vec<PartProcess>, index: usize) -> bool {
         let may_go = self.dispensable(plan, &parts[index]).is_some();
         if may_go {
             self.gone.push(parts.remove(index));
@@ -50,7 +54,7 @@ impl Replacements {
         &mut self,
         plan: &RunPlan,
         hub: &Hub,
-        parts: &mut Vec<Part>,
+        parts: &mut Vec<PartProcess>,
         index: usize,
         tick: Tick,
     ) -> Result<bool, PortError> {

@@ -16,7 +16,7 @@ use voxel_grid::Ct;
 use super::ending::Ending;
 use super::hub::{DRR, Hub, HubError, LAUNCHER, PHYSICS, RECORDER, Recording, View};
 use super::log_watch::LogWatch;
-use super::part::{Memory, Part};
+use super::part::{Memory, PartProcess};
 use super::replacements::Replacements;
 use super::subscriptions::Subscriptions;
 use super::volume_source::{self, VolumeFiles};
@@ -124,7 +124,7 @@ pub struct RunResult {
     /// Processor time of each process from its start to its end, by name.
     pub processor: Vec<(String, Duration)>,
     /// The viewer, if it is now showing the run's log; it ends with the page.
-    pub viewer: Option<Part>,
+    pub viewer: Option<PartProcess>,
 }
 
 impl RunResult {
@@ -191,7 +191,7 @@ pub struct RunSnapshot<'a> {
     /// A limit of this machine that affects the run, reported once.
     pub caution: Option<&'a str>,
     /// Running parts, with their resource use.
-    pub parts: &'a [Part],
+    pub parts: &'a [PartProcess],
 }
 
 /// Runs a scene with its own volume; calls `show` at every update.
@@ -280,7 +280,7 @@ struct Running<'a> {
     end: &'a EndRequest,
     hub: &'a Hub,
     subscriptions: Subscriptions,
-    parts: Vec<Part>,
+    parts: Vec<PartProcess>,
     replacements: Replacements,
     first_tick: Option<Instant>,
 }
@@ -297,7 +297,7 @@ impl Running<'_> {
             if self.first_tick.is_none() && self.subscriptions.status.is_some_and(has_started) {
                 self.first_tick = Some(self.subscriptions.first_start().unwrap_or_else(Instant::now));
             }
-            self.parts.iter_mut().for_each(Part::measure);
+            self.parts.iter_mut().for_each(PartProcess::measure);
             if self.end.is_set() {
                 return Ok(Outcome::Interrupted);
             }
@@ -377,7 +377,7 @@ pub(super) enum RunState {
 
 /// Judges how a part ended. Once the run is over, DRR and controllers may exit shortly before the physics
 /// does. The physics exits cleanly only after the run is over, and no part may exit before that.
-pub(super) fn judge(part: &mut Part, run: RunState) -> Outcome {
+pub(super) fn judge(part: &mut PartProcess, run: RunState) -> Outcome {
     let status = part.ended();
     let succeeded = status.is_some_and(|status| status.success());
     if succeeded && (part.name == PHYSICS || (run == RunState::Ended && part.name != RECORDER)) {
@@ -390,7 +390,7 @@ pub(super) fn judge(part: &mut Part, run: RunState) -> Outcome {
     Outcome::PartDied { name: part.name.clone(), how, last_words: part.last_words() }
 }
 
-fn start_parts(plan: &RunPlan, hub: &Hub) -> Result<Vec<Part>, HubError> {
+fn start_parts(plan: &RunPlan, hub: &Hub) -> Result<Vec<PartProcess>, HubError> {
     let mut parts = Vec::new();
     if let Some(output) = &plan.output {
         // A viewer that joins late needs this to show the bone that is already drilled.
@@ -429,7 +429,7 @@ fn awaited(scene: &Scene, hub: &Hub) -> Vec<String> {
 }
 
 /// Whether the recorder has finished its log with messages missing.
-pub(super) fn has_gap(part: &mut Part) -> bool {
+pub(super) fn has_gap(part: &mut PartProcess) -> bool {
     part.name == RECORDER && part.ended().and_then(|status| status.code()) == Some(i32::from(EXIT_GAP))
 }
 

@@ -13,7 +13,7 @@ use ipc_types::ports::{PortError, Subscriber};
 use ipc_types::process::FIFO_REFUSED;
 use ipc_types::session::{Session, SessionError};
 
-use super::part::Part;
+use super::part::PartProcess;
 use super::run::RunSnapshot;
 
 /// The launcher's subscriptions.
@@ -99,7 +99,7 @@ impl Subscriptions {
         &'a self,
         session: &'a Path,
         awaited: &'a [String],
-        parts: &'a [Part],
+        parts: &'a [PartProcess],
     ) -> RunSnapshot<'a> {
         RunSnapshot {
             session,

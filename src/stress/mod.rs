@@ -22,7 +22,7 @@ use ipc_types::scene::Scene;
 use output_file::SavedFile;
 
 use crate::failure::Failure;
-use crate::launcher::part::{Part, ProgramOutput};
+use crate::launcher::part::{PartProcess, ProgramOutput};
 use crate::launcher::volume_source::VolumeFiles;
 use crate::machine::Confinement;
 use crate::machine::Machine;
@@ -147,7 +147,7 @@ fn test(
         let seed = Rng::with_seed(plan.seed.wrapping_add(index as u64)).u64(..);
         let _loads = Loads::start(combination.load, seed, &plan.output, limit).map_err(io)?;
         let mut command = command(plan, combination, &logs).map_err(io)?;
-        let mut part = Part::start("run", &mut command, ProgramOutput::Hidden).map_err(io)?;
+        let mut part = PartProcess::start("run", &mut command, ProgramOutput::Hidden).map_err(io)?;
         let began = Instant::now();
         loop {
             if end.is_set() {

@@ -60,7 +60,7 @@ const COMMANDS: [(&str, &str); 18] = [
     ("drr @ball.nrrd -o #x.dcm", "x.dcm"),
     ("drr @ball.nrrd -o #x.png --sweep 90 --frames 6 --animate --columns 256 --rows 256", "x.png"),
     ("drr @ball.nrrd -o #s.png --sweep 90 --frames 3", "s_0000.png"),
-    ("phantom sphere -o #p.nrrd --spacing-mm 2", "p.nrrd"),
+    ("phantom sphere -o #p.nrrd --spacing-mm 0.5", "p.nrrd"),
     ("volume drilled @log -o #d.nrrd", "d.nrrd"),
     ("calibrate @sweep.toml -o #cal", "calibration.csv"),
 ];

@@ -81,12 +81,12 @@ struct Missing {
     first_tick: Tick,
     last_tick: Tick,
     count: u64,
-    place: Place,
+    place: TickPrecision,
 }
 
 /// How precisely the ticks affected by a loss are known.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Place {
+enum TickPrecision {
     /// The first and last ticks are those affected.
     Exact,
     /// The loss lies somewhere between these ticks.
@@ -110,7 +110,7 @@ impl Numbered {
             first_tick: first.min(tick),
             last_tick: tick,
             count: number.saturating_sub(expected).max(1),
-            place: Place::Between,
+            place: TickPrecision::Between,
         })
     }
 }
@@ -198,7 +198,7 @@ impl Continuity {
 
     /// Checks a message of a topic that has exactly one message per tick.
     fn ticks(&mut self, topic: Topic, expected: Tick, found: Tick) {
-        let place = Place::Exact;
+        let place = TickPrecision::Exact;
         let missing = match found.cmp(&expected) {
             Ordering::Equal => return,
             Ordering::Greater => Missing {
@@ -229,7 +229,7 @@ impl Continuity {
             first <= s.last_tick.saturating_add(1) && s.first_tick <= last.saturating_add(1)
         };
         if let Some(stretch) = self.stretches.iter_mut().rev().find(touches) {
-            if place == Place::Exact {
+            if place == TickPrecision::Exact {
                 stretch.first_tick = stretch.first_tick.min(first);
                 stretch.last_tick = stretch.last_tick.max(last);
             }

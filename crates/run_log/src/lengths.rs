@@ -6,7 +6,7 @@ use mcap::records::{Record, op};
 
 /// A part of a record's body.
 #[derive(Clone, Copy)]
-enum Part {
+enum BodyField {
     /// A fixed number of bytes.
     Fixed(usize),
     /// A length-prefixed string.
@@ -18,8 +18,8 @@ enum Part {
 }
 
 /// Returns a record's parts up to its last string; empty for records without strings.
-fn parts(opcode: u8) -> &'static [Part] {
-    use Part::{Fixed, Numbers, Text, Texts};
+fn parts(opcode: u8) -> &'static [BodyField] {
+    use BodyField::{Fixed, Numbers, Text, Texts};
     match opcode {
         op::HEADER => &[Text, Text],
         op::SCHEMA => &[Fixed(2), Text, Text],
@@ -44,9 +44,9 @@ fn texts_fit(opcode: u8, body: &[u8]) -> Option<()> {
     let mut rest = body;
     for part in parts(opcode) {
         rest = match part {
-            Part::Fixed(count) => rest.get(*count..)?,
-            Part::Text | Part::Numbers => counted(rest)?.1,
-            Part::Texts => {
+            BodyField::Fixed(count) => rest.get(*count..)?,
+            BodyField::Text | BodyField::Numbers => counted(rest)?.1,
+            BodyField::Texts => {
                 let (mut texts, behind) = counted(rest)?;
                 while !texts.is_empty() {
                     texts = counted(texts)?.1;

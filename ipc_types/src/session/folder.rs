@@ -21,7 +21,7 @@ use rustix::fs::{
 use rustix::io::Errno;
 
 use super::id::{PREFIX_LENGTH, SessionId};
-use super::places::{Place, PlaceError, open_private, places};
+use super::places::{PlaceError, SessionRoot, open_private, places};
 use super::{SessionError, file_error};
 use crate::messages::{Blame, EventCode};
 use crate::shared_memory::{Identity, SharedMemory};
@@ -56,7 +56,7 @@ pub(crate) struct HostFolder {
 impl HostFolder {
     /// Creates a session folder in `place`. It starts unlocked and empty; without a marker it is not yet a
     /// session.
-    pub(crate) fn create(place: &Place) -> Result<HostFolder, SessionError> {
+    pub(crate) fn create(place: &SessionRoot) -> Result<HostFolder, SessionError> {
         let above = place.open_or_make()?;
         loop {
             let id = SessionId::random()?;

@@ -39,7 +39,7 @@ pub use folder::{announced_sessions, host_is_alive, only_session, running_sessio
 pub use host::{SessionHost, SessionPlan};
 pub use id::SessionId;
 pub(crate) use id::prefix_of;
-pub use places::{Place, PlaceError, SearchedPlaces, open_private, passed_over, places};
+pub use places::{PlaceError, SearchedPlaces, SessionRoot, open_private, passed_over, places};
 
 /// The hub's iceoryx2 version; programs with another version cannot join.
 pub const ICEORYX2_VERSION: &str = "0.10.0";

@@ -85,7 +85,7 @@ pub enum PlaceError {
 
 /// A place that can hold sessions.
 #[derive(Debug, Clone)]
-pub struct Place {
+pub struct SessionRoot {
     /// The sessions folder.
     sessions: PathBuf,
     /// Its parent: a run-time folder, or `/tmp`.
@@ -153,11 +153,11 @@ fn refused_character(path: &Path) -> Option<char> {
     text.chars().find(is_refused)
 }
 
-impl Place {
-    fn new(above: PathBuf, kind: Kind, user: u32) -> Place {
+impl SessionRoot {
+    fn new(above: PathBuf, kind: Kind, user: u32) -> SessionRoot {
         let name = if kind == Kind::Temporary { format!("{NAME}-{user}") } else { NAME.to_owned() };
         let sessions = above.join(name);
-        let mut place = Place { sessions, above, kind, unfit: None };
+        let mut place = SessionRoot { sessions, above, kind, unfit: None };
         place.unfit = place.open_above().err();
         place
     }
@@ -209,7 +209,7 @@ impl Place {
         open_private(self.open_above()?, Path::new(name))
     }
 
-    /// As [`open`](Place::open), but creates the folder if it does not exist.
+    /// As [`open`](SessionRoot::open), but creates the folder if it does not exist.
     pub(crate) fn open_or_make(&self) -> Result<OwnedFd, SessionError> {
         let refused = |cause: PlaceError| SessionError::Unfit { path: self.sessions.clone(), cause };
         let above =
@@ -222,7 +222,7 @@ impl Place {
     }
 }
 
-impl Display for Place {
+impl Display for SessionRoot {
     fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
         match (&self.unfit, self.open()) {
             (Some(cause), _) => write!(f, "{} (not used: {cause})", self.above_as_named()),
@@ -233,7 +233,7 @@ impl Display for Place {
     }
 }
 
-impl Place {
+impl SessionRoot {
     fn above_as_named(&self) -> String {
         match self.kind {
             Kind::Named => format!("{VARIABLE}=\"{}\"", self.above.display()),
@@ -243,20 +243,20 @@ impl Place {
 }
 
 /// Lists every place, in the order in which a host tries them.
-pub fn places() -> Vec<Place> {
+pub fn places() -> Vec<SessionRoot> {
     places_of(std::env::var_os(VARIABLE), rustix::process::geteuid().as_raw())
 }
 
-fn places_of(variable: Option<OsString>, user: u32) -> Vec<Place> {
+fn places_of(variable: Option<OsString>, user: u32) -> Vec<SessionRoot> {
     // Drops a trailing `/`, which would make the system follow a link.
     let plain = |path: &Path| path.components().collect::<PathBuf>();
     let named = variable.map(|folder| plain(Path::new(&folder)));
     let usual = Path::new(RUN_USER).join(user.to_string());
     let is_usual = named.as_ref().is_some_and(|folder| *folder == usual);
     let mut all = Vec::new();
-    all.extend(named.map(|folder| Place::new(folder, Kind::Named, user)));
-    all.extend((!is_usual && usual.exists()).then(|| Place::new(usual, Kind::Usual, user)));
-    all.push(Place::new(PathBuf::from(TEMPORARY), Kind::Temporary, user));
+    all.extend(named.map(|folder| SessionRoot::new(folder, Kind::Named, user)));
+    all.extend((!is_usual && usual.exists()).then(|| SessionRoot::new(usual, Kind::Usual, user)));
+    all.push(SessionRoot::new(PathBuf::from(TEMPORARY), Kind::Temporary, user));
     all
 }
 
@@ -264,7 +264,7 @@ fn places_of(variable: Option<OsString>, user: u32) -> Vec<Place> {
 ///
 /// Never takes a folder that the environment does not name: a run started by cron would lose it when the
 /// user's last login ends.
-pub(crate) fn choose(all: &[Place]) -> Option<(&Place, Option<String>)> {
+pub(crate) fn choose(all: &[SessionRoot]) -> Option<(&SessionRoot, Option<String>)> {
     let chosen = all.iter().find(|place| place.kind != Kind::Usual && place.unfit.is_none())?;
     let passed = all.iter().find(|place| place.kind == Kind::Named).and_then(|place| {
         let cause = place.unfit.as_ref()?;
@@ -283,7 +283,7 @@ pub fn passed_over() -> Option<String> {
 #[derive(Debug, Clone)]
 pub struct SearchedPlaces {
     name: Option<String>,
-    places: Vec<Place>,
+    places: Vec<SessionRoot>,
 }
 
 impl SearchedPlaces {
@@ -303,7 +303,7 @@ impl Display for SearchedPlaces {
         f.write_str("no running session")?;
         self.name.iter().try_for_each(|name| write!(f, " `{name}`"))?;
         if !self.places.is_empty() {
-            let places: Vec<String> = self.places.iter().map(Place::to_string).collect();
+            let places: Vec<String> = self.places.iter().map(SessionRoot::to_string).collect();
             write!(f, " in {}", places.join(", nor in "))?;
         }
         let user = rustix::process::geteuid().as_raw();

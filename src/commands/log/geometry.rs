@@ -15,7 +15,7 @@ use serde_json::{Value, json};
 use super::export::{ExportArguments, write_table};
 use super::judged;
 use crate::failure::Failure;
-use crate::geometry::path::{Deviation, PathRecorder, Place, deviations};
+use crate::geometry::path::{Deviation, PathPoint, PathRecorder, deviations};
 use crate::geometry::{Mesh, mesh_files, tool, tunnel};
 use crate::output::refuse_existing;
 use crate::replay::{OpenedLog, Overrides, RemovedBone};
@@ -180,7 +180,7 @@ fn of_deviation(format: &str, arguments: &ExportArguments) -> Result<ExportResul
 /// verdict if no tick was requested.
 struct StateHistory {
     scene: Scene,
-    places: Vec<Place>,
+    places: Vec<PathPoint>,
     last: State,
     verdict: Verdict,
 }

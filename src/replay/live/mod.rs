@@ -27,7 +27,7 @@ use super::OpenedLog;
 use super::frames::FrameReplay;
 use crate::failure::{EXIT_INTERRUPTED, Failure};
 use crate::launcher::hub::{Hub, Recording};
-use crate::launcher::part::Part;
+use crate::launcher::part::PartProcess;
 use answers::LoggedCommands;
 use stage::{Frames, Stage};
 
@@ -132,7 +132,7 @@ struct ReplayedSession<'l> {
     log: &'l OpenedLog,
     hub: Hub,
     stage: Stage,
-    parts: Vec<Part>,
+    parts: Vec<PartProcess>,
     answers: LoggedCommands,
     frames: Frames<'l>,
     limit: Duration,

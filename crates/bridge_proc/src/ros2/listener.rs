@@ -4,7 +4,7 @@ use ros_interface::topics::{Names, OUTPUTS};
 use rustdds::DomainParticipant;
 use rustdds::no_key::SimpleDataReader;
 
-use super::node::{Place, qos};
+use super::node::{DdsDomain, qos};
 use super::payload::{CdrAdapter, ReceivedCdr};
 use super::{NetworkScope, Ros2Error};
 
@@ -22,7 +22,7 @@ impl Listener {
     /// # Errors
     /// The domain cannot be joined.
     pub fn open(domain_id: u16, names: &Names, rate_hz: f64) -> Result<Listener, Ros2Error> {
-        let place = Place::open(domain_id, NetworkScope::Localhost)?;
+        let place = DdsDomain::open(domain_id, NetworkScope::Localhost)?;
         let reader = |row: &ros_interface::topics::Row<_>| {
             place.reader(&row.dds_name(names), &row.dds_type(), &qos(row.qos, rate_hz))
         };

@@ -56,7 +56,7 @@ pub(crate) struct Node {
 
 impl Node {
     pub(crate) fn open(options: &Ros2Options, inputs: &[Input]) -> Result<Node, Ros2Error> {
-        let place = Place::open(options.domain_id, options.reach)?;
+        let place = DdsDomain::open(options.domain_id, options.reach)?;
         let mut writers = BTreeMap::new();
         for row in OUTPUTS {
             let (name, kind) = (row.dds_name(&options.names), row.dds_type());
@@ -164,15 +164,15 @@ pub(super) fn qos(kind: Qos, rate_hz: f64) -> QosPolicies {
 }
 
 /// The domain, and the bridge's participant in it.
-pub(super) struct Place {
+pub(super) struct DdsDomain {
     domain: u16,
     pub(super) participant: DomainParticipant,
     publisher: Publisher,
     subscriber: Subscriber,
 }
 
-impl Place {
-    pub(super) fn open(domain: u16, reach: NetworkScope) -> Result<Place, Ros2Error> {
+impl DdsDomain {
+    pub(super) fn open(domain: u16, reach: NetworkScope) -> Result<DdsDomain, Ros2Error> {
         let mut builder = DomainParticipantBuilder::new(domain).same_host_loopback(true);
         if reach == NetworkScope::Localhost {
             builder = builder.with_only_networks([std::net::Ipv4Addr::LOCALHOST]);
@@ -186,7 +186,7 @@ impl Place {
         let none = QosPolicyBuilder::new().build();
         let publisher = participant.create_publisher(&none).map_err(|cause| failed("publisher", cause))?;
         let subscriber = participant.create_subscriber(&none).map_err(|cause| failed("subscriber", cause))?;
-        Ok(Place { domain, participant, publisher, subscriber })
+        Ok(DdsDomain { domain, participant, publisher, subscriber })
     }
 
     fn topic(&self, name: &str, kind: &str, qos: &QosPolicies) -> Result<Topic, Ros2Error> {

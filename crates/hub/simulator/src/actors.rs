@@ -10,7 +10,7 @@ use messages::{ArmMode, BurrMode, Command, ControllerIndex, Part, TendonMode, Ti
 use scene::{Drives, Mode};
 
 use crate::oracle::seen_frames::SeenFrames;
-use crate::plan::{CommandDefect, ControllerPlan, Plan};
+use crate::plan::{CommandDefect, ControllerPlan, SchedulePlan};
 
 /// Number of states that a controller's queue holds.
 const STATE_QUEUE: usize = 16;
@@ -34,7 +34,7 @@ pub struct FrameViewer {
 }
 
 impl FrameViewer {
-    fn new(plan: &Plan) -> FrameViewer {
+    fn new(plan: &SchedulePlan) -> FrameViewer {
         FrameViewer {
             mode: plan.mode,
             decide: ControllerFrames::new(plan.mode),
@@ -116,7 +116,7 @@ pub struct Controller {
 
 impl Controller {
     /// Creates a controller that is not connected yet.
-    pub fn new(plan: &Plan, index: ControllerIndex, drives: &[Drives]) -> Controller {
+    pub fn new(plan: &SchedulePlan, index: ControllerIndex, drives: &[Drives]) -> Controller {
         let looks = plan.x_ray.watching.get(index.slot()) == Some(&true);
         Controller {
             sight: looks.then(|| FrameViewer::new(plan)),

@@ -11,7 +11,7 @@ use messages::services::DRR_REQUEST;
 use messages::{DrrRequest, GeometryChoice, Removed, State, Tick};
 
 use crate::oracle::x_ray::{Answer, FrameAccount, FrameCause, JOBS_WAITING};
-use crate::plan::Plan;
+use crate::plan::SchedulePlan;
 use crate::x_ray_plan::SentRequest;
 
 /// States taken before requests are checked again.
@@ -70,7 +70,7 @@ struct Job {
 
 impl DrrProcess {
     /// Creates the process of a plan, at the beginning.
-    pub fn new(plan: &Plan) -> DrrProcess {
+    pub fn new(plan: &SchedulePlan) -> DrrProcess {
         DrrProcess {
             schedule: Schedule::new(ScheduleSettings {
                 mode: plan.mode,

@@ -1,6 +1,6 @@
 //! The hub under seeded schedules.
 //!
-//! [`Plan::of`] derives everything from a seed: the scene, how fast every program is, and what goes wrong
+//! [`SchedulePlan::of`] derives everything from a seed: the scene, how fast every program is, and what goes wrong
 //! when. [`run`] plays the plan against a [`hub::Hub`] with a clock and queues in memory, and checks every
 //! step with an [`oracle`] that knows nothing of the hub except what passes between it and its surroundings.
 //! Among these are a DRR process and controllers that decide with [`delivery::x_ray`], and a viewer that
@@ -21,7 +21,7 @@
 //! those published.
 //!
 //! ```
-//! let plan = hub_simulator::Plan::of(7);
+//! let plan = hub_simulator::SchedulePlan::of(7);
 //! assert!(hub_simulator::run(&plan).is_ok());
 //! ```
 
@@ -45,7 +45,7 @@ use hub::{Hub, Next, Settings};
 use messages::Part;
 use scene::{Drives, Scene};
 
-pub use plan::{CommandDefect, ControllerPlan, Fault, FaultKind, Plan};
+pub use plan::{CommandDefect, ControllerPlan, Fault, FaultKind, SchedulePlan};
 use plant::{ChainPlant, Handle};
 use recording::Recording;
 pub use viewer_plan::{SubscriptionChange, ViewerPlan, WatcherPlan};
@@ -96,7 +96,7 @@ impl AddAssign for ScheduleStats {
 ///
 /// # Errors
 /// The first violated rule.
-pub fn run(plan: &Plan) -> Result<ScheduleStats, String> {
+pub fn run(plan: &SchedulePlan) -> Result<ScheduleStats, String> {
     let (scene, drives) = scene(plan);
     let handle = Handle::default();
     handle.now_ns.set(1_000_000_000);
@@ -147,7 +147,7 @@ pub fn run(plan: &Plan) -> Result<ScheduleStats, String> {
 }
 
 /// Creates the plan's scene, with the parts that each of its controllers drives.
-fn scene(plan: &Plan) -> (Scene, Vec<Vec<Drives>>) {
+fn scene(plan: &SchedulePlan) -> (Scene, Vec<Vec<Drives>>) {
     static BASE: OnceLock<Result<Scene, String>> = OnceLock::new();
     const TEXT: &str = "name = \"a\"\n[run]\nmode = \"lockstep\"\nduration_s = 1.0\n[tool]\n\
          burr_start_mm = [0.0, 0.0, 0.0]\ndirection = [0.0, 0.0, 1.0]\nbend_toward = [1.0, 0.0, 0.0]\n\
@@ -183,10 +183,10 @@ fn scene(plan: &Plan) -> (Scene, Vec<Vec<Drives>>) {
 
 /// Reduces a failing plan by removing faults, controllers' delays and ticks while it still fails; returns it
 /// with its failure.
-pub fn shrink(plan: &Plan) -> (Plan, String) {
+pub fn shrink(plan: &SchedulePlan) -> (SchedulePlan, String) {
     let mut least = plan.clone();
     let mut failure = run(&least).err().unwrap_or_default();
-    let mut try_it = |candidate: Plan, least: &mut Plan| {
+    let mut try_it = |candidate: SchedulePlan, least: &mut SchedulePlan| {
         let outcome = run(&candidate);
         if let Err(cause) = outcome {
             (*least, failure) = (candidate, cause);
@@ -215,7 +215,7 @@ pub fn shrink(plan: &Plan) -> (Plan, String) {
             candidate.x_ray.asks.remove(index);
             again |= try_it(candidate, &mut least);
         }
-        let without: [fn(&mut Plan); 9] = [
+        let without: [fn(&mut SchedulePlan); 9] = [
             |plan| plan.viewer = None,
             |plan| plan.x_ray.watching.clear(),
             |plan| plan.x_ray.period_ticks = None,
@@ -256,7 +256,7 @@ pub fn play(first: u64, count: u64, threads: u64) -> Summary {
         let mut summary = Summary::default();
         for seed in (first + offset..first + count).step_by(threads as usize) {
             summary.schedules += 1;
-            match run(&Plan::of(seed)) {
+            match run(&SchedulePlan::of(seed)) {
                 Ok(played) => summary.played += played,
                 Err(cause) => {
                     summary.failure = Some((seed, cause));

@@ -4,7 +4,7 @@ use std::process::ExitCode;
 use std::time::Instant;
 
 use clap::Parser;
-use hub_simulator::{Plan, ScheduleStats, play, run, shrink};
+use hub_simulator::{SchedulePlan, ScheduleStats, play, run, shrink};
 
 /// Plays seeded schedules against the hub; a failing seed is printed with its smallest failing plan.
 #[derive(Debug, Parser)]
@@ -37,7 +37,7 @@ fn main() -> ExitCode {
         );
         return ExitCode::SUCCESS;
     };
-    let plan = Plan::of(seed);
+    let plan = SchedulePlan::of(seed);
     println!("seed {seed} fails: {}", run(&plan).err().unwrap_or_default());
     let (least, cause) = shrink(&plan);
     println!("shrunk: {cause}\n{least:#?}");

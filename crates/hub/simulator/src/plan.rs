@@ -21,7 +21,7 @@ const FRAMES_LIMIT_MS: u64 = 400;
 
 /// One schedule.
 #[derive(Debug, Clone)]
-pub struct Plan {
+pub struct SchedulePlan {
     /// Its seed, which also seeds the small random choices while it runs.
     pub seed: u64,
     /// Lockstep or real time.
@@ -181,22 +181,22 @@ const BAD: [CommandDefect; 6] = [
     CommandDefect::Malformed,
 ];
 
-impl Default for Plan {
+impl Default for SchedulePlan {
     /// Returns the schedule of seed 0.
-    fn default() -> Plan {
-        Plan::of(0)
+    fn default() -> SchedulePlan {
+        SchedulePlan::of(0)
     }
 }
 
-impl Plan {
+impl SchedulePlan {
     /// Derives the schedule of a seed.
-    pub fn of(seed: u64) -> Plan {
+    pub fn of(seed: u64) -> SchedulePlan {
         let mut random = Rng::with_seed(seed);
         let mode = if random.bool() { Mode::Lockstep } else { Mode::Realtime };
         let controllers: Vec<ControllerPlan> =
             (0..random.usize(1..=3)).map(|_| controller(&mut random)).collect();
         let consumer = |random: &mut Rng| (random.u8(..4) > 0).then(|| random.u64(50 * US..3 * MS));
-        let mut plan = Plan {
+        let mut plan = SchedulePlan {
             seed,
             mode,
             tick_count: random.u64(5..60),
@@ -260,7 +260,7 @@ fn controller(random: &mut Rng) -> ControllerPlan {
 
 /// A user pauses, requests steps, pauses again in the middle of them, and resumes a while later. Four
 /// requests drawn independently hardly ever arrive in this order.
-fn stepping(plan: &Plan, random: &mut Rng) -> [Fault; 4] {
+fn stepping(plan: &SchedulePlan, random: &mut Rng) -> [Fault; 4] {
     let mut at_ns = random.u64(..plan.nominal_ns());
     let asked = [
         (ControlAction::Pause, 0, 0),
@@ -274,7 +274,7 @@ fn stepping(plan: &Plan, random: &mut Rng) -> [Fault; 4] {
     })
 }
 
-fn fault(plan: &Plan, random: &mut Rng) -> Fault {
+fn fault(plan: &SchedulePlan, random: &mut Rng) -> Fault {
     let index = random.usize(..plan.controllers.len());
     let recorder = random.bool();
     let a_while = |random: &mut Rng| {

@@ -12,7 +12,7 @@ use run_log::{
 use scene::Mode;
 use zerocopy::IntoBytes;
 
-use crate::plan::Plan;
+use crate::plan::SchedulePlan;
 
 /// Simulated time of a tick: a chunk of 100 ms holds four of them, so that a short run has several.
 const DT_NS: u64 = 25_000_000;
@@ -52,7 +52,7 @@ impl Recording {
     ///
     /// # Errors
     /// Errors of the log.
-    pub fn begin(plan: &Plan, cut: u64) -> Result<Recording, LogError> {
+    pub fn begin(plan: &SchedulePlan, cut: u64) -> Result<Recording, LogError> {
         let header = LogHeader {
             scene_toml: String::new(),
             calibration_json: None,

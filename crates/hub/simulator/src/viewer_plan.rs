@@ -2,7 +2,7 @@
 
 use fastrand::Rng;
 
-use crate::plan::{MS, Plan, US};
+use crate::plan::{MS, SchedulePlan, US};
 
 /// The viewer of a schedule.
 #[derive(Debug, Clone, Default)]
@@ -55,7 +55,7 @@ pub const CHANNELS: u32 = 4;
 impl ViewerPlan {
     /// Derives the viewer from a plan's seed and length; `None` in a third of the plans. Draws from its own
     /// random stream, so that the rest of the plan does not depend on it.
-    pub fn of(plan: &Plan) -> Option<ViewerPlan> {
+    pub fn of(plan: &SchedulePlan) -> Option<ViewerPlan> {
         let mut random = Rng::with_seed(plan.seed ^ 0x6c8e_9cf5_7093_2bd5);
         let clients = [0, 1, 1, 2, 3, 0][random.usize(..6)];
         let message_bytes = random.usize(8..100);

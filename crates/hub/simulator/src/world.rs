@@ -18,7 +18,7 @@ use crate::drr::DrrProcess;
 use crate::oracle::Oracle;
 use crate::oracle::seen_frames::SeenFrames;
 use crate::oracle::x_ray::FrameAccount;
-use crate::plan::{FaultKind, MS, Plan, US};
+use crate::plan::{FaultKind, MS, SchedulePlan, US};
 use crate::plant::Handle;
 use crate::recording::Recording;
 use crate::viewer::Viewer;
@@ -61,7 +61,7 @@ enum Event {
 /// Everything except the hub.
 #[derive(Debug)]
 pub struct World {
-    plan: Plan,
+    plan: SchedulePlan,
     now_ns: Rc<Cell<u64>>,
     plant: Handle,
     random: Rng,
@@ -98,7 +98,7 @@ pub struct World {
 
 impl World {
     /// Creates the world of a plan whose controllers drive these parts.
-    pub fn new(plan: &Plan, drives: &[Vec<Drives>], plant: Handle) -> World {
+    pub fn new(plan: &SchedulePlan, drives: &[Vec<Drives>], plant: Handle) -> World {
         let now_ns = Rc::clone(&plant.now_ns);
         let controllers = ControllerIndex::first(drives.len()).zip(drives);
         let consumers = [(Part::Drr, plan.drr_ns), (Part::Recorder, plan.recorder_ns)];

@@ -6,7 +6,7 @@ use hub::rate_limit::Connection;
 use messages::{ControllerIndex, DrrRequest, GeometryChoice};
 use scene::Mode;
 
-use crate::plan::{MS, Plan, US};
+use crate::plan::{MS, SchedulePlan, US};
 
 /// Number of programs that request frames.
 const ASKERS: usize = 4;
@@ -78,7 +78,7 @@ pub struct SentRequest {
 impl XRayPlan {
     /// Derives the frames from a plan's seed, mode, length and controllers. Draws from its own random stream,
     /// so that the rest of the plan does not depend on it.
-    pub fn of(plan: &Plan) -> XRayPlan {
+    pub fn of(plan: &SchedulePlan) -> XRayPlan {
         let mut random = Rng::with_seed(plan.seed ^ 0xd1b5_4a32_d192_ed03);
         let period_ticks = (random.u8(..4) > 0).then(|| random.u64(1..15));
         // A real queue holds more ticks than a schedule has. In lockstep the hub's lead prevents an overflow.
@@ -108,7 +108,7 @@ impl XRayPlan {
     }
 }
 
-fn ask(plan: &Plan, random: &mut Rng) -> RequestBurst {
+fn ask(plan: &SchedulePlan, random: &mut Rng) -> RequestBurst {
     use RequestKind::{BadCArm, MovesCArm, OthersName, Plain};
     let ahead_ticks = match random.u8(..8) {
         0..=3 => None,

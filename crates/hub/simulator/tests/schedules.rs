@@ -2,7 +2,7 @@
 
 use std::time::Instant;
 
-use hub_simulator::{Plan, play, run, shrink};
+use hub_simulator::{SchedulePlan, play, run, shrink};
 
 #[test]
 fn the_hub_keeps_its_rules_in_a_hundred_thousand_schedules() {
@@ -13,7 +13,7 @@ fn the_hub_keeps_its_rules_in_a_hundred_thousand_schedules() {
     let rate = summary.schedules as f64 / wall_s;
     println!("{summary:?} in {wall_s:.1} s on {threads} threads: {rate:.0} schedules a second");
     if let Some((seed, cause)) = summary.failure {
-        let (least, least_cause) = shrink(&Plan::of(seed));
+        let (least, least_cause) = shrink(&SchedulePlan::of(seed));
         panic!("seed {seed}: {cause}\nshrunk: {least_cause}\n{least:#?}");
     }
     let played = summary.played;
@@ -36,7 +36,7 @@ fn the_hub_keeps_its_rules_in_a_hundred_thousand_schedules() {
 #[test]
 fn a_seed_says_everything() {
     for seed in 0..300 {
-        let plan = Plan::of(seed);
+        let plan = SchedulePlan::of(seed);
         assert_eq!(run(&plan), run(&plan), "seed {seed}");
     }
 }

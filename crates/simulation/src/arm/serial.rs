@@ -28,19 +28,19 @@ const LARGEST_STEP_RAD: f64 = 0.5;
 
 /// A constant part of the chain.
 #[derive(Clone, Copy, Debug, PartialEq)]
-struct Part {
+struct FixedTransform {
     rotation: Matrix3<f64>,
     origin_m: Vector3<f64>,
 }
 
-impl Part {
-    const IDENTITY: Part = Part {
+impl FixedTransform {
+    const IDENTITY: FixedTransform = FixedTransform {
         rotation: Matrix3::new(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0),
         origin_m: Vector3::new(0.0, 0.0, 0.0),
     };
 
-    fn then(&self, next: &Part) -> Part {
-        Part {
+    fn then(&self, next: &FixedTransform) -> FixedTransform {
+        FixedTransform {
             rotation: self.rotation * next.rotation,
             origin_m: self.origin_m + self.rotation * next.origin_m,
         }
@@ -71,7 +71,7 @@ pub enum Redundancy {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SerialGeometry {
     /// `G_0` .. `G_n`.
-    parts: [Part; MAX_ARM_JOINTS + 1],
+    parts: [FixedTransform; MAX_ARM_JOINTS + 1],
     /// Number of revolute joints.
     joints: usize,
     /// The redundant one of seven joints, from 0.
@@ -85,14 +85,17 @@ impl SerialGeometry {
     /// joint `redundant` (from 0) keeps its angle on a path. Revolute joints beyond the seventh stay fixed; a
     /// checked scene has none.
     pub fn new(joints: impl IntoIterator<Item = SerialJoint>, redundant: usize) -> Self {
-        let mut parts = [Part::IDENTITY; MAX_ARM_JOINTS + 1];
+        let mut parts = [FixedTransform::IDENTITY; MAX_ARM_JOINTS + 1];
         let mut turning = 0;
         for joint in joints {
-            let place =
-                Part { rotation: roll_pitch_yaw(&joint.roll_pitch_yaw_rad), origin_m: joint.position_m };
+            let place = FixedTransform {
+                rotation: roll_pitch_yaw(&joint.roll_pitch_yaw_rad),
+                origin_m: joint.position_m,
+            };
             parts[turning] = parts[turning].then(&place);
             if let Some(axis) = joint.axis.filter(|_| turning < MAX_ARM_JOINTS) {
-                let onto_axis = Part { rotation: z_onto(&axis.normalize()), origin_m: Vector3::zeros() };
+                let onto_axis =
+                    FixedTransform { rotation: z_onto(&axis.normalize()), origin_m: Vector3::zeros() };
                 parts[turning] = parts[turning].then(&onto_axis);
                 turning += 1;
                 parts[turning].rotation = onto_axis.rotation.transpose();

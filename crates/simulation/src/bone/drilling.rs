@@ -57,7 +57,7 @@ use super::cutting::{TickLoads, check_time_step};
 use super::patch::Patch;
 use super::reach::{BurrPress, PressedBall, ReachedVoxels};
 use super::removal::Removal;
-use super::strength::Place;
+use super::strength::PoolIndex;
 use super::voxels::{Drilling, Voxels, check_volume};
 use super::yielding::{BoneVoxel, CrushReport, FIRST_NEAR};
 
@@ -307,7 +307,7 @@ impl DrillTick<'_> {
     /// Lists the voxels that the burr presses on.
     fn collect(&mut self) {
         for voxel in 0..self.reached.place.len() {
-            if self.reached.place[voxel] == Place::NONE && self.reached.depth[voxel] > 0.0 {
+            if self.reached.place[voxel] == PoolIndex::NONE && self.reached.depth[voxel] > 0.0 {
                 match self.edit.claim(self.reached.index[voxel]) {
                     Some(place) => self.reached.place[voxel] = place,
                     None => {

@@ -9,7 +9,7 @@ use nalgebra::Vector3;
 use super::gather::{Sphere, outside};
 use super::grid::GridGeometry;
 use super::query::{ContactKind, SurfaceSource, VoxelEnd};
-use super::strength::Place;
+use super::strength::PoolIndex;
 use super::voxels::Voxels;
 
 /// Minimum capacity of a search, in voxels.
@@ -72,7 +72,7 @@ pub(super) struct NearVoxels {
     /// Centres along each grid axis, metres.
     position: [Vec<f64>; 3],
     /// Where the pool stores each voxel's spent fraction.
-    place: Vec<Place>,
+    place: Vec<PoolIndex>,
     any_place: bool,
     /// The spent fractions, once loaded.
     spent: Vec<f64>,
@@ -87,7 +87,7 @@ impl NearVoxels {
         Self {
             count: 0,
             position: [numbers(), numbers(), numbers()],
-            place: vec![Place::NONE; most],
+            place: vec![PoolIndex::NONE; most],
             any_place: false,
             spent: numbers(),
             by_distance: BinaryHeap::with_capacity(most),
@@ -107,7 +107,7 @@ impl NearVoxels {
 
     /// Adds a voxel; returns false if there is no room.
     #[inline]
-    pub fn push(&mut self, position: [f64; 3], place: Place) -> bool {
+    pub fn push(&mut self, position: [f64; 3], place: PoolIndex) -> bool {
         let room = self.count < self.most();
         if room {
             self.put(self.count, position, place);
@@ -117,7 +117,13 @@ impl NearVoxels {
     }
 
     /// Adds a voxel; if there is no room, replaces the voxel whose box is farthest.
-    pub fn push_nearest(&mut self, sphere: &Sphere, spacing: &[f64; 3], position: [f64; 3], place: Place) {
+    pub fn push_nearest(
+        &mut self,
+        sphere: &Sphere,
+        spacing: &[f64; 3],
+        position: [f64; 3],
+        place: PoolIndex,
+    ) {
         if self.push(position, place) {
             return;
         }
@@ -151,12 +157,12 @@ impl NearVoxels {
     }
 
     #[inline]
-    fn put(&mut self, voxel: usize, position: [f64; 3], place: Place) {
+    fn put(&mut self, voxel: usize, position: [f64; 3], place: PoolIndex) {
         for (along, position) in self.position.iter_mut().zip(position) {
             along[voxel] = position;
         }
         self.place[voxel] = place;
-        self.any_place |= place != Place::NONE;
+        self.any_place |= place != PoolIndex::NONE;
     }
 }
 
@@ -277,7 +283,13 @@ impl Candidates {
 
     /// Computes the distances to voxels as balls of the given radius, reduced on both sides by the spent
     /// fraction.
-    fn see_balls(&mut self, near: &NearVoxels, sphere: &Sphere, radius_m: f64, spent: impl Fn(Place) -> f64) {
+    fn see_balls(
+        &mut self,
+        near: &NearVoxels,
+        sphere: &Sphere,
+        radius_m: f64,
+        spent: impl Fn(PoolIndex) -> f64,
+    ) {
         self.count = near.count;
         for voxel in 0..near.count {
             let offset = sphere.centre - Vector3::from([0, 1, 2].map(|a| near.position[a][voxel]));

@@ -19,7 +19,7 @@ use super::grid::{GridGeometry, VoxelIndex, floor_to_i64};
 use super::occupancy::{VoxelBox, WINDOW_VOXELS};
 use super::parameters::BoneParameters;
 use super::query::VoxelEnd;
-use super::strength::Place;
+use super::strength::PoolIndex;
 use super::voxels::Voxels;
 
 /// Extra reach of the cached search, in voxels of the smallest spacing. A burr fed at 1.5 mm/s through 0.5 mm
@@ -120,7 +120,7 @@ pub(super) struct ReachedVoxels {
     /// The voxels' positions along each grid axis.
     pub at: Vec<[i64; 3]>,
     /// The place of each spent fraction in the pool, if any, and the fraction.
-    pub place: Vec<Place>,
+    pub place: Vec<PoolIndex>,
     pub spent: Vec<f64>,
     /// Energy to cut the whole voxel, J.
     pub full_j: Vec<f64>,

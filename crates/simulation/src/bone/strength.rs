@@ -32,9 +32,9 @@ const UNTOUCHED: u32 = u32::MAX;
 
 /// Location of a voxel's spent fraction in the pool.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Place(usize);
+pub(super) struct PoolIndex(usize);
 
-impl Place {
+impl PoolIndex {
     /// The place of any voxel in an untouched block.
     pub const NONE: Self = Self(usize::MAX);
 }
@@ -42,8 +42,8 @@ impl Place {
 /// The blocks in use around a small cube of voxels, at most two along each axis, looked up once.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct BlocksAbout {
-    /// First place of each block by z, y, x; [`Place::NONE`] if the block is untouched.
-    place: [[[Place; 2]; 2]; 2],
+    /// First place of each block by z, y, x; [`PoolIndex::NONE`] if the block is untouched.
+    place: [[[PoolIndex; 2]; 2]; 2],
 }
 
 /// The fractions of a block.
@@ -238,31 +238,31 @@ impl SpentPool {
         let (block, offset) = self.locate(i, j, k);
         match self.table[block] {
             UNTOUCHED => 0.0,
-            slot => self.spent_at(Place(slot as usize * BLOCK_VOXELS + offset)),
+            slot => self.spent_at(PoolIndex(slot as usize * BLOCK_VOXELS + offset)),
         }
     }
 
     /// Returns the present place of a voxel's fraction, for [`Self::spent_at`].
     #[inline]
-    pub fn place(&self, [i, j, k]: [usize; 3]) -> Place {
+    pub fn place(&self, [i, j, k]: [usize; 3]) -> PoolIndex {
         let (block, offset) = self.locate(i, j, k);
         match self.table[block] {
-            UNTOUCHED => Place::NONE,
-            slot => Place(slot as usize * BLOCK_VOXELS + offset),
+            UNTOUCHED => PoolIndex::NONE,
+            slot => PoolIndex(slot as usize * BLOCK_VOXELS + offset),
         }
     }
 
     /// Returns the fraction at a place from [`Self::place`], valid until the next block is taken.
     #[inline]
-    pub fn spent_at(&self, Place(place): Place) -> f64 {
+    pub fn spent_at(&self, PoolIndex(place): PoolIndex) -> f64 {
         // A whole voxel has no place.
         self.segments.get(place / SEGMENT_VOXELS).map_or(0.0, |segment| segment.spent[place % SEGMENT_VOXELS])
     }
 
     /// Returns the place of the voxel's fraction, taking a block if needed; `None` if there are no more.
-    pub fn claim(&mut self, [i, j, k]: [usize; 3]) -> Option<Place> {
+    pub fn claim(&mut self, [i, j, k]: [usize; 3]) -> Option<PoolIndex> {
         let (block, offset) = self.locate(i, j, k);
-        self.claim_block(block).map(|slot| Place(slot * BLOCK_VOXELS + offset))
+        self.claim_block(block).map(|slot| PoolIndex(slot * BLOCK_VOXELS + offset))
     }
 
     /// Returns the slot of a block, taking one if needed; `None` if there are no more.
@@ -283,7 +283,7 @@ impl SpentPool {
 
     /// Sets the fraction at a place from [`Self::claim`]; returns true if the voxel was whole before.
     #[inline]
-    pub fn set(&mut self, Place(place): Place, spent: f64) -> bool {
+    pub fn set(&mut self, PoolIndex(place): PoolIndex, spent: f64) -> bool {
         let (segment, place) = (&mut self.segments[place / SEGMENT_VOXELS], place % SEGMENT_VOXELS);
         let kept = &mut segment.spent[place];
         let first = *kept == 0.0 && spent > 0.0;
@@ -296,7 +296,7 @@ impl SpentPool {
     }
 
     /// Returns the voxel whose fraction is stored at a place from [`Self::claim`].
-    pub fn voxel_at(&self, Place(place): Place) -> Option<[usize; 3]> {
+    pub fn voxel_at(&self, PoolIndex(place): PoolIndex) -> Option<[usize; 3]> {
         self.voxel_of(place / BLOCK_VOXELS, place % BLOCK_VOXELS)
     }
 
@@ -339,7 +339,7 @@ impl SpentPool {
             let reaches = block <= (low[axis] + extent) >> BLOCK_SHIFT;
             (reaches && block >= 0 && block < self.block_dims[axis] as i64).then_some(block as usize)
         };
-        let mut place = [[[Place::NONE; 2]; 2]; 2];
+        let mut place = [[[PoolIndex::NONE; 2]; 2]; 2];
         let mut any = false;
         for (z, slices) in place.iter_mut().enumerate() {
             let Some(k) = inside(2, z) else { continue };
@@ -349,7 +349,7 @@ impl SpentPool {
                     let Some(i) = inside(0, x) else { continue };
                     let slot = self.table[(k * self.block_dims[1] + j) * self.block_dims[0] + i];
                     if slot != UNTOUCHED {
-                        *place = Place(slot as usize * BLOCK_VOXELS);
+                        *place = PoolIndex(slot as usize * BLOCK_VOXELS);
                         any = true;
                     }
                 }
@@ -361,7 +361,7 @@ impl SpentPool {
     /// Returns one of the blocks around a cube, by its side along x, y, z; `None` if it is untouched.
     #[inline(always)]
     pub fn block(&self, blocks: &BlocksAbout, [x, y, z]: [usize; 3]) -> Option<Block<'_>> {
-        let Place(place) = blocks.place[z][y][x];
+        let PoolIndex(place) = blocks.place[z][y][x];
         let (segment, place) = (self.segments.get(place / SEGMENT_VOXELS)?, place % SEGMENT_VOXELS);
         let spent = segment.spent.get(place..)?.first_chunk()?;
         let partial = segment.partial.get(place / BLOCK_EDGE..)?.first_chunk()?;
@@ -372,7 +372,7 @@ impl SpentPool {
     pub fn forget(&mut self, [i, j, k]: [usize; 3]) {
         let (block, offset) = self.locate(i, j, k);
         if self.table[block] != UNTOUCHED {
-            self.set(Place(self.table[block] as usize * BLOCK_VOXELS + offset), 0.0);
+            self.set(PoolIndex(self.table[block] as usize * BLOCK_VOXELS + offset), 0.0);
         }
     }
 
@@ -471,7 +471,7 @@ impl SpentPool {
             let mut rest = spent.iter();
             for voxel in (0..BLOCK_VOXELS).filter(|voxel| bit(changed, *voxel)) {
                 let Some(spent) = rest.next() else { return false };
-                self.set(Place(slot * BLOCK_VOXELS + voxel), *spent);
+                self.set(PoolIndex(slot * BLOCK_VOXELS + voxel), *spent);
             }
         }
         true

@@ -98,7 +98,7 @@ pub(super) struct Contact {
 
 /// Position of a contact on the tool: link, contact point, and unit forces on the link along the directions.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Place<const N: usize> {
+pub(super) struct ContactPlacement<const N: usize> {
     pub link: usize,
     pub point: Vector3<f64>,
     pub force: [[f64; N]; 3],
@@ -159,7 +159,7 @@ impl<const N: usize, O: Operator<N>> ContactSolver<N, O> {
         step: &ContactStep,
         report: &mut StepReport,
         enters: impl Fn(usize) -> bool,
-        place: impl Fn(usize, &[Vector3<f64>; 3]) -> Place<N>,
+        place: impl Fn(usize, &[Vector3<f64>; 3]) -> ContactPlacement<N>,
     ) {
         let spheres = step.spheres;
         self.clear();
@@ -179,7 +179,7 @@ impl<const N: usize, O: Operator<N>> ContactSolver<N, O> {
             let normal = step.drive.rotation.inverse_transform_vector(plane.normal.as_ref());
             let [t0, t1] = tangents(&normal);
             let direction = [normal, t0, t1];
-            let Place { link, point, force } = place(sphere, &direction);
+            let ContactPlacement { link, point, force } = place(sphere, &direction);
             let base_velocity = step.drive.linear + step.drive.angular.cross(&point);
             let mut row = ContactRow::new(link, force);
             row.drive = direction.map(|d| d.dot(&base_velocity));

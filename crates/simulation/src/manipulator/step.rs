@@ -7,7 +7,7 @@
 use nalgebra::Vector3;
 
 use super::articulated::{Generalised, Spatial};
-use super::contact::{BaseDrive, Place};
+use super::contact::{BaseDrive, ContactPlacement};
 use super::coupling::Freedoms;
 use super::error::ManipulatorError;
 use super::geometry::SphereLayout;
@@ -206,7 +206,7 @@ impl Manipulator {
                 let SphereLayout { link, along_m, radius_m, .. } = step.spheres[sphere];
                 let centre = configuration.point(link, along_m);
                 let point = Vector3::new(centre[0], lateral_m, centre[1]) - direction[0] * radius_m;
-                Place { link, point, force: direction.map(|d| pressing::force(&point, &d)) }
+                ContactPlacement { link, point, force: direction.map(|d| pressing::force(&point, &d)) }
             },
         );
         let law = self.common.parameters.stop_law();

@@ -16,7 +16,7 @@ const PERIOD: Duration = Duration::from_secs(1);
 const SILENT: Duration = Duration::from_secs(2);
 
 #[derive(Debug, Clone, Copy, Default)]
-struct Part {
+struct PartActivity {
     count: usize,
     last: Option<Instant>,
 }
@@ -24,7 +24,7 @@ struct Part {
 /// Messages seen from each part since the last report.
 #[derive(Debug)]
 pub(super) struct Parts {
-    parts: BTreeMap<String, Part>,
+    parts: BTreeMap<String, PartActivity>,
     order: Vec<String>,
     since: Instant,
 }
@@ -39,7 +39,7 @@ impl Parts {
         };
         let own = HubPart::ALL.into_iter().filter(is_there).map(|part| part.name().to_owned());
         let order: Vec<String> = own.chain(scene.controller_names()).collect();
-        let parts = order.iter().map(|name| (name.clone(), Part::default())).collect();
+        let parts = order.iter().map(|name| (name.clone(), PartActivity::default())).collect();
         Parts { parts, order, since: Instant::now() }
     }
 

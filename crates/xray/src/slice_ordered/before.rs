@@ -5,7 +5,7 @@
 //! half-plane of the image for each slice: for samples (i, j) of the image, the inverse of the ray's
 //! parameter at the detector is linear in i and j.
 
-use super::plan::Plan;
+use super::plan::ImagePlan;
 use crate::ray::RayFan;
 
 /// Inverse of the parameter at which the ray of sample (i, j) meets the detector, `constant + i per_column +
@@ -19,7 +19,7 @@ pub(crate) struct DetectorClip {
 
 impl DetectorClip {
     /// Computes the coefficients for the samples of an image.
-    pub fn new(fan: &RayFan, plan: &Plan) -> Self {
+    pub fn new(fan: &RayFan, plan: &ImagePlan) -> Self {
         let normal = fan.detector_normal();
         let [k, u, v] = [plan.axes.slow, plan.axes.u, plan.axes.v];
         // A sample's ray is `far` along k, and (first + sample) / oversampling - source along u and v.

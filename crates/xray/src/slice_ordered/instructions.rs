@@ -2,7 +2,7 @@
 
 use super::copies::{Copy3, Voxel};
 use super::kernel::{Scalar, Work, sum_tiles};
-use super::plan::Plan;
+use super::plan::ImagePlan;
 
 /// An instruction set that this CPU supports.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -72,7 +72,7 @@ impl Instructions {
     pub(super) fn sum_tiles<T: Voxel>(
         self,
         copy: &Copy3<T>,
-        plan: &Plan,
+        plan: &ImagePlan,
         flush_after: usize,
         first_row: usize,
         work: &mut Work,
@@ -111,7 +111,7 @@ impl<C: Plain> pulp::NullaryFnOnce for Call<C> {
 
 struct Tiles<'a, T: Voxel> {
     copy: &'a Copy3<T>,
-    plan: &'a Plan,
+    plan: &'a ImagePlan,
     flush_after: usize,
     first_row: usize,
     work: &'a mut Work,

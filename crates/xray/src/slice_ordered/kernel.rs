@@ -8,7 +8,7 @@
 
 use super::copies::{CELL, Cell16, Copy3, LEVELS, MIXED, Voxel, voxels};
 use super::plan::{
-    FRACTION_MASK, GROUP, GROUP_REACH, LANE_BITS, Plan, ROW_BITS, Slice, TILE_ROWS, WEIGHT_BITS,
+    FRACTION_MASK, GROUP, GROUP_REACH, ImagePlan, LANE_BITS, ROW_BITS, Slice, TILE_ROWS, WEIGHT_BITS,
 };
 use super::runs::{LevelSums, TileRows};
 
@@ -198,7 +198,7 @@ pub(crate) struct Work {
 
 impl Work {
     /// Takes the sizes of an image and a copy. The sums are zero between images.
-    pub fn fit<T: Voxel>(&mut self, plan: &Plan, copy: &Copy3<T>) {
+    pub fn fit<T: Voxel>(&mut self, plan: &ImagePlan, copy: &Copy3<T>) {
         self.sums.resize_with(TILES, TileSums::default);
         for tile in &mut self.sums {
             tile.groups.resize(plan.columns / GROUP, [[0; GROUP]; TILE_ROWS]);
@@ -249,7 +249,7 @@ impl<'a> Order<'a> {
 pub(crate) fn sum_tiles<T: Voxel, L: Lanes>(
     lanes: L,
     copy: &Copy3<T>,
-    plan: &Plan,
+    plan: &ImagePlan,
     flush_after: usize,
     first_row: usize,
     work: &mut Work,

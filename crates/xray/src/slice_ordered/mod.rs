@@ -47,7 +47,7 @@ use crate::machine::Machine;
 use crate::ray::RayFan;
 use crate::removal::RemovedVoxels;
 use occupied::OccupiedBox;
-use parts::{Part, parts_of, samples_of};
+use parts::{ImagePatch, parts_of, samples_of};
 use plan::{MAX_PIXELS, Rays, WEIGHT_BITS};
 use standing::{CachedImages, SumsConversion, Threads};
 use store::{Change, Source, Store, Values};
@@ -236,7 +236,7 @@ impl SliceOrdered {
         Ok(())
     }
 
-    fn parts(&self, fan: &RayFan, c_arm: &CArm) -> Vec<Part> {
+    fn parts(&self, fan: &RayFan, c_arm: &CArm) -> Vec<ImagePatch> {
         let pixels = PixelBox { columns: (0, c_arm.columns), rows: (0, c_arm.rows) };
         parts_of(&Rays { occupied: &self.occupied, fan, pixels, oversampling: self.options.oversampling })
     }

@@ -3,7 +3,7 @@
 //! rectangle has one image, or several for ranges of depths where that costs less; their line integrals add
 //! up.
 
-use super::plan::{Plan, Rays};
+use super::plan::{ImagePlan, Rays};
 use super::splat::Dirty;
 use crate::carm::PixelBox;
 use crate::vector::{norm, sub};
@@ -23,17 +23,17 @@ pub(crate) enum Blend {
 
 /// An intermediate image and the rectangle of the detector that reads it.
 #[derive(Debug)]
-pub(crate) struct Part {
+pub(crate) struct ImagePatch {
     pub pixels: PixelBox,
     pub blend: Blend,
-    pub plan: Plan,
+    pub plan: ImagePlan,
     /// Start of the part's samples among those of all parts.
     pub start: usize,
     /// Samples whose sums have changed but whose sharpened values have not been updated.
     pub dirty: Dirty,
 }
 
-impl Part {
+impl ImagePatch {
     /// Range of the part's samples among those of all parts.
     pub fn samples(&self) -> core::ops::Range<usize> {
         self.start..self.start + self.plan.pixels()
@@ -41,18 +41,18 @@ impl Part {
 }
 
 /// Samples of all parts together.
-pub(crate) fn samples_of(parts: &[Part]) -> usize {
+pub(crate) fn samples_of(parts: &[ImagePatch]) -> usize {
     parts.last().map_or(0, |last| last.samples().end)
 }
 
 /// The parts of a frame. Images of one rectangle follow one another.
-pub(crate) fn parts_of(all: &Rays<'_>) -> Vec<Part> {
+pub(crate) fn parts_of(all: &Rays<'_>) -> Vec<ImagePatch> {
     let mut parts = Vec::new();
-    if let Some(plan) = Plan::whole(all) {
+    if let Some(plan) = ImagePlan::whole(all) {
         add(&mut parts, all.pixels, vec![plan]);
         return parts;
     }
-    let layers = |pixels: PixelBox| Plan::layers(&Rays { pixels, ..*all });
+    let layers = |pixels: PixelBox| ImagePlan::layers(&Rays { pixels, ..*all });
     let mut waiting = vec![(all.pixels, 0, layers(all.pixels))];
     while let Some((pixels, depth, plans)) = waiting.pop() {
         let rays = Rays { pixels, ..*all };
@@ -69,7 +69,7 @@ pub(crate) fn parts_of(all: &Rays<'_>) -> Vec<Part> {
             (None, Some(halves)) => waiting.extend(halves.map(|pixels| (pixels, depth, layers(pixels)))),
             // Along a ray's own best axis the slope is at most 1, so what remains is a ray that misses the
             // volume by 1e9 samples.
-            (None, None) => add(&mut parts, pixels, vec![Plan::nothing(&rays)]),
+            (None, None) => add(&mut parts, pixels, vec![ImagePlan::nothing(&rays)]),
         }
     }
     parts
@@ -77,20 +77,25 @@ pub(crate) fn parts_of(all: &Rays<'_>) -> Vec<Part> {
 
 /// The halves of a rectangle with their plans, if they cost clearly less than the whole: where the detector
 /// cuts the volume obliquely, one half's rays end at nearer slices, which need fewer samples.
-fn cheaper(rays: &Rays<'_>, plans: &[Plan], halves: [PixelBox; 2]) -> Option<[(PixelBox, Vec<Plan>); 2]> {
-    let cost = |pixels: &PixelBox, plans: &[Plan]| plans.iter().map(|plan| plan.cost(pixels)).sum::<f64>();
-    let planned = |pixels: PixelBox| Some((pixels, Plan::layers(&Rays { pixels, ..*rays })?));
+fn cheaper(
+    rays: &Rays<'_>,
+    plans: &[ImagePlan],
+    halves: [PixelBox; 2],
+) -> Option<[(PixelBox, Vec<ImagePlan>); 2]> {
+    let cost =
+        |pixels: &PixelBox, plans: &[ImagePlan]| plans.iter().map(|plan| plan.cost(pixels)).sum::<f64>();
+    let planned = |pixels: PixelBox| Some((pixels, ImagePlan::layers(&Rays { pixels, ..*rays })?));
     let [first, second] = halves.map(planned);
     let halves = [first?, second?];
     let apart: f64 = halves.iter().map(|(pixels, plans)| cost(pixels, plans)).sum();
     (apart < WORTH_HALVING * cost(&rays.pixels, plans)).then_some(halves)
 }
 
-fn add(parts: &mut Vec<Part>, pixels: PixelBox, plans: Vec<Plan>) {
+fn add(parts: &mut Vec<ImagePatch>, pixels: PixelBox, plans: Vec<ImagePlan>) {
     for (n, plan) in plans.into_iter().enumerate() {
         let blend = if n == 0 { Blend::Replace } else { Blend::Add };
         let start = samples_of(parts);
-        parts.push(Part { pixels, blend, plan, start, dirty: Dirty::default() });
+        parts.push(ImagePatch { pixels, blend, plan, start, dirty: Dirty::default() });
     }
 }
 

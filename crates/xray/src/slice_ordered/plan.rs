@@ -185,7 +185,7 @@ pub(crate) struct Rays<'a> {
 
 /// All geometry of an intermediate image that the sum over slices needs.
 #[derive(Debug, Clone)]
-pub(crate) struct Plan {
+pub(crate) struct ImagePlan {
     pub axes: Axes,
     pub slices: Vec<Slice>,
     /// Global indices of the image's first sample and row.
@@ -230,7 +230,7 @@ impl Range {
     }
 }
 
-impl Plan {
+impl ImagePlan {
     /// One image for all rays and slices. `None` if no axis suits all rays, or if the occupied box extends
     /// behind the detector's plane.
     pub fn whole(rays: &Rays<'_>) -> Option<Self> {

@@ -3,7 +3,7 @@
 
 use super::copies::{CELL, Copy3, LEVELS, MIXED, Voxel};
 use super::kernel::{GroupSums, Lanes};
-use super::plan::{GROUP, MAX_LINES, Plan, Slice, TILE_ROWS};
+use super::plan::{GROUP, ImagePlan, MAX_LINES, Slice, TILE_ROWS};
 
 /// Prefetch distance in the levels; those of later slices follow one another in memory.
 const LEVELS_AHEAD: usize = 4 * LEVELS;
@@ -78,7 +78,7 @@ pub(super) struct TileColumns {
 
 impl TileColumns {
     #[inline(always)]
-    fn of(plan: &Plan, slice: &Slice, first_row: usize) -> Self {
+    fn of(plan: &ImagePlan, slice: &Slice, first_row: usize) -> Self {
         if !plan.meets_detector(slice, first_row) {
             let all = plan.seen_columns(first_row);
             let groups = ((all.0 / GROUP).max(slice.groups.0), (all.1 / GROUP).min(slice.groups.1));
@@ -114,7 +114,7 @@ impl TileRows {
         &mut self,
         lanes: L,
         copy: &Copy3<T>,
-        plan: &Plan,
+        plan: &ImagePlan,
         (slice, first_row): (&Slice, usize),
         known: &mut LevelSums,
     ) -> bool {

@@ -3,7 +3,7 @@
 
 use super::copies::{Copy3, Voxel};
 use super::kernel::between;
-use super::plan::{Plan, Slice, WEIGHT_BITS};
+use super::plan::{ImagePlan, Slice, WEIGHT_BITS};
 use super::warp::Rect;
 
 impl Rect {
@@ -77,7 +77,7 @@ impl Splatter {
     pub fn splat<T: Voxel>(
         &mut self,
         copy: &Copy3<T>,
-        plan: &Plan,
+        plan: &ImagePlan,
         sums: &mut [i64],
         voxel: [usize; 3],
         value: i16,

@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 
 use super::instructions::Instructions;
-use super::parts::Part;
+use super::parts::ImagePatch;
 use super::warp::{Rect, SharpenRow, Warp, WarpRow};
 use crate::carm::{CArm, PixelBox};
 use crate::ray::RayFan;
@@ -24,7 +24,7 @@ pub(super) enum Threads {
 pub(super) struct CachedImages {
     pub c_arm: CArm,
     pub fan: RayFan,
-    pub parts: Vec<Part>,
+    pub parts: Vec<ImagePatch>,
     /// Sums over all slices of each part, row-major, one part after the other.
     pub sums: Vec<i64>,
     /// The same, sharpened.
@@ -80,7 +80,7 @@ impl SumsConversion {
         }
     }
 
-    fn draw_part(self, standing: &CachedImages, part: &Part, detector: &PixelBox, out: &mut [f64]) {
+    fn draw_part(self, standing: &CachedImages, part: &ImagePatch, detector: &PixelBox, out: &mut [f64]) {
         let Self { instructions, scale_per_m, threads, .. } = self;
         let Some(image) = standing.image.get(part.samples()) else { return };
         let warp = Warp { plan: &part.plan, fan: &standing.fan, image, blend: part.blend, scale_per_m };

@@ -10,7 +10,7 @@ use super::instructions::Instructions;
 use super::kernel::{TILES, Work};
 use super::occupied::OccupiedBox;
 use super::options::CellShares;
-use super::parts::Part;
+use super::parts::ImagePatch;
 use super::plan::{Axes, TILE_ROWS};
 use super::splat::{Splatter, slices_until_flush};
 use super::standing::CachedImages;
@@ -184,7 +184,7 @@ impl Store {
     }
 
     /// Sums all slices of all images; `sums` holds these one after the other.
-    pub fn sum(&self, parts: &[Part], instructions: Instructions, sums: &mut [i64]) {
+    pub fn sum(&self, parts: &[ImagePatch], instructions: Instructions, sums: &mut [i64]) {
         with_copies!(self, copies => copies.sum(parts, instructions, sums));
     }
 
@@ -314,7 +314,7 @@ impl<T: Voxel> Copies<T> {
         Ok(())
     }
 
-    fn sum(&self, parts: &[Part], instructions: Instructions, sums: &mut [i64]) {
+    fn sum(&self, parts: &[ImagePatch], instructions: Instructions, sums: &mut [i64]) {
         let flush_after = slices_until_flush(self.largest * T::UNIT);
         let mut rest = sums;
         let mut jobs = Vec::new();

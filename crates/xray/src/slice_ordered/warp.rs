@@ -9,8 +9,8 @@
 //! Plain f32 and f64 arithmetic in a fixed order, without fused operations: vector code gives the same bits.
 
 use super::instructions::Plain;
-use super::parts::{Blend, Part};
-use super::plan::Plan;
+use super::parts::{Blend, ImagePatch};
+use super::plan::ImagePlan;
 use crate::carm::PixelBox;
 use crate::ray::RayFan;
 
@@ -42,7 +42,14 @@ fn split(position: f64) -> (u32, f32) {
 
 /// Writes the sharpened image of one row.
 #[inline(always)]
-fn sharpen_row(sums: &[i64], plan: &Plan, row: usize, columns: (usize, usize), alpha: f64, out: &mut [f32]) {
+fn sharpen_row(
+    sums: &[i64],
+    plan: &ImagePlan,
+    row: usize,
+    columns: (usize, usize),
+    alpha: f64,
+    out: &mut [f32],
+) {
     let width = plan.columns;
     let line = |r: usize| sums.get(r * width..(r + 1) * width).unwrap_or(&[]);
     let (above, here, below) = (line(row.wrapping_sub(1)), line(row), line(row + 1));
@@ -70,7 +77,7 @@ fn sharpen_row(sums: &[i64], plan: &Plan, row: usize, columns: (usize, usize), a
 
 /// Maps the intermediate image to the detector.
 pub(crate) struct Warp<'a> {
-    pub plan: &'a Plan,
+    pub plan: &'a ImagePlan,
     pub fan: &'a RayFan,
     /// The sharpened image.
     pub image: &'a [f32],
@@ -199,7 +206,7 @@ fn catmull_rom(fractions: &[f32; CHUNK]) -> [[f32; CHUNK]; 4] {
 }
 
 /// The detector pixels that read a rectangle of a part's intermediate image.
-pub(crate) fn pixels_of(part: &Part, fan: &RayFan, rect: &Rect) -> Option<PixelBox> {
+pub(crate) fn pixels_of(part: &ImagePatch, fan: &RayFan, rect: &Rect) -> Option<PixelBox> {
     // Sharpening reaches one sample further, the cubic two; one more for rounding.
     const REACH: f64 = 4.0;
     let plan = &part.plan;
@@ -227,7 +234,7 @@ pub(crate) fn pixels_of(part: &Part, fan: &RayFan, rect: &Rect) -> Option<PixelB
 /// One row to be sharpened, for [`Instructions::run`](super::Instructions).
 pub(crate) struct SharpenRow<'a> {
     pub sums: &'a [i64],
-    pub plan: &'a Plan,
+    pub plan: &'a ImagePlan,
     pub row: usize,
     pub columns: (usize, usize),
     pub alpha: f64,

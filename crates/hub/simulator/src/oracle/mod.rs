@@ -9,7 +9,7 @@ use messages::{
 };
 use scene::{Drives, Mode};
 
-use crate::plan::{MS, Plan};
+use crate::plan::{MS, SchedulePlan};
 use crate::plant::{ChainPlant, INVALID_FROM, UNCUT, UNCUT_TICKS};
 use controllers::Slot;
 
@@ -40,7 +40,7 @@ pub mod x_ray;
 /// Model of the run.
 #[derive(Debug, Default)]
 pub struct Oracle {
-    plan: Plan,
+    plan: SchedulePlan,
     drives: Vec<Vec<Drives>>,
     /// The first violated rule.
     pub failure: Option<String>,
@@ -106,7 +106,7 @@ pub struct PlantPlan {
 
 impl Oracle {
     /// Creates the model of a plan whose controllers drive these parts.
-    pub fn new(plan: &Plan, drives: &[Vec<Drives>], now_ns: u64) -> Oracle {
+    pub fn new(plan: &SchedulePlan, drives: &[Vec<Drives>], now_ns: u64) -> Oracle {
         Oracle {
             plan: plan.clone(),
             drives: drives.to_vec(),

@@ -4,7 +4,7 @@ use delivery::x_ray::FrameMark;
 use messages::{ControllerIndex, Tick};
 use scene::Mode;
 
-use crate::plan::Plan;
+use crate::plan::SchedulePlan;
 
 /// The frames of one connection of a controller.
 #[derive(Debug, Default)]
@@ -33,7 +33,7 @@ pub struct SeenFrames {
 
 impl SeenFrames {
     /// Creates the model of a plan.
-    pub fn new(plan: &Plan) -> SeenFrames {
+    pub fn new(plan: &SchedulePlan) -> SeenFrames {
         SeenFrames {
             mode: plan.mode,
             period_ticks: plan.x_ray.period_ticks,

@@ -9,7 +9,7 @@ use messages::{DrrRequest, DrrStatus, GeometryChoice, Restores, Tick};
 use scene::Mode;
 
 use super::{RATION, RATION_NS};
-use crate::plan::Plan;
+use crate::plan::SchedulePlan;
 use crate::x_ray_plan::SentRequest;
 
 /// Jobs that wait for the renderer. One more is being rendered, and in lockstep a blocked process holds one
@@ -58,7 +58,7 @@ impl VoxelSet {
 /// A model of the frames, kept in parallel to [`delivery::x_ray`].
 #[derive(Debug, Default)]
 pub struct FrameAccount {
-    plan: Plan,
+    plan: SchedulePlan,
     /// The first violated rule.
     pub failure: Option<String>,
     /// Whether the DRR process's queue of removed voxels overflowed.
@@ -87,7 +87,7 @@ pub struct FrameAccount {
 
 impl FrameAccount {
     /// Creates the model of a plan.
-    pub fn new(plan: &Plan) -> FrameAccount {
+    pub fn new(plan: &SchedulePlan) -> FrameAccount {
         FrameAccount { plan: plan.clone(), ..FrameAccount::default() }
     }
 

@@ -12,7 +12,7 @@ use crate::plan::reference::settings_of;
 
 /// Parts of a table: only loads that occur in the scene are measured.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Part {
+pub enum CaseGroup {
     /// Weight, loads on the burr, feeds and gentle pulls in free space.
     Gentle,
     /// A wall in the tool's path.
@@ -23,14 +23,14 @@ pub enum Part {
     Bone,
 }
 
-impl Part {
+impl CaseGroup {
     /// Its name in the hash of a table.
     pub const fn name(self) -> &'static str {
         match self {
-            Part::Gentle => "gentle",
-            Part::Bodies => "bodies",
-            Part::Hard => "hard",
-            Part::Bone => "bone",
+            CaseGroup::Gentle => "gentle",
+            CaseGroup::Bodies => "bodies",
+            CaseGroup::Hard => "hard",
+            CaseGroup::Bone => "bone",
         }
     }
 }
@@ -122,13 +122,13 @@ impl Case {
 ///
 /// # Errors
 /// Bad input: the reference refuses the tool.
-pub fn cases(tool: &OwnTool, part: Part) -> Result<Vec<Case>, Failure> {
+pub fn cases(tool: &OwnTool, part: CaseGroup) -> Result<Vec<Case>, Failure> {
     let pull_s = tool.pull_s()?;
     Ok(match part {
-        Part::Gentle => gentle(tool, pull_s),
-        Part::Bodies => vec![against_a_wall(tool, pull_s)?],
-        Part::Hard => hard(tool, pull_s),
-        Part::Bone => bone(tool),
+        CaseGroup::Gentle => gentle(tool, pull_s),
+        CaseGroup::Bodies => vec![against_a_wall(tool, pull_s)?],
+        CaseGroup::Hard => hard(tool, pull_s),
+        CaseGroup::Bone => bone(tool),
     })
 }
 

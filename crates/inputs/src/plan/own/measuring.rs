@@ -11,7 +11,7 @@ use nalgebra::Vector3;
 use simulation::manipulator::Rung;
 
 use super::candidates;
-use super::cases::{Case, Part, cases};
+use super::cases::{Case, CaseGroup, cases};
 use super::tool::OwnTool;
 use crate::failure::Failure;
 use crate::plan::measure::against::{ComparisonError, References, Run, against_reference, distance_mm};
@@ -55,7 +55,7 @@ struct Off {
 /// Bad input: the reference refuses or loses the tool, or the tool does not come to rest.
 pub fn measure(
     tool: &OwnTool,
-    part: Part,
+    part: CaseGroup,
     settings: &[Settings],
     mut tell: impl FnMut(usize, usize),
 ) -> Result<Vec<Row>, Failure> {
@@ -76,8 +76,8 @@ pub fn measure(
     // The result must not depend on the order in which threads end.
     all.sort_by_key(|found| found.number);
     let rows: Vec<Row> = settings.iter().map(|settings| row(settings, part, &cases, &all)).collect();
-    let path_mm = |row: &Row| if part == Part::Bone { row.drilled_path_mm } else { row.free_path_mm };
-    if part != Part::Hard && rows.iter().all(|row| !path_mm(row).is_finite()) {
+    let path_mm = |row: &Row| if part == CaseGroup::Bone { row.drilled_path_mm } else { row.free_path_mm };
+    if part != CaseGroup::Hard && rows.iter().all(|row| !path_mm(row).is_finite()) {
         let lost = all.iter().find_map(|found| found.lost.clone());
         return Err(refusal(tool, &lost.unwrap_or_else(|| "all settings lose it".to_owned())));
     }
@@ -192,7 +192,7 @@ fn comes_to_rest(burr_m: &[Vector3<f64>]) -> bool {
     farthest_mm(last, tail) <= (SWINGING_SHARE * farthest_mm(first, burr_m)).max(STILL_MM)
 }
 
-fn row(settings: &Settings, part: Part, cases: &[Case], all: &[Found]) -> Row {
+fn row(settings: &Settings, part: CaseGroup, cases: &[Case], all: &[Found]) -> Row {
     let of: Vec<(&Case, &Off)> = all
         .iter()
         .flat_map(|found| found.off.iter().map(|(settings, off)| (&cases[found.number], settings, off)))
@@ -206,9 +206,9 @@ fn row(settings: &Settings, part: Part, cases: &[Case], all: &[Found]) -> Row {
     let (path_mm, end_mm) = (worst(|off| off.path_mm), worst(|off| off.end_mm));
     let row = Row::unmeasured(*settings);
     match part {
-        Part::Gentle | Part::Bodies => Row { rest_mm: end_mm, free_path_mm: path_mm, ..row },
-        Part::Hard => Row { hard_rest_mm: end_mm, hard_path_mm: path_mm, ..row },
-        Part::Bone => Row { drilled_path_mm: path_mm, grid_path_mm: grid_mm(&of), ..row },
+        CaseGroup::Gentle | CaseGroup::Bodies => Row { rest_mm: end_mm, free_path_mm: path_mm, ..row },
+        CaseGroup::Hard => Row { hard_rest_mm: end_mm, hard_path_mm: path_mm, ..row },
+        CaseGroup::Bone => Row { drilled_path_mm: path_mm, grid_path_mm: grid_mm(&of), ..row },
     }
 }
 

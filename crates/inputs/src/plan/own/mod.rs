@@ -1,6 +1,6 @@
 //! The table of a scene's own tool, measured on first use and cached.
 //!
-//! Only loads that occur in the scene are measured ([`cases::Part`]), each part cached separately under the
+//! Only loads that occur in the scene are measured ([`cases::CaseGroup`]), each part cached separately under the
 //! hash of the whole tool description, of the part and of this build. Costs are estimated
 //! ([`candidates::cost`]), so the rows do not depend on the machine.
 
@@ -20,7 +20,7 @@ use super::table::{OWN_LINKS, Row, Settings, read, write};
 use crate::cache::text::TextKey;
 use crate::cache::{Cache, place, remark};
 use crate::failure::Failure;
-use cases::Part;
+use cases::CaseGroup;
 pub use tool::OwnTool;
 
 /// Version of the measuring method: part of a table's hash, besides the build.
@@ -78,17 +78,17 @@ impl Table {
         for part in parts(scene) {
             for (row, measured) in rows.iter_mut().zip(kept_or_measured(&tool, part, &settings, cache)?) {
                 match part {
-                    Part::Gentle => {
+                    CaseGroup::Gentle => {
                         (row.rest_mm, row.free_path_mm) = (measured.rest_mm, measured.free_path_mm);
                     }
-                    Part::Bodies => {
+                    CaseGroup::Bodies => {
                         row.rest_mm = larger(row.rest_mm, measured.rest_mm);
                         row.free_path_mm = larger(row.free_path_mm, measured.free_path_mm);
                     }
-                    Part::Hard => {
+                    CaseGroup::Hard => {
                         (row.hard_rest_mm, row.hard_path_mm) = (measured.hard_rest_mm, measured.hard_path_mm);
                     }
-                    Part::Bone => {
+                    CaseGroup::Bone => {
                         (row.drilled_path_mm, row.grid_path_mm) =
                             (measured.drilled_path_mm, measured.grid_path_mm);
                     }
@@ -108,12 +108,12 @@ pub(super) fn settings(scene: &Scene) -> Result<Vec<Settings>, Failure> {
     candidates::settings(&tool)
 }
 
-fn parts(scene: &Scene) -> impl Iterator<Item = Part> {
+fn parts(scene: &Scene) -> impl Iterator<Item = CaseGroup> {
     let load = Load::of(scene);
-    let bodies = (!scene.body.is_empty()).then_some(Part::Bodies);
-    let hard = (load.pull == Pull::Hard).then_some(Part::Hard);
-    let bone = load.bone.then_some(Part::Bone);
-    [Some(Part::Gentle), bodies, hard, bone].into_iter().flatten()
+    let bodies = (!scene.body.is_empty()).then_some(CaseGroup::Bodies);
+    let hard = (load.pull == Pull::Hard).then_some(CaseGroup::Hard);
+    let bone = load.bone.then_some(CaseGroup::Bone);
+    [Some(CaseGroup::Gentle), bodies, hard, bone].into_iter().flatten()
 }
 
 /// A row with the values that do not depend on the tool: its estimated costs, and how a sphere rests on a
@@ -129,7 +129,7 @@ fn unmeasured(settings: &Settings, standard: &[Row]) -> Row {
 /// The rows of a part, in the order of the settings.
 fn kept_or_measured(
     tool: &OwnTool,
-    part: Part,
+    part: CaseGroup,
     settings: &[Settings],
     cache: Option<&Cache>,
 ) -> Result<Vec<Row>, Failure> {
@@ -167,12 +167,12 @@ fn kept(cache: &Cache, key: TextKey, settings: &[Settings]) -> Option<Vec<Row>> 
 }
 
 /// Reports the progress of measuring from time to time.
-fn progress(tool: &OwnTool, part: Part) -> impl FnMut(usize, usize) {
+fn progress(tool: &OwnTool, part: CaseGroup) -> impl FnMut(usize, usize) {
     let what = match part {
-        Part::Gentle => "in free space",
-        Part::Bodies => "against a wall",
-        Part::Hard => "under hard pulls",
-        Part::Bone => "in bone",
+        CaseGroup::Gentle => "in free space",
+        CaseGroup::Bodies => "against a wall",
+        CaseGroup::Hard => "under hard pulls",
+        CaseGroup::Bone => "in bone",
     };
     let (name, mut said) = (tool.name.clone(), None::<Instant>);
     move |done, all| {

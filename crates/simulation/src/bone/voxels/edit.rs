@@ -6,7 +6,7 @@ use crate::bone::BoneError;
 use crate::bone::drilling::{GONE, is_ended};
 use crate::bone::grid::VoxelIndex;
 use crate::bone::occupancy::VoxelBox;
-use crate::bone::strength::Place;
+use crate::bone::strength::PoolIndex;
 
 /// One tick of drilling. On drop, it records the changes in the journal.
 pub(in crate::bone) struct Drilling<'v> {
@@ -31,14 +31,14 @@ impl Drop for Drilling<'_> {
 impl Drilling<'_> {
     /// Returns the place of the voxel's spent fraction, taking a block if needed; `None` if there are no
     /// more.
-    pub fn claim(&mut self, voxel: VoxelIndex) -> Option<Place> {
+    pub fn claim(&mut self, voxel: VoxelIndex) -> Option<PoolIndex> {
         self.voxels.pool.claim(self.voxels.geometry.voxel(voxel))
     }
 
     /// Sets the spent fraction of a voxel, given by index and by its position along each axis; returns the
     /// value set.
     #[inline]
-    pub fn cut(&mut self, voxel: VoxelIndex, at: [i64; 3], place: Place, spent: f64) -> f64 {
+    pub fn cut(&mut self, voxel: VoxelIndex, at: [i64; 3], place: PoolIndex, spent: f64) -> f64 {
         self.changed.cut = self.changed.cut.with(at);
         self.set(voxel, place, spent)
     }
@@ -72,7 +72,7 @@ impl Drilling<'_> {
 
     /// Sets the spent fraction of a voxel in a box recorded by [`Self::note_cuts`]; returns the value set.
     #[inline(always)]
-    pub fn set(&mut self, voxel: VoxelIndex, place: Place, spent: f64) -> f64 {
+    pub fn set(&mut self, voxel: VoxelIndex, place: PoolIndex, spent: f64) -> f64 {
         let spent = if spent > GONE { self.pass(voxel, place, spent) } else { spent };
         if self.voxels.pool.set(place, spent) {
             self.note_first_cut(place);
@@ -82,7 +82,7 @@ impl Drilling<'_> {
 
     /// Queues a voxel that is now gone, and empties one that is fully spent. Returns the fraction to set: if
     /// the queue is full, the voxel keeps half and is removed in a later tick.
-    fn pass(&mut self, voxel: VoxelIndex, place: Place, spent: f64) -> f64 {
+    fn pass(&mut self, voxel: VoxelIndex, place: PoolIndex, spent: f64) -> f64 {
         if self.voxels.pool.spent_at(place) <= GONE {
             if !self.has_room() {
                 return GONE;
@@ -98,7 +98,7 @@ impl Drilling<'_> {
     }
 
     #[cold]
-    fn note_first_cut(&mut self, place: Place) {
+    fn note_first_cut(&mut self, place: PoolIndex) {
         if let Some(voxel) = self.voxels.pool.voxel_at(place) {
             self.voxels.whole.empty(voxel);
             self.voxels.journal.note_first_cut(voxel.map(|x| x as i64));

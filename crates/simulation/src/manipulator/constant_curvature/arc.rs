@@ -17,7 +17,7 @@ pub(super) struct Arc {
 
 /// A point on the tool axis in the bending plane, (x, z), and its derivatives with respect to the bend.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Place {
+pub(super) struct AxisPoint {
     pub point: [f64; 2],
     pub first: [f64; 2],
     pub second: [f64; 2],
@@ -33,15 +33,15 @@ impl Arc {
     }
 
     /// Returns the point at `z_m` on the straight tool, after bending by `bend_rad`.
-    pub fn place(&self, z_m: f64, bend_rad: f64) -> Place {
+    pub fn place(&self, z_m: f64, bend_rad: f64) -> AxisPoint {
         let along = z_m - self.start_m;
         if along <= 0.0 {
-            return Place { point: [0.0, z_m], first: [0.0; 2], second: [0.0; 2], share: 0.0 };
+            return AxisPoint { point: [0.0, z_m], first: [0.0; 2], second: [0.0; 2], share: 0.0 };
         }
         let share = (along / self.length_m).min(1.0);
         let ([x, z], [x1, z1], [x2, z2]) = unit_arc(share, bend_rad);
         let l = self.length_m;
-        let mut place = Place {
+        let mut place = AxisPoint {
             point: [l * x, self.start_m + l * z],
             first: [l * x1, l * z1],
             second: [l * x2, l * z2],

@@ -5,7 +5,7 @@ use nalgebra::{Matrix4, Vector3, Vector4};
 
 use super::{ConstantCurvature, mass_matrix};
 use crate::manipulator::ManipulatorModel;
-use crate::manipulator::contact::{BaseDrive, Place};
+use crate::manipulator::contact::{BaseDrive, ContactPlacement};
 use crate::manipulator::error::ManipulatorError;
 use crate::manipulator::loads::Frame;
 use crate::manipulator::state::{StepInput, StepReport, TendonCommand};
@@ -170,7 +170,11 @@ impl ConstantCurvature {
                 let point = Vector3::new(q[0] + place.point[0], q[1], q[2] + place.point[1]) + lever;
                 let per_bend = Vector3::new(place.first[0], 0.0, place.first[1])
                     + Vector3::y().cross(&lever) * place.share;
-                Place { link: 0, point, force: direction.map(|d| [d.x, d.y, d.z, d.dot(&per_bend)]) }
+                ContactPlacement {
+                    link: 0,
+                    point,
+                    force: direction.map(|d| [d.x, d.y, d.z, d.dot(&per_bend)]),
+                }
             },
         );
         let from_rest = q[BEND] - self.rest_rad;

@@ -4,7 +4,7 @@ use nalgebra::Vector3;
 
 use super::MomentModes;
 use super::step::plus;
-use crate::manipulator::contact::{BaseDrive, Place};
+use crate::manipulator::contact::{BaseDrive, ContactPlacement};
 use crate::manipulator::geometry::SphereLayout;
 use crate::manipulator::pressing::force;
 use crate::manipulator::state::{StepInput, StepReport};
@@ -104,7 +104,7 @@ impl<const N: usize> MomentModes<N> {
                     out[1] += across;
                     out
                 });
-                Place { link: 0, point, force }
+                ContactPlacement { link: 0, point, force }
             },
         );
         if solver.is_empty() {

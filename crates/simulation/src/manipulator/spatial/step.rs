@@ -8,7 +8,7 @@ use super::energy::{FRAME_SHARE, LoadWork, tendon_share};
 use super::layout::SpatialLayout;
 use super::tendon::Motion;
 use crate::manipulator::ManipulatorModel;
-use crate::manipulator::contact::{BaseDrive, Place};
+use crate::manipulator::contact::{BaseDrive, ContactPlacement};
 use crate::manipulator::error::ManipulatorError;
 use crate::manipulator::geometry::SphereLayout;
 use crate::manipulator::loads::Frame;
@@ -236,7 +236,11 @@ impl<const D: usize> SpatialChain<D> {
             |sphere, direction| {
                 let SphereLayout { link, along_m, radius_m, .. } = step.spheres[sphere];
                 let point = configuration.point(link, along_m) - direction[0] * radius_m;
-                Place { link, point, force: direction.map(|d| force_at(&point, &Vector3::zeros(), &d)) }
+                ContactPlacement {
+                    link,
+                    point,
+                    force: direction.map(|d| force_at(&point, &Vector3::zeros(), &d)),
+                }
             },
         );
         let law = self.common.parameters.stop_law();
