@@ -23,6 +23,8 @@ use super::volume_source::{self, VolumeFiles};
 use crate::report::{NOT_SHARED, RunFacts};
 
 const POLL_PERIOD: Duration = Duration::from_millis(20);
+/// Time that the physics takes at most from closing its ports to its exit, on a loaded machine.
+const PHYSICS_EXIT_TIME: Duration = Duration::from_secs(1);
 
 /// Configuration of a run.
 #[derive(Debug, Clone)]
@@ -318,7 +320,8 @@ impl Running<'_> {
     fn part_ended(&mut self, index: usize) -> Result<Option<Outcome>, RunError> {
         // The physics publishes the end before any part can exit because of it.
         self.subscriptions.poll()?;
-        let run_has_ended = self.subscriptions.has_ended();
+        let succeeded = self.parts[index].ended().is_some_and(|status| status.success());
+        let run_has_ended = self.subscriptions.has_ended() || (succeeded && self.physics_ends()?);
         let tick = self.subscriptions.state.as_ref().map_or(Tick::START, |state| Tick(state.tick));
         let run = if run_has_ended { RunState::Ended } else { RunState::Open };
         let goes_on = match run {
@@ -332,11 +335,31 @@ impl Running<'_> {
         Ok(Some(self.blamed(&outcome).unwrap_or_else(|| self.told_apart(outcome))))
     }
 
+    /// Returns whether the physics reports the end of the run or exits successfully within
+    /// [`PHYSICS_EXIT_TIME`]. The transport drops unread messages with their sender, so the report is lost if
+    /// the physics closes its ports before the next poll: the end of a short run was then taken for the early
+    /// end of a controller.
+    fn physics_ends(&mut self) -> Result<bool, RunError> {
+        let limit = Instant::now() + PHYSICS_EXIT_TIME;
+        loop {
+            let mut physics = self.parts.iter_mut().filter(|part| part.name == PHYSICS);
+            let has_exited = physics.any(|part| part.ended().is_some_and(|status| status.success()));
+            if has_exited || self.subscriptions.has_ended() {
+                return Ok(true);
+            }
+            if Instant::now() >= limit {
+                return Ok(false);
+            }
+            std::thread::sleep(POLL_PERIOD);
+            self.subscriptions.poll()?;
+        }
+    }
+
     /// Returns the outcome if the physics ended the run because of a controller or the simulation.
     fn blamed(&self, outcome: &Outcome) -> Option<Outcome> {
         let is_end = match outcome {
             Outcome::PartDied { name, .. } => name == PHYSICS || self.subscriptions.has_ended(),
-            _ => self.subscriptions.has_ended(),
+            _ => true,
         };
         let mut blame = self.hub.host.session.blame().filter(|_| is_end)?;
         let Some(name) = &blame.controller else { return Some(Outcome::SimulationFailed(blame.text)) };

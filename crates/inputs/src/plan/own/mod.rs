@@ -1,7 +1,7 @@
 //! The table of a scene's own tool, measured on first use and cached.
 //!
-//! Only loads that occur in the scene are measured ([`cases::CaseGroup`]), each part cached separately under the
-//! hash of the whole tool description, of the part and of this build. Costs are estimated
+//! Only loads that occur in the scene are measured ([`cases::CaseGroup`]), each part cached separately under
+//! the hash of the whole tool description, of the part and of this build. Costs are estimated
 //! ([`candidates::cost`]), so the rows do not depend on the machine.
 
 mod candidates;
