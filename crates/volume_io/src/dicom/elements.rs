@@ -1,50 +1,62 @@
 //! The elements of a data set that the reader uses.
 
+use crate::text_header::text_of;
 use std::collections::BTreeMap;
+use std::fmt;
 use std::ops::Range;
 
+/// Group and number of an element.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) struct Tag(pub u16, pub u16);
+
+impl fmt::Display for Tag {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "({:04x},{:04x})", self.0, self.1)
+    }
+}
+
 /// Every element that is used, with its VR in DICOM PS3.6, for files that do not state it.
-const USED: [((u16, u16), &[u8; 2]); 31] = [
-    ((0x0008, 0x0008), b"CS"),
-    ((0x0008, 0x0018), b"UI"),
-    ((0x0008, 0x0060), b"CS"),
-    ((0x0008, 0x103e), b"LO"),
-    ((0x0018, 0x0050), b"DS"),
-    ((0x0018, 0x1060), b"DS"),
-    ((0x0018, 0x1120), b"DS"),
-    ((0x0020, 0x000e), b"UI"),
-    ((0x0020, 0x0012), b"IS"),
-    ((0x0020, 0x0032), b"DS"),
-    ((0x0020, 0x0037), b"DS"),
-    ((0x0020, 0x0100), b"IS"),
-    ((0x0020, 0x9113), b"SQ"),
-    ((0x0020, 0x9116), b"SQ"),
-    ((0x0028, 0x0002), b"US"),
-    ((0x0028, 0x0004), b"CS"),
-    ((0x0028, 0x0008), b"IS"),
-    ((0x0028, 0x0010), b"US"),
-    ((0x0028, 0x0011), b"US"),
-    ((0x0028, 0x0030), b"DS"),
-    ((0x0028, 0x0100), b"US"),
-    ((0x0028, 0x0101), b"US"),
-    ((0x0028, 0x0102), b"US"),
-    ((0x0028, 0x0103), b"US"),
+const USED: &[(Tag, &[u8; 2])] = &[
+    (Tag(0x0008, 0x0008), b"CS"),
+    (Tag(0x0008, 0x0018), b"UI"),
+    (Tag(0x0008, 0x0060), b"CS"),
+    (Tag(0x0008, 0x103e), b"LO"),
+    (Tag(0x0018, 0x0050), b"DS"),
+    (Tag(0x0018, 0x1060), b"DS"),
+    (Tag(0x0018, 0x1120), b"DS"),
+    (Tag(0x0020, 0x000e), b"UI"),
+    (Tag(0x0020, 0x0012), b"IS"),
+    (Tag(0x0020, 0x0032), b"DS"),
+    (Tag(0x0020, 0x0037), b"DS"),
+    (Tag(0x0020, 0x0100), b"IS"),
+    (Tag(0x0020, 0x9113), b"SQ"),
+    (Tag(0x0020, 0x9116), b"SQ"),
+    (Tag(0x0028, 0x0002), b"US"),
+    (Tag(0x0028, 0x0004), b"CS"),
+    (Tag(0x0028, 0x0008), b"IS"),
+    (Tag(0x0028, 0x0010), b"US"),
+    (Tag(0x0028, 0x0011), b"US"),
+    (Tag(0x0028, 0x0030), b"DS"),
+    (Tag(0x0028, 0x0100), b"US"),
+    (Tag(0x0028, 0x0101), b"US"),
+    (Tag(0x0028, 0x0102), b"US"),
+    (Tag(0x0028, 0x0103), b"US"),
     // US or SS: as the pixels.
-    ((0x0028, 0x0120), b"US"),
-    ((0x0028, 0x0121), b"US"),
-    ((0x0028, 0x1052), b"DS"),
-    ((0x0028, 0x1053), b"DS"),
-    ((0x0028, 0x1054), b"LO"),
-    ((0x0028, 0x3000), b"SQ"),
-    ((0x0028, 0x9110), b"SQ"),
+    (Tag(0x0028, 0x0120), b"US"),
+    (Tag(0x0028, 0x0121), b"US"),
+    (Tag(0x0028, 0x1052), b"DS"),
+    (Tag(0x0028, 0x1053), b"DS"),
+    (Tag(0x0028, 0x1054), b"LO"),
+    (Tag(0x0028, 0x3000), b"SQ"),
+    (Tag(0x0028, 0x9110), b"SQ"),
+    (Tag(0x0028, 0x9145), b"SQ"),
+    (Tag(0x5200, 0x9229), b"SQ"),
+    (Tag(0x5200, 0x9230), b"SQ"),
 ];
-/// The rest of them, of the enhanced images.
-const USED_BY_FRAMES: [((u16, u16), &[u8; 2]); 3] =
-    [((0x0028, 0x9145), b"SQ"), ((0x5200, 0x9229), b"SQ"), ((0x5200, 0x9230), b"SQ")];
 
 /// The VR of a used element in PS3.6; `None` if the element is not used.
-pub(super) fn used_vr(tag: (u16, u16)) -> Option<&'static [u8; 2]> {
-    USED.iter().chain(&USED_BY_FRAMES).find(|(used, _)| *used == tag).map(|(_, vr)| *vr)
+pub(super) fn used_vr(tag: Tag) -> Option<&'static [u8; 2]> {
+    USED.iter().find(|(used, _)| *used == tag).map(|(_, vr)| *vr)
 }
 
 /// The value of an element.
@@ -58,14 +70,14 @@ pub(super) enum Value {
 
 /// The used elements of a data set, or of an item in a sequence.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Elements(BTreeMap<(u16, u16), Value>);
+pub(super) struct Elements(BTreeMap<Tag, Value>);
 
 impl Elements {
-    pub fn insert(&mut self, tag: (u16, u16), value: Value) {
+    pub fn insert(&mut self, tag: Tag, value: Value) {
         self.0.insert(tag, value);
     }
 
-    pub fn get(&self, tag: (u16, u16)) -> Option<&Value> {
+    pub fn get(&self, tag: Tag) -> Option<&Value> {
         self.0.get(&tag)
     }
 }
@@ -101,9 +113,6 @@ pub(super) fn text(vr: [u8; 2], big_endian: bool, bytes: &[u8]) -> Result<String
         b"UV" => words(bytes, big_endian, |w| u64::from_le_bytes(w).to_string()),
         b"SV" => words(bytes, big_endian, |w| i64::from_le_bytes(w).to_string()),
         // Texts other than UTF-8 and Latin-1 are shown in the latter; none of them decides anything.
-        _ => Ok(match std::str::from_utf8(bytes) {
-            Ok(text) => text.to_owned(),
-            Err(_) => bytes.iter().map(|byte| char::from(*byte)).collect(),
-        }),
+        _ => Ok(text_of(bytes)),
     }
 }

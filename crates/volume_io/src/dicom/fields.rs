@@ -1,12 +1,8 @@
 //! Elements of a DICOM data set as text and numbers.
 
-use super::elements::{self, Elements, Value};
+use super::elements::{self, Elements, Tag, Value};
 use crate::error::{Field, VolumeError};
 use std::path::Path;
-
-/// Group and number of an element.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Tag(pub u16, pub u16);
 
 /// Longest value that is read, bytes: a position in digits takes a hundredth of it.
 const MAX_VALUE_BYTES: usize = 1 << 14;
@@ -22,15 +18,13 @@ pub(super) struct Fields<'a> {
 
 impl<'a> Fields<'a> {
     pub fn wrong(&self, tag: Tag, name: &str, given: String, expected: &str) -> VolumeError {
-        let name = format!("({:04x},{:04x}) {name}", tag.0, tag.1);
+        let name = format!("{tag} {name}");
         VolumeError::header(self.path, name.trim_end(), given, expected)
     }
 
     /// The value as text; `None` if the element is absent or empty.
     pub fn text(&self, tag: Tag) -> Result<Option<String>, VolumeError> {
-        let Some(Value::Bytes { vr, big_endian, range }) = self.elements.get((tag.0, tag.1)) else {
-            return Ok(None);
-        };
+        let Some(Value::Bytes { vr, big_endian, range }) = self.elements.get(tag) else { return Ok(None) };
         if range.len() > MAX_VALUE_BYTES {
             let expected = format!("at most {MAX_VALUE_BYTES} bytes");
             return Err(self.wrong(tag, "", format!("{} bytes", range.len()), &expected));
@@ -74,7 +68,7 @@ impl<'a> Fields<'a> {
                 format!("{samples}, {photometric}"),
             )));
         }
-        if self.elements.get((0x0028, 0x3000)).is_some() {
+        if self.elements.get(Tag(0x0028, 0x3000)).is_some() {
             return Err(VolumeError::unsupported(
                 self.path,
                 "(0028,3000) ModalityLUTSequence",
@@ -86,13 +80,16 @@ impl<'a> Fields<'a> {
     }
 
     /// The items of a sequence; empty if it is absent.
-    pub fn items(&self, tag: Tag) -> Vec<Fields<'a>> {
-        let Some(Value::Items(items)) = self.elements.get((tag.0, tag.1)) else { return Vec::new() };
-        items.iter().map(|elements| Fields { elements, ..*self }).collect()
+    pub fn items(self, tag: Tag) -> impl ExactSizeIterator<Item = Fields<'a>> {
+        let items = match self.elements.get(tag) {
+            Some(Value::Items(items)) => items.as_slice(),
+            _ => &[],
+        };
+        items.iter().map(move |elements| Fields { elements, ..self })
     }
 
     /// The single item of a sequence; `None` if it is absent or empty.
     pub fn item(&self, tag: Tag) -> Option<Fields<'a>> {
-        self.items(tag).into_iter().next()
+        self.items(tag).next()
     }
 }

@@ -5,7 +5,7 @@
 
 use super::elements::Elements;
 use super::fields::Fields;
-use super::scan::{self, Meta, Pixels, Transfer, Vr};
+use super::scan::{self, Meta, Pixels, Transfer};
 use crate::error::VolumeError;
 use crate::input;
 use dicom_core::VR;
@@ -53,12 +53,12 @@ fn start(head: &[u8]) -> Option<Start> {
     {
         return None;
     }
+    // A VR after the first tag means explicit VRs (PS3.5 section 7.1).
     if VR::from_binary([v0, v1]).is_some() {
-        return Some(Start::DataSet(scan::bare(Vr::Explicit)));
+        return Some(Start::DataSet(scan::EXPLICIT));
     }
     let length = u32::from_le_bytes([v0, v1, l0, l1]);
-    ((2..=256).contains(&length) && length.is_multiple_of(2))
-        .then(|| Start::DataSet(scan::bare(Vr::Implicit)))
+    ((2..=256).contains(&length) && length.is_multiple_of(2)).then_some(Start::DataSet(scan::IMPLICIT))
 }
 
 /// Whether a file that begins with these bytes has DICOM's preamble (PS3.10 section 7.1).

@@ -2,7 +2,7 @@
 
 use super::file::{HEAD_BYTES, is_dicom};
 use super::series::assemble;
-use super::slice::{Identity, Images, Slice, identify, read_headers};
+use super::slice::{Identity, Images, Slice, identify};
 use crate::error::{Field, VolumeError};
 use crate::input::{self, Codec, DataFiles, folder_of};
 use crate::options::ReadOptions;
@@ -27,13 +27,15 @@ pub(crate) fn read_folder(folder: &Path, options: &ReadOptions) -> Result<(Volum
     let found = Found::of(folder, options, 0)?;
     let mut series: BTreeMap<String, Series> = BTreeMap::new();
     let (mut others, mut localizers) = (found.others, 0);
-    let mut damaged = Damaged::default();
+    let (mut damaged, mut slices) = (Damaged::default(), 0);
     for file in found.files {
         let Some(identity) = damaged.identify(&file)? else { continue };
         match identity.images {
             Images::None => others += 1,
             Images::Localizer => localizers += 1,
             Images::Frames(frames) => {
+                slices += identity.slices.as_ref().map_or(0, Vec::len);
+                check_count(folder, slices)?;
                 let uid = match choice {
                     Some(Choice { uid: ALL, .. }) => ALL.to_owned(),
                     _ => identity.series_uid.clone(),
@@ -67,8 +69,8 @@ pub(crate) fn read_folder(folder: &Path, options: &ReadOptions) -> Result<(Volum
         notes.push(format!("{localizers} localizers ignored"));
     }
     let mut stack = Stack::default();
-    for file in chosen.files {
-        stack.add(&file)?;
+    for (file, slices) in chosen.files {
+        stack.add(&file, slices?)?;
     }
     let slices = stack.finish(folder, choice.and_then(|choice| choice.phase), &mut notes)?;
     assemble(folder, slices, options.slices, notes)
@@ -158,8 +160,7 @@ struct Stack {
 
 impl Stack {
     /// Adds the slices of a file, unless it is a copy of an earlier one.
-    fn add(&mut self, file: &Path) -> Result<(), VolumeError> {
-        let slices = read_headers(file)?;
+    fn add(&mut self, file: &Path, slices: Vec<Slice>) -> Result<(), VolumeError> {
         if let Some(uid) = slices.first().and_then(|slice| slice.sop_instance_uid.clone()) {
             if let Some(earlier) = self.instances.get(&uid) {
                 let bytes = |path: &Path| std::fs::read(path).map_err(input::io_error(path, "read"));
@@ -216,10 +217,11 @@ fn phases(slices: &[Slice]) -> Vec<Vec<Slice>> {
     if apart(slices) {
         return Vec::new();
     }
-    let number = |text: &Option<String>| text.as_ref()?.parse::<f64>().ok();
+    // Without NaN, which is in no order with the others.
+    let number = |text: &Option<String>| text.as_ref()?.parse::<f64>().ok().filter(|n| !n.is_nan());
     let stated = |a: &Slice, b: &Slice| {
         let each = a.phase.iter().zip(&b.phase);
-        let order = each.map(|(a, b)| number(a).partial_cmp(&number(b)).unwrap_or_else(|| a.cmp(b)));
+        let order = each.map(|(a, b)| number(a).partial_cmp(&number(b)).unwrap_or(Ordering::Equal));
         order.fold(Ordering::Equal, Ordering::then)
     };
     let filed = |a: &Slice, b: &Slice| (a.frames.min(2), &a.path).cmp(&(b.frames.min(2), &b.path));
@@ -308,7 +310,7 @@ pub(crate) fn read_file(path: &Path, options: &ReadOptions) -> Result<(Volume, V
         });
     }
     let mut stack = Stack::default();
-    stack.add(path)?;
+    stack.add(path, identity.slices?)?;
     let mut notes = Vec::new();
     if !uid.is_empty() && identity.images != Images::Localizer {
         let folder = folder_of(path);
@@ -318,11 +320,12 @@ pub(crate) fn read_file(path: &Path, options: &ReadOptions) -> Result<(Volume, V
         let (mut localizers, mut damaged) = (0, Damaged::default());
         for file in found.files.into_iter().filter(|file| file.file_name() != own_name) {
             let other = damaged.identify(&file)?.filter(|other| other.series_uid == uid);
-            match other.map(|other| other.images) {
-                None | Some(Images::None) => {}
-                Some(Images::Localizer) => localizers += 1,
-                Some(Images::Frames(_)) => stack.add(&file)?,
+            match other {
+                Some(Identity { images: Images::Localizer, .. }) => localizers += 1,
+                Some(Identity { images: Images::Frames(_), slices, .. }) => stack.add(&file, slices?)?,
+                _ => {}
             }
+            check_count(folder, stack.slices.len())?;
         }
         notes = damaged.refuse_series(uid)?;
         if localizers > 0 {
@@ -336,7 +339,7 @@ pub(crate) fn read_file(path: &Path, options: &ReadOptions) -> Result<(Volume, V
 /// The files of one series.
 #[derive(Default)]
 struct Series {
-    files: Vec<PathBuf>,
+    files: Vec<(PathBuf, Result<Vec<Slice>, VolumeError>)>,
     slices: usize,
     modality: String,
     description: String,
@@ -345,11 +348,21 @@ struct Series {
 
 impl Series {
     fn add(&mut self, file: PathBuf, frames: usize, identity: Identity) {
-        self.files.push(file);
+        self.files.push((file, identity.slices));
         self.slices += frames;
         self.uids.insert(identity.series_uid);
         (self.modality, self.description) = (identity.modality, identity.description);
     }
+}
+
+fn too_large(folder: &Path, given: String) -> VolumeError {
+    VolumeError::unsupported(folder, "folder", given, "the folder of one study")
+}
+
+/// Refuses more slices than a folder may have files: a few bytes of an enhanced image can be a slice.
+fn check_count(folder: &Path, slices: usize) -> Result<(), VolumeError> {
+    let is_one_study = slices <= MAX_ENTRIES;
+    is_one_study.then_some(()).ok_or_else(|| too_large(folder, format!("more than {MAX_ENTRIES} slices")))
 }
 
 /// DICOM files found in a folder.
@@ -377,22 +390,12 @@ impl Found {
             let path = entry.map_err(input::io_error(folder, "list"))?.path();
             self.entries += 1;
             if self.entries > MAX_ENTRIES {
-                return Err(VolumeError::unsupported(
-                    root,
-                    "folder",
-                    format!("more than {MAX_ENTRIES} files"),
-                    "the folder of one study",
-                ));
+                return Err(too_large(root, format!("more than {MAX_ENTRIES} files")));
             }
             if path.is_dir() {
                 // A link to a folder could form a cycle.
                 if depth == MAX_DEPTH && !path.is_symlink() {
-                    return Err(VolumeError::unsupported(
-                        root,
-                        "folder",
-                        format!("folders nested more than {MAX_DEPTH} deep"),
-                        "the folder of one study",
-                    ));
+                    return Err(too_large(root, format!("folders nested more than {MAX_DEPTH} deep")));
                 }
                 if depth < MAX_DEPTH && !path.is_symlink() {
                     self.look_into(root, &path, depth + 1)?;

@@ -1,14 +1,17 @@
 //! Decodes the pixels of one frame.
 
 use super::codec;
-use super::fields::{Fields, Tag};
+use super::elements::Tag;
+use super::fields::Fields;
 use super::file::DicomFile;
 use super::jpeg2000;
 use super::scan::{PixelCodec, Pixels};
 use super::slice::Slice;
 use crate::error::VolumeError;
-use crate::scalar::{Endian, HuSink};
+use crate::input::Codec;
+use crate::scalar::{Endian, HuSink, Layout};
 use std::borrow::Cow;
+use std::ops::Range;
 use std::path::Path;
 
 const FIELD: &str = "(7fe0,0010) PixelData";
@@ -42,12 +45,7 @@ impl Bits {
     pub fn of(fields: Fields<'_>) -> Result<Bits, VolumeError> {
         let allocated = fields.number(Tag(0x0028, 0x0100), "BitsAllocated")?;
         if ![8.0, 16.0, 32.0, 64.0].contains(&allocated) {
-            return Err(VolumeError::unsupported(
-                fields.path,
-                "(0028,0100) BitsAllocated",
-                allocated.to_string(),
-                "8, 16 or 32",
-            ));
+            return Err(bad_width(fields.path, allocated));
         }
         let stored = fields.optional(Tag(0x0028, 0x0101), "BitsStored")?.unwrap_or(allocated);
         let high = fields.optional(Tag(0x0028, 0x0102), "HighBit")?.unwrap_or(stored - 1.0);
@@ -105,43 +103,31 @@ pub(super) fn append(slice: &Slice, file: &DicomFile, sink: &mut HuSink) -> Resu
         return Err(wrong(path, "no pixels".into(), "the pixels of the slice"));
     };
     let shape = Shape { rows: slice.rows, columns: slice.columns, bytes: slice.bits.allocated / 8 };
-    let bytes = |range: &std::ops::Range<usize>| &file.bytes[range.clone()];
+    if shape.bytes > 4 && !matches!(pixels, Pixels::Floats { .. }) {
+        return Err(bad_width(path, slice.bits.allocated));
+    }
+    let bytes = |range: &Range<usize>| &file.bytes[range.clone()];
     match pixels {
         Pixels::Native { value, words } => {
             if file.transfer.codec != PixelCodec::Native {
                 return Err(wrong(path, "uncompressed pixels".into(), file.transfer.name));
             }
-            let order = if *words && file.transfer.big_endian { Endian::Big } else { Endian::Little };
-            let all = little_endian(path, bytes(value), order, shape)?;
-            let frame = frame_of(path, &all, slice, shape.bytes as usize)?;
             let width = shape.bytes as usize;
+            let frame = match *words && file.transfer.big_endian {
+                false => Cow::Borrowed(&bytes(value)[frame_of(path, value.len(), slice, width)?]),
+                true => Cow::Owned(swapped_frame(path, bytes(value), slice, width)?),
+            };
             for sample in frame.chunks_exact(width) {
                 let mut word = [0; 4];
                 word[..width].copy_from_slice(sample);
                 push(slice, u32::from_le_bytes(word), sink);
             }
         }
-        Pixels::Floats(value) => {
-            for b in frame_of(path, bytes(value), slice, 4)?.chunks_exact(4) {
-                let word = [b[0], b[1], b[2], b[3]];
-                let value = if file.transfer.big_endian {
-                    f32::from_be_bytes(word)
-                } else {
-                    f32::from_le_bytes(word)
-                };
-                sink.push(f64::from(value), slice.scale);
-            }
-        }
-        Pixels::Doubles(value) => {
-            for b in frame_of(path, bytes(value), slice, 8)?.chunks_exact(8) {
-                let word = [b[0], b[1], b[2], b[3], b[4], b[5], b[6], b[7]];
-                let value = if file.transfer.big_endian {
-                    f64::from_be_bytes(word)
-                } else {
-                    f64::from_le_bytes(word)
-                };
-                sink.push(value, slice.scale);
-            }
+        Pixels::Floats { value, scalar } => {
+            let mut frame = &bytes(value)[frame_of(path, value.len(), slice, scalar.size())?];
+            let endian = if file.transfer.big_endian { Endian::Big } else { Endian::Little };
+            let layout = Layout { scalar: *scalar, endian, scale: slice.scale };
+            layout.read(path, Codec::Raw.name(), &mut frame, shape.count(), sink)?;
         }
         Pixels::Fragments { offsets, fragments } => {
             let parts: Vec<&[u8]> = fragments.iter().map(bytes).collect();
@@ -167,36 +153,36 @@ fn push(slice: &Slice, sample: u32, sink: &mut HuSink) {
     }
 }
 
+fn bad_width(path: &Path, allocated: impl ToString) -> VolumeError {
+    VolumeError::unsupported(path, "(0028,0100) BitsAllocated", allocated.to_string(), "8, 16 or 32")
+}
+
 fn wrong(path: &Path, given: String, expected: &str) -> VolumeError {
     VolumeError::header(path, FIELD, given, expected)
 }
 
-/// The bytes of uncompressed pixels in little-endian order. Words of a big-endian file are swapped (`order`
-/// is the stored order); samples of 32 bits in words have no defined order there.
-fn little_endian<'a>(
-    path: &Path,
-    bytes: &'a [u8],
-    order: Endian,
-    shape: Shape,
-) -> Result<Cow<'a, [u8]>, VolumeError> {
-    if order == Endian::Little {
-        return Ok(Cow::Borrowed(bytes));
-    }
-    if shape.bytes > 2 {
+/// The slice's frame in a big-endian file, in little-endian order: the words that hold it are swapped.
+/// Samples of 32 bits in words have no defined order there.
+fn swapped_frame(path: &Path, all: &[u8], slice: &Slice, width: usize) -> Result<Vec<u8>, VolumeError> {
+    if width > 2 {
         return Err(wrong(path, "32-bit samples in a big-endian file".into(), "a little-endian file"));
     }
-    Ok(Cow::Owned(bytes.chunks_exact(2).flat_map(|pair| [pair[1], pair[0]]).collect()))
+    let words = all.as_chunks::<2>().0;
+    let frame = frame_of(path, 2 * words.len(), slice, width)?;
+    let first = frame.start / 2;
+    let bytes = words[first..frame.end.div_ceil(2)].iter().flat_map(|[high, low]| [*low, *high]);
+    Ok(bytes.skip(frame.start - 2 * first).take(frame.len()).collect())
 }
 
-/// The bytes of the slice's frame.
-fn frame_of<'a>(path: &Path, all: &'a [u8], slice: &Slice, width: usize) -> Result<&'a [u8], VolumeError> {
-    let length = (slice.rows * slice.columns) as u64 * width as u64;
-    let start = slice.frame as u64 * length;
-    let end = start + length;
-    if end > all.len() as u64 {
-        return Err(VolumeError::truncated(path, FIELD, [all.len() as u64, end]));
+/// The place of the slice's frame in uncompressed pixels of `length` bytes.
+fn frame_of(path: &Path, length: usize, slice: &Slice, width: usize) -> Result<Range<usize>, VolumeError> {
+    let bytes = (slice.rows * slice.columns) as u64 * width as u64;
+    let start = slice.frame as u64 * bytes;
+    let end = start + bytes;
+    if end > length as u64 {
+        return Err(VolumeError::truncated(path, FIELD, [length as u64, end]));
     }
-    Ok(&all[start as usize..end as usize])
+    Ok(start as usize..end as usize)
 }
 
 /// The compressed data of the slice's frame: all fragments for a single frame, one fragment per frame, or the

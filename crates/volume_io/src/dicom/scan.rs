@@ -4,20 +4,25 @@
 //! Source: DICOM PS3.5 section 7 (data element structure, sequences, encapsulated pixel data), section 6.2.2
 //! (UN) and PS3.10 section 7 (file meta group).
 
-use super::elements::{Elements, Value, used_vr};
+use super::elements::{Elements, Tag, Value, used_vr};
 use crate::error::VolumeError;
+use crate::scalar::Scalar;
+use std::cell::Cell;
 use std::ops::Range;
 use std::path::Path;
 
 /// Deepest accepted nesting of sequences; real files stay below ten.
 const MAX_DEPTH: usize = 16;
+/// Largest number of elements and items that are collected, since each takes up to 30 times its bytes in the
+/// file: an enhanced image has 16 per frame.
+const MOST_KEPT: usize = 32 * voxel_grid::MAX_VOXELS_ALONG_AXIS;
 const UNDEFINED: u32 = 0xffff_ffff;
-const ITEM: (u16, u16) = (0xfffe, 0xe000);
-const ITEM_END: (u16, u16) = (0xfffe, 0xe00d);
-const SEQUENCE_END: (u16, u16) = (0xfffe, 0xe0dd);
-const PIXEL_DATA: (u16, u16) = (0x7fe0, 0x0010);
-const FLOAT_PIXEL_DATA: (u16, u16) = (0x7fe0, 0x0008);
-const DOUBLE_PIXEL_DATA: (u16, u16) = (0x7fe0, 0x0009);
+const ITEM: Tag = Tag(0xfffe, 0xe000);
+const ITEM_END: Tag = Tag(0xfffe, 0xe00d);
+const SEQUENCE_END: Tag = Tag(0xfffe, 0xe0dd);
+const PIXEL_DATA: Tag = Tag(0x7fe0, 0x0010);
+const FLOAT_PIXEL_DATA: Tag = Tag(0x7fe0, 0x0008);
+const DOUBLE_PIXEL_DATA: Tag = Tag(0x7fe0, 0x0009);
 
 /// How a supported file stores its voxels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -36,10 +41,8 @@ pub(crate) enum PixelCodec {
 pub(crate) enum Pixels {
     /// A single value; `words` if it consists of 16-bit words in the file's byte order.
     Native { value: Range<usize>, words: bool },
-    /// 32-bit floats.
-    Floats(Range<usize>),
-    /// 64-bit floats.
-    Doubles(Range<usize>),
+    /// Floats of this type.
+    Floats { value: Range<usize>, scalar: Scalar },
     /// Compressed frames: the basic offset table, then the fragments.
     Fragments { offsets: Range<usize>, fragments: Vec<Range<usize>> },
 }
@@ -55,21 +58,21 @@ pub(crate) struct Transfer {
     pub name: &'static str,
 }
 
+const fn native(explicit_vr: bool, big_endian: bool, name: &'static str) -> Transfer {
+    Transfer { explicit_vr, big_endian, deflated: false, codec: PixelCodec::Native, name }
+}
+
+pub(crate) const IMPLICIT: Transfer = native(false, false, "implicit VR little-endian");
+pub(crate) const EXPLICIT: Transfer = native(true, false, "explicit VR little-endian");
+
 /// The supported transfer syntaxes, and names for the unsupported ones. Every compressed one has explicit
 /// VRs, little-endian (PS3.5 annex A.4).
 fn transfer(uid: &str) -> Transfer {
-    let native = |explicit_vr, big_endian, name| Transfer {
-        explicit_vr,
-        big_endian,
-        deflated: false,
-        codec: PixelCodec::Native,
-        name,
-    };
     let packed =
         |codec, name| Transfer { explicit_vr: true, big_endian: false, deflated: false, codec, name };
     let refused = match uid {
-        "1.2.840.10008.1.2" => return native(false, false, "implicit VR little-endian"),
-        "1.2.840.10008.1.2.1" => return native(true, false, "explicit VR little-endian"),
+        "1.2.840.10008.1.2" => return IMPLICIT,
+        "1.2.840.10008.1.2.1" => return EXPLICIT,
         "1.2.840.10008.1.2.2" => return native(true, true, "explicit VR big-endian"),
         "1.2.840.10008.1.2.1.99" => {
             return Transfer { deflated: true, ..native(true, false, "deflated") };
@@ -109,13 +112,13 @@ pub(crate) struct Meta {
 /// # Errors
 /// `Truncated` if a length reaches past the file; `Header` for a malformed group.
 pub(crate) fn meta_group(path: &Path, bytes: &[u8], start: usize) -> Result<Meta, VolumeError> {
-    let meta = Scanner { path, bytes, explicit_vr: true, big_endian: false };
+    let meta = Scanner { path, bytes, explicit_vr: true, big_endian: false, kept: &Cell::new(0) };
     let mut at = start;
     let mut uid = None;
     while meta.u16(at) == Some(0x0002) {
         let element = meta.element(at)?;
         let end = meta.value_end(&element, bytes.len())?;
-        if element.tag == (0x0002, 0x0010) {
+        if element.tag == Tag(0x0002, 0x0010) {
             let text = String::from_utf8_lossy(&bytes[element.value..end]);
             uid = Some(text.trim_end_matches(['\0', ' ']).to_string());
         }
@@ -137,23 +140,6 @@ pub(crate) fn meta_group(path: &Path, bytes: &[u8], start: usize) -> Result<Meta
     Ok(Meta { transfer, end: at, refused })
 }
 
-/// Whether elements carry their value representation (PS3.5 section 7.1).
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Vr {
-    Explicit,
-    Implicit,
-}
-
-/// The transfer syntax of a data set without file meta group: implicit, or explicit if a value representation
-/// follows the first tag (PS3.5 section 7.1).
-pub(crate) fn bare(vr: Vr) -> Transfer {
-    let (explicit_vr, name) = match vr {
-        Vr::Explicit => (true, "explicit VR little-endian"),
-        Vr::Implicit => (false, "implicit VR little-endian"),
-    };
-    Transfer { explicit_vr, big_endian: false, deflated: false, codec: PixelCodec::Native, name }
-}
-
 /// Collects the used elements of a data set into `found`, up to its pixels, which it returns. After an error
 /// `found` holds what came before.
 ///
@@ -166,7 +152,8 @@ pub(crate) fn data_set(
     transfer: Transfer,
     found: &mut Elements,
 ) -> Result<Option<Pixels>, VolumeError> {
-    let scanner = Scanner { path, bytes, explicit_vr: transfer.explicit_vr, big_endian: transfer.big_endian };
+    let Transfer { explicit_vr, big_endian, .. } = transfer;
+    let scanner = Scanner { path, bytes, explicit_vr, big_endian, kept: &Cell::new(0) };
     let mut at = start;
     while at < bytes.len() {
         let element = scanner.element(at)?;
@@ -186,6 +173,8 @@ struct Scanner<'a> {
     bytes: &'a [u8],
     explicit_vr: bool,
     big_endian: bool,
+    /// Number of elements and items collected so far.
+    kept: &'a Cell<usize>,
 }
 
 /// What ends a sequence or an item (PS3.5 section 7.5).
@@ -198,7 +187,7 @@ enum End {
 }
 
 struct Element {
-    tag: (u16, u16),
+    tag: Tag,
     vr: [u8; 2],
     /// Start of the value.
     value: usize,
@@ -227,7 +216,7 @@ impl Scanner<'_> {
     /// The element header at `at`; item tags have no VR in any encoding.
     fn element(&self, at: usize) -> Result<Element, VolumeError> {
         let short = || self.truncated("data element header".into(), self.bytes.len().saturating_sub(at), 8);
-        let tag = (self.u16(at).ok_or_else(short)?, self.u16(at + 2).ok_or_else(short)?);
+        let tag = Tag(self.u16(at).ok_or_else(short)?, self.u16(at + 2).ok_or_else(short)?);
         if tag.0 == 0xfffe || !self.explicit_vr {
             let length = self.u32(at + 4).ok_or_else(short)?;
             return Ok(Element { tag, vr: [0; 2], value: at + 8, length });
@@ -308,6 +297,15 @@ impl Scanner<'_> {
         Ok(at)
     }
 
+    /// Counts an element or item that is collected.
+    fn count_kept(&self) -> Result<(), VolumeError> {
+        self.kept.set(self.kept.get() + 1);
+        if self.kept.get() <= MOST_KEPT {
+            return Ok(());
+        }
+        Err(self.malformed("data set", format!("more than {MOST_KEPT} elements and items"), "fewer"))
+    }
+
     /// Walks one element, with its items if their end is the element's only end or they are used; returns
     /// where it ends.
     fn take(
@@ -321,6 +319,9 @@ impl Scanner<'_> {
             return self.fragments(element.value, limit, &mut Vec::new());
         }
         let used = found.zip(used_vr(element.tag));
+        if used.is_some() {
+            self.count_kept()?;
+        }
         let inside = self.inside(element);
         let (end, ends) = match element.length {
             UNDEFINED => (limit, End::Delimiter),
@@ -367,6 +368,9 @@ impl Scanner<'_> {
                 ));
             }
             let mut inner = found.is_some().then(Elements::default);
+            if inner.is_some() {
+                self.count_kept()?;
+            }
             at = if item.length == UNDEFINED {
                 self.elements(item.value, limit, End::Delimiter, depth + 1, inner.as_mut())?
             } else {
@@ -403,8 +407,8 @@ impl Scanner<'_> {
         }
         let value = element.value..self.value_end(element, self.bytes.len())?;
         Ok(Some(match element.tag {
-            FLOAT_PIXEL_DATA => Pixels::Floats(value),
-            DOUBLE_PIXEL_DATA => Pixels::Doubles(value),
+            FLOAT_PIXEL_DATA => Pixels::Floats { value, scalar: Scalar::F32 },
+            DOUBLE_PIXEL_DATA => Pixels::Floats { value, scalar: Scalar::F64 },
             _ => {
                 let words = !self.explicit_vr || matches!(&element.vr, b"OW" | b"SS" | b"US");
                 Pixels::Native { value, words }
@@ -439,7 +443,7 @@ impl Scanner<'_> {
     }
 }
 
-fn tag_name(tag: (u16, u16)) -> String {
+fn tag_name(tag: Tag) -> String {
     let name = if tag == PIXEL_DATA { " PixelData" } else { "" };
-    format!("({:04x},{:04x}){name}", tag.0, tag.1)
+    format!("{tag}{name}")
 }

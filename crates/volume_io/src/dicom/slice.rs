@@ -4,7 +4,8 @@
 //! Source: DICOM PS3.3 section C.7.6.2 (image plane), C.7.6.16 (multi-frame functional groups), C.8.15
 //! (enhanced CT).
 
-use super::fields::{Fields, Tag};
+use super::elements::Tag;
+use super::fields::Fields;
 use super::file::DicomFile;
 use super::pixels::Bits;
 use super::scan::Transfer;
@@ -51,12 +52,14 @@ pub(super) struct Slice {
     pub phase: [Option<String>; 3],
 }
 
-/// Kind of a file, before its geometry is read.
+/// Kind of a file, and its slices.
 pub(super) struct Identity {
     pub series_uid: String,
     pub modality: String,
     pub description: String,
     pub images: Images,
+    /// The headers of its slices, or why they cannot be used.
+    pub slices: Result<Vec<Slice>, VolumeError>,
     /// Why the file cannot be read beyond this.
     pub problem: Option<VolumeError>,
 }
@@ -94,6 +97,7 @@ pub(super) fn identify(path: &Path) -> Result<Identity, VolumeError> {
         modality: text(Tag(0x0008, 0x0060))?,
         description: text(Tag(0x0008, 0x103e))?,
         images,
+        slices: read_headers(&file, fields),
         problem,
     })
 }
@@ -109,28 +113,26 @@ fn frame_count(fields: Fields<'_>) -> Result<usize, VolumeError> {
 }
 
 /// Reads and checks the headers of a file's slices.
-pub(super) fn read_headers(path: &Path) -> Result<Vec<Slice>, VolumeError> {
-    let file = DicomFile::open(path)?;
-    let fields = file.fields(path);
+fn read_headers(file: &DicomFile, fields: Fields<'_>) -> Result<Vec<Slice>, VolumeError> {
     fields.refuse_other_layouts()?;
     let frames = frame_count(fields)?;
     let groups = fields.items(FRAME_GROUPS);
-    if groups.is_empty() && frames == 1 {
-        return Ok(vec![slice(&file, fields, &Groups::plain(fields), FrameNumber { index: 0, count: 1 })?]);
+    if groups.len() == 0 && frames == 1 {
+        return Ok(vec![slice(file, fields, &Groups::plain(fields), FrameNumber { index: 0, count: 1 })?]);
     }
     if groups.len() != frames {
         return Err(VolumeError::unsupported(
-            path,
+            fields.path,
             "(0028,0008) NumberOfFrames",
             format!("{frames}, with the positions of {} frames", groups.len()),
             "one slice per file, or an enhanced CT with the position of every frame",
         ));
     }
     let shared = fields.item(SHARED_GROUPS);
-    let each = groups.iter().enumerate();
+    let each = groups.enumerate();
     each.map(|(index, own)| {
         let number = FrameNumber { index, count: frames };
-        slice(&file, fields, &Groups { own: *own, shared, image: fields }, number)
+        slice(file, fields, &Groups { own, shared, image: fields }, number)
     })
     .collect()
 }

@@ -47,11 +47,11 @@ impl Default for BlockSpec {
     }
 }
 
-/// Voxels along an axis, and the centre of the first one: at least `extent_m`, centred at 0.
-fn centred(extent_m: f64, spacing_m: f64) -> (usize, f64) {
+/// Voxels along the axes, and the centre of the first one: at least `extent_m`, centred at 0.
+fn centred(extent_m: [f64; 3], spacing_m: f64) -> ([usize; 3], [f64; 3]) {
     // A spacing that divides the extent but for rounding needs no voxel more. Casts saturate.
-    let count = (libm::ceil(extent_m / spacing_m - 1e-6) as usize).max(1);
-    (count, -0.5 * spacing_m * (count - 1) as f64)
+    let dims = extent_m.map(|extent_m| (libm::ceil(extent_m / spacing_m - 1e-6) as usize).max(1));
+    (dims, dims.map(|count| -0.5 * spacing_m * (count - 1) as f64))
 }
 
 impl BlockSpec {
@@ -62,14 +62,13 @@ impl BlockSpec {
         if spacing_m == usual.spacing_m[0] {
             return usual;
         }
-        let extents_m = [0, 1, 2].map(|axis| usual.dims[axis] as f64 * usual.spacing_m[axis]);
-        let axes = extents_m.map(|extent_m| centred(extent_m, spacing_m));
+        let extent_m = [0, 1, 2].map(|axis| usual.dims[axis] as f64 * usual.spacing_m[axis]);
+        let (dims, origin_m) = centred(extent_m, spacing_m);
         let margin_m = [0, 1, 2].map(|axis| {
-            let size_m = extents_m[axis] - 2.0 * usual.margin_m[axis];
+            let size_m = extent_m[axis] - 2.0 * usual.margin_m[axis];
             // A centre on the surface counts as inside, whatever its rounding.
-            (0.5 * (axes[axis].0 as f64 * spacing_m - size_m) - 1e-9).max(0.0)
+            (0.5 * (dims[axis] as f64 * spacing_m - size_m) - 1e-9).max(0.0)
         });
-        let (dims, origin_m) = (axes.map(|(count, _)| count), axes.map(|(_, first_m)| first_m));
         Self { dims, spacing_m: [spacing_m; 3], origin_m, margin_m, ..usual }
     }
 }
@@ -82,8 +81,8 @@ impl SphereSpec {
         if spacing_m == usual.spacing_m[0] {
             return usual;
         }
-        let axes = [0, 1, 2].map(|i| centred(usual.dims[i] as f64 * usual.spacing_m[i], spacing_m));
-        let (dims, origin_m) = (axes.map(|(count, _)| count), axes.map(|(_, first_m)| first_m));
+        let extent_m = [0, 1, 2].map(|axis| usual.dims[axis] as f64 * usual.spacing_m[axis]);
+        let (dims, origin_m) = centred(extent_m, spacing_m);
         Self { dims, spacing_m: [spacing_m; 3], origin_m, ..usual }
     }
 }

@@ -50,7 +50,7 @@ fn un_of_undefined_length_is_implicit_vr_inside() {
 #[test]
 fn used_elements_with_vr_un_have_their_own_vr() {
     let mut bytes = DicomSlice::default().bytes();
-    // Of a short VR, length in 2 bytes, becomes UN, length in 4.
+    // A short VR has a 2-byte length; UN has a 4-byte one.
     for start in
         [b"\x28\0\x10\0US", b"\x28\0\x11\0US", b"\x20\0\x32\0DS", b"\x28\0\x53\x10DS", b"\x18\0\x50\0DS"]
     {
@@ -77,6 +77,45 @@ fn bytes_that_are_not_used_decide_nothing() {
         file[140..144].copy_from_slice(&wrong.to_le_bytes());
         same_as_usual("group length", &file);
     }
+}
+
+/// Regression: integer pixels of 64 bits ended the process: a panic.
+#[test]
+fn integer_pixels_of_64_bits_are_refused() {
+    let mut bytes = DicomSlice { columns: 20, ..DicomSlice::default() }.bytes();
+    let at = bytes.windows(6).position(|window| window == b"\x28\0\0\x01US").unwrap();
+    bytes[at + 8] = 64;
+    let columns = bytes.windows(6).position(|window| window == b"\x28\0\x11\0US").unwrap();
+    bytes[columns + 8] = 5;
+    let said = read_bytes(&bytes).unwrap_err().to_string();
+    assert!(said.contains("BitsAllocated") && said.contains("8, 16 or 32"), "{said}");
+}
+
+#[test]
+fn float_pixels_of_both_widths_are_read() {
+    let usual = DicomSlice::default().bytes();
+    let at = usual.windows(6).position(|window| window == b"\xe0\x7f\x10\0OW").unwrap();
+    let values: Vec<i16> = (0..20).map(|n| n * 100 - 900).collect();
+    let stored = values.iter().map(|value| value + 1024);
+    let floats: Vec<u8> = stored.clone().flat_map(|value| f32::from(value).to_le_bytes()).collect();
+    let doubles: Vec<u8> = stored.flat_map(|value| f64::from(value).to_le_bytes()).collect();
+    for (head, pixels) in [(b"\xe0\x7f\x08\0OF\0\0", floats), (b"\xe0\x7f\x09\0OD\0\0", doubles)] {
+        let length = (pixels.len() as u32).to_le_bytes();
+        let file = |pixels: &[u8]| [&usual[..at], head, &length, pixels].concat();
+        assert_eq!(read_bytes(&file(&pixels)).unwrap().hu, values);
+        let cut = read_bytes(&file(&pixels[1..]));
+        assert!(matches!(cut, Err(VolumeError::Truncated { .. })), "{cut:?}");
+    }
+}
+
+/// Regression: 16 bytes of an item with an element took about 400 bytes of memory, without a limit.
+#[test]
+fn endless_items_of_a_used_sequence_are_refused() {
+    let head = b"\0\x52\x30\x92SQ\0\0\xff\xff\xff\xff";
+    let items = b"\xfe\xff\0\xe0\0\0\0\0".repeat((1 << 21) + 1);
+    let file = with(b"\xe0\x7f\x10\0OW", &[head, items.as_slice(), b"\xfe\xff\xdd\xe0\0\0\0\0"].concat());
+    let said = read_bytes(&file).unwrap_err().to_string();
+    assert!(said.contains("more than 2097152 elements and items"), "{said}");
 }
 
 /// Regression: frames were refused that programs pad with something else than zeros, or before their end
@@ -133,6 +172,24 @@ fn slice_with(slice: &DicomSlice, elements: &[(&[u8; 6], &str)]) -> Vec<u8> {
     bytes
 }
 
+/// Regression: 8 bytes in a file could be a slice of some 500 bytes in memory, without a limit.
+#[test]
+fn slices_without_end_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let frames = b"\xfe\xff\0\xe0\0\0\0\0".repeat(1 << 16);
+    let head = [b"\0\x52\x30\x92SQ\0\0".as_slice(), &(frames.len() as u32).to_le_bytes()].concat();
+    let bytes = slice_with(&DicomSlice::default(), &[(b"\x28\0\x08\0IS", "65536 ")]);
+    let at = bytes.windows(6).position(|window| window == b"\xe0\x7f\x10\0OW").unwrap();
+    let file = [&bytes[..at], &head, &frames, &bytes[at..]].concat();
+    for number in 0..4 {
+        std::fs::write(folder.path().join(format!("{number}.dcm")), &file).unwrap();
+    }
+    for path in [folder.path(), &folder.path().join("0.dcm")] {
+        let said = choose(path, None).unwrap_err().to_string();
+        assert!(said.contains("more than 200000 slices"), "{said}");
+    }
+}
+
 /// Regression: a copy of a slice under another name was refused as a duplicate.
 #[test]
 fn identical_copies_count_once() {
@@ -175,6 +232,20 @@ fn phases_of_a_series_are_listed_and_chosen() {
             assert!(matches!(choose(path, Some(wrong)), Err(VolumeError::SeveralPhases { .. })), "{wrong}");
         }
     }
+}
+
+/// Regression: NaN was in no order with numbers, which separated the slices of another phase.
+#[test]
+fn a_phase_that_is_not_a_number_leaves_the_others_whole() {
+    let folder = tempfile::tempdir().unwrap();
+    for (number, (phase, z)) in [("+5", 0.0), ("+nan", 0.0), ("-5", 0.0), ("+5", 2.0)].into_iter().enumerate()
+    {
+        let slice = DicomSlice { position_mm: [0.0, 0.0, z], ..DicomSlice::default() };
+        let bytes = slice_with(&slice, &[(b"\x20\0\x00\x01IS", phase)]);
+        std::fs::write(folder.path().join(format!("{number}.dcm")), bytes).unwrap();
+    }
+    let said = choose(folder.path(), None).unwrap_err().to_string();
+    assert!(said.contains("3 phases") && said.contains("#3 (2 slices)"), "{said}");
 }
 
 /// Some exporters give every slice a series of its own.
