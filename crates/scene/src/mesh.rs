@@ -150,7 +150,9 @@ fn stl(content: &[u8], most: usize) -> Result<Vec<Triangle>, MeshError> {
     }
     let begin = content.iter().position(|byte| !is_padding(*byte)).unwrap_or(content.len());
     match content.get(begin..begin + 5) {
-        Some(word) if word.eq_ignore_ascii_case(b"solid") => AsciiStl::new(content).triangles(most),
+        Some(word) if word.eq_ignore_ascii_case(b"solid") => {
+            AsciiStl { content, rest: content }.triangles(most)
+        }
         _ => Err(MeshError::NotStl { bytes: content.len(), count }),
     }
 }
@@ -166,36 +168,35 @@ fn binary_triangles(bytes: &[u8]) -> Vec<Triangle> {
     .collect()
 }
 
-type Lines<'a> = core::slice::Split<'a, u8, fn(&u8) -> bool>;
-
 /// Reads ASCII STL: `solid` blocks, any number of them, in upper or lower case.
 struct AsciiStl<'a> {
-    lines: core::iter::Enumerate<Lines<'a>>,
-    /// Words of the present line that are not read yet, and its number.
-    words: Vec<&'a [u8]>,
-    line: usize,
+    content: &'a [u8],
+    /// What is not read yet: the end of `content`.
+    rest: &'a [u8],
 }
 
 impl<'a> AsciiStl<'a> {
-    fn new(content: &'a [u8]) -> Self {
-        let is_end: fn(&u8) -> bool = |byte| *byte == b'\n' || *byte == b'\r';
-        Self { lines: content.split(is_end).enumerate(), words: Vec::new(), line: 0 }
-    }
-
     /// The next word; `None` at the end.
     fn next(&mut self) -> Option<&'a [u8]> {
-        while self.words.is_empty() {
-            let (line, text) = self.lines.next()?;
-            self.line = line + 1;
-            self.words = text.split(|byte| is_padding(*byte)).filter(|word| !word.is_empty()).collect();
-            self.words.reverse();
-        }
-        self.words.pop()
+        let begin = self.rest.iter().position(|byte| !is_padding(*byte)).unwrap_or(self.rest.len());
+        self.rest = &self.rest[begin..];
+        let end = self.rest.iter().position(|byte| is_padding(*byte)).unwrap_or(self.rest.len());
+        let word;
+        (word, self.rest) = self.rest.split_at(end);
+        Some(word).filter(|word| !word.is_empty())
+    }
+
+    fn skip_line(&mut self) {
+        let end = self.rest.iter().position(|byte| matches!(byte, b'\n' | b'\r'));
+        self.rest = &self.rest[end.unwrap_or(self.rest.len())..];
     }
 
     fn wrong(&self, found: Option<&[u8]>, expected: &str) -> MeshError {
         let found = found.map_or("the end".into(), |word| format!("`{}`", String::from_utf8_lossy(word)));
-        damaged(&format!("found {found} in line {}, expected {expected}", self.line))
+        let read = &self.content[..self.content.len() - self.rest.len()];
+        let count = |end: u8| read.iter().filter(|byte| **byte == end).count();
+        let line = 1 + count(b'\n').max(count(b'\r'));
+        damaged(&format!("found {found} in line {line}, expected {expected}"))
     }
 
     /// Takes these words.
@@ -220,11 +221,11 @@ impl<'a> AsciiStl<'a> {
                 return Err(self.wrong(Some(word), "`solid`"));
             }
             // The rest of the line is a name.
-            self.words.clear();
+            self.skip_line();
             loop {
                 let word = self.next();
                 if word.is_some_and(|word| word.eq_ignore_ascii_case(b"endsolid")) {
-                    self.words.clear();
+                    self.skip_line();
                     break;
                 }
                 if !word.is_some_and(|word| word.eq_ignore_ascii_case(b"facet")) {

@@ -86,6 +86,16 @@ fn meshes_as_other_programs_write_them_are_read_as_a_whole() {
     assert_eq!(triangles(continued, MeshFormat::Obj, 9), Ok(vec![TRIANGLE]));
 }
 
+/// Regression: a line that ends in `\r\n` counted twice.
+#[test]
+fn an_error_in_a_text_names_its_line_whatever_ends_the_lines() {
+    for end in ["\n", "\r\n", "\r"] {
+        let text = "solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 x\n".replace('\n', end);
+        let said = triangles(text.as_bytes(), MeshFormat::Stl, 9).unwrap_err().to_string();
+        assert!(said.contains("found `x` in line 4,"), "{said}");
+    }
+}
+
 #[test]
 fn hostile_files_are_refused_with_what_is_wrong() {
     let refused = |content: &[u8], format| triangles(content, format, 2).unwrap_err();
