@@ -25,3 +25,12 @@
 pub mod igtl;
 pub mod ras;
 pub mod ros2;
+
+use ipc_types::scene::Controller;
+use trabecula_client::Client;
+
+/// Returns the scene's entry of the controller that a client is, or `None` for an observer.
+fn own_controller(client: &Client) -> Option<&Controller> {
+    let (name, _) = client.info().controller.as_ref()?;
+    client.scene().controller.iter().find(|controller| controller.name == *name)
+}

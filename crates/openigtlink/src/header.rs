@@ -10,7 +10,7 @@ pub const HEADER_BYTES: usize = 58;
 
 /// CRC of a body: ECMA-182, starting from 0, as computed by `igtl_util.c`.
 pub(crate) const CRC: Crc<u64> = Crc::<u64>::new(&CRC_64_ECMA_182);
-/// CRC field of a sender that computes no checksum. A body has this CRC only if it is empty or all zeros.
+/// CRC field of a sender that computes no checksum. An empty body and one of zeros have it too.
 pub(crate) const NO_CRC: u64 = 0;
 
 const TYPE_BYTES: usize = 12;

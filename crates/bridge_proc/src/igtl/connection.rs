@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-use openigtlink::{Decoder, StatusCode};
+use openigtlink::{Decoder, Error, StatusCode};
 
 use super::incoming;
 use super::peer::{Gate, Peer};
@@ -115,28 +115,22 @@ fn read(mut stream: TcpStream, peer: &Peer) {
 fn take_all(decoder: &mut Decoder, peer: &Peer) -> bool {
     loop {
         let had_checksums = !decoder.lacks_checksums();
-        let message = match decoder.next() {
-            Ok(Some(message)) => message,
-            Ok(None) => return true,
-            Err(error) => {
-                peer.refuse(StatusCode::Unknown, &error.to_string());
-                let out_of_step = matches!(
-                    error,
-                    openigtlink::Error::HeaderVersion(_) | openigtlink::Error::TooLarge { .. }
-                );
-                if out_of_step {
-                    return false;
-                }
-                std::thread::sleep(WATCHER_PAUSE);
-                continue;
-            }
-        };
+        let decoded = decoder.next();
         decoder.version().into_iter().for_each(|version| peer.speaks(version));
         if had_checksums && decoder.lacks_checksums() {
             let note = "messages without a checksum (CRC 0) are accepted unverified";
             peer.answer("Trabecula", StatusCode::Ok, note);
         }
-        match incoming::request(&message) {
+        let request = match decoded {
+            Ok(Some(message)) => incoming::request(&message),
+            Ok(None) => return true,
+            Err(error @ (Error::HeaderVersion(_) | Error::TooLarge { .. })) => {
+                peer.refuse(StatusCode::Unknown, &error.to_string());
+                return false;
+            }
+            Err(error) => Err(error.to_string()),
+        };
+        match request {
             Ok(None) => {}
             Ok(Some(request)) => peer.submit(request),
             Err(problem) => peer.refuse(StatusCode::Unknown, &problem),
@@ -172,7 +166,7 @@ mod tests {
     use std::net::TcpListener;
     use std::time::Instant;
 
-    use openigtlink::{Body, Message};
+    use openigtlink::{Body, HEADER_BYTES, HeaderVersion, Message};
 
     use super::super::Permission;
     use super::*;
@@ -200,6 +194,23 @@ mod tests {
         peer.write_all(&[0xff; 4096]).unwrap();
         wait_for("the peer is given up", || connection.peer.outbox.is_closed());
         (connection, peer)
+    }
+
+    /// Regression: an unverified message that was refused used up the note.
+    #[test]
+    fn a_peer_without_checksums_is_told_even_if_its_first_message_is_refused() {
+        let message = Message::new("Command", Body::Text("halt".into())).unwrap();
+        let mut bytes = message.encode(HeaderVersion::V1).unwrap();
+        // No checksum, and a text longer than the body.
+        bytes[HEADER_BYTES - 8..HEADER_BYTES].fill(0);
+        bytes[HEADER_BYTES + 2..HEADER_BYTES + 4].fill(0xff);
+        let peer = Peer::new(Gate::new(Permission::WatchOnly));
+        let mut decoder = Decoder::new(MOST_BODY_BYTES);
+        decoder.push(&bytes);
+        assert!(take_all(&mut decoder, &peer));
+        let note = peer.outbox.take(LIMIT).unwrap().body;
+        assert!(matches!(&note, Body::Status(note) if note.message.contains("CRC 0")), "{note:?}");
+        assert_eq!(peer.refused(), 1);
     }
 
     /// Regression: the bridge's loop, which answers the physics, waited for the writer of a disconnected peer

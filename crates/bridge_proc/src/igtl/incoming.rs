@@ -71,7 +71,7 @@ pub(crate) fn request(message: &Message) -> Result<Option<Request>, String> {
 }
 
 /// Checks a position's range, which is that of commands: no goal beyond it can be reached or even sent.
-fn in_reach(what: &str, position_mm: [f32; 3]) -> Result<(), String> {
+pub(crate) fn in_reach(what: &str, position_mm: [f32; 3]) -> Result<(), String> {
     let most_mm = 1000.0 * MAX_POSITION_M;
     match position_mm.into_iter().find(|value| f64::from(value.abs()) > most_mm) {
         None => Ok(()),

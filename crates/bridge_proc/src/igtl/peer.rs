@@ -1,7 +1,7 @@
 //! A connected peer: what is queued for it, what it has requested, and whether it may control the run.
 
 use std::collections::VecDeque;
-use std::sync::atomic::{AtomicBool, AtomicU8, AtomicU64, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use openigtlink::{Body, HeaderVersion, Message, Status, StatusCode};
@@ -33,10 +33,6 @@ impl Gate {
         let more = |owners| (owners < MOST_OWNERS).then_some(owners + 1);
         self.owners.fetch_update(Ordering::Relaxed, Ordering::Relaxed, more).is_ok()
     }
-
-    fn leave(&self) {
-        self.owners.fetch_sub(1, Ordering::Relaxed);
-    }
 }
 
 /// A connected peer. One that may control the run and has used that right is an owner; all others are
@@ -48,8 +44,9 @@ pub(crate) struct Peer {
     is_owner: AtomicBool,
     requests: Mutex<VecDeque<Request>>,
     refused: AtomicU64,
-    /// Header version of the peer's messages; until one arrives 1, which every receiver understands.
-    version: AtomicU8,
+    /// Whether the peer's messages have header version 2; until one arrives 1, which every receiver
+    /// understands.
+    has_version_2: AtomicBool,
 }
 
 impl Peer {
@@ -60,7 +57,7 @@ impl Peer {
             is_owner: AtomicBool::new(false),
             requests: Mutex::default(),
             refused: AtomicU64::new(0),
-            version: AtomicU8::new(1),
+            has_version_2: AtomicBool::new(false),
         }
     }
 
@@ -107,12 +104,11 @@ impl Peer {
         self.refuse(StatusCode::NotReady, &why);
     }
 
-    /// Makes the peer an owner if there is room; returns whether it is one.
+    /// Makes the peer an owner if there is room; returns whether it is one. Only its reader calls this.
     fn own(&self) -> bool {
-        if !self.is_owner() && self.gate.enter() && self.is_owner.swap(true, Ordering::Relaxed) {
-            self.gate.leave();
-        }
-        self.is_owner()
+        let is_owner = self.is_owner() || self.gate.enter();
+        self.is_owner.store(is_owner, Ordering::Relaxed);
+        is_owner
     }
 
     /// Returns whether the peer controls the run.
@@ -154,21 +150,19 @@ impl Peer {
 
     /// Records the header version that the peer uses.
     pub(crate) fn speaks(&self, version: HeaderVersion) {
-        if version == HeaderVersion::V2 {
-            self.version.store(2, Ordering::Relaxed);
-        }
+        self.has_version_2.fetch_or(version == HeaderVersion::V2, Ordering::Relaxed);
     }
 
     /// The header version of messages to the peer.
     pub(crate) fn version(&self) -> HeaderVersion {
-        if self.version.load(Ordering::Relaxed) == 2 { HeaderVersion::V2 } else { HeaderVersion::V1 }
+        if self.has_version_2.load(Ordering::Relaxed) { HeaderVersion::V2 } else { HeaderVersion::V1 }
     }
 }
 
 impl Drop for Peer {
     fn drop(&mut self) {
         if self.is_owner() {
-            self.gate.leave();
+            self.gate.owners.fetch_sub(1, Ordering::Relaxed);
         }
     }
 }

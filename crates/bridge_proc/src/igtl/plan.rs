@@ -5,6 +5,9 @@ use ipc_types::scene::Drives;
 use nalgebra::{UnitQuaternion, Vector3};
 use ros_interface::robot::isometry;
 
+use super::incoming::in_reach;
+use crate::ras;
+
 /// Speeds of the arm and the burr along a plan.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Speeds {
@@ -48,23 +51,17 @@ pub(crate) struct Follower {
     speeds: Speeds,
     drives: Vec<Drives>,
     stage: Stage,
-    has_given_up: bool,
 }
 
 impl Follower {
     /// `drives`: what the controller drives; empty for an observer.
     pub(crate) fn new(speeds: Speeds, drives: Vec<Drives>) -> Follower {
-        Follower { speeds, drives, stage: Stage::Idle, has_given_up: false }
+        Follower { speeds, drives, stage: Stage::Idle }
     }
 
     /// Returns whether the controller drives a part of the tool.
     pub(crate) fn drives(&self, part: Drives) -> bool {
         self.drives.contains(&part)
-    }
-
-    /// Returns whether the arm has abandoned the goal since the last call.
-    pub(crate) fn has_given_up(&mut self) -> bool {
-        std::mem::take(&mut self.has_given_up)
     }
 
     /// Moves the tool base to a pose.
@@ -81,7 +78,8 @@ impl Follower {
     /// does not bend the tool.
     ///
     /// # Errors
-    /// Entry (or tip) and target are the same point, or further apart than an insertion can be deep.
+    /// Entry (or tip) and target are the same point, or further apart than an insertion can be deep; the base
+    /// would be out of a command's range.
     pub(crate) fn plan(
         &mut self,
         entry_m: Option<[f64; 3]>,
@@ -104,14 +102,19 @@ impl Follower {
         }
         self.stage = match entry_m {
             None => Stage::Feed { axis, depth_m: length_m },
-            Some(_) => Stage::Approach { goal: base_at(state, from_m, axis), target_m, told: false },
+            Some(_) => {
+                let goal = base_at(state, from_m, axis);
+                in_reach("Plan: base", ras::position_mm(goal.position_m))?;
+                Stage::Approach { goal, target_m, told: false }
+            }
         };
         Ok(())
     }
 
-    /// Fills in the command for this state; leaves it unchanged if there is nothing to do.
-    pub(crate) fn fill(&mut self, state: &State, command: &mut Command) {
-        self.advance(state);
+    /// Fills in the command for this state; leaves it unchanged if there is nothing to do. Returns whether the
+    /// arm abandons its goal with this state.
+    pub(crate) fn fill(&mut self, state: &State, command: &mut Command) -> bool {
+        let gives_up = self.advance(state);
         match &mut self.stage {
             Stage::Idle => {}
             Stage::Base { goal, told } | Stage::Approach { goal, told, .. } => {
@@ -134,6 +137,7 @@ impl Follower {
                 self.spin(command, 0.0);
             }
         }
+        gives_up
     }
 
     fn spin(&self, command: &mut Command, burr_rad_per_s: f64) {
@@ -143,15 +147,14 @@ impl Follower {
         }
     }
 
-    fn advance(&mut self, state: &State) {
+    fn advance(&mut self, state: &State) -> bool {
         let moves = state.arm_mode() == Ok(ArmMode::MoveCp);
         let arrived = moves && state.arm_status() == Ok(ArmStatus::Done);
-        let gave_up = moves && state.arm_status() == Ok(ArmStatus::Fault);
+        let has_goal =
+            matches!(self.stage, Stage::Base { told: true, .. } | Stage::Approach { told: true, .. });
+        let gives_up = has_goal && moves && state.arm_status() == Ok(ArmStatus::Fault);
         self.stage = match self.stage {
-            Stage::Base { told: true, .. } | Stage::Approach { told: true, .. } if gave_up => {
-                self.has_given_up = true;
-                Stage::Halt
-            }
+            _ if gives_up => Stage::Halt,
             Stage::Approach { told: true, target_m, goal }
                 if arrived && is_near(&state.t_world_base, &goal) =>
             {
@@ -164,6 +167,7 @@ impl Follower {
             }
             stage => stage,
         };
+        gives_up
     }
 }
 
@@ -243,11 +247,10 @@ mod tests {
         let mut state = state();
         let mut follower = follower();
         follower.go(Pose { position_m: [9.0, 0.0, 0.0], ..Pose::IDENTITY });
-        command(&mut follower, &state);
-        assert!(!follower.has_given_up());
+        assert!(!follower.fill(&state, &mut Command::zeroed()));
         (state.arm_mode, state.arm_status) = (ArmMode::MoveCp.code(), ArmStatus::Fault.code());
-        let halt = command(&mut follower, &state);
-        assert!(follower.has_given_up() && !follower.has_given_up());
+        let mut halt = Command::zeroed();
+        assert!(follower.fill(&state, &mut halt) && !follower.fill(&state, &mut Command::zeroed()));
         assert_eq!(
             (halt.arm_mode(), halt.burr_mode(), halt.burr_speed_rad_per_s),
             (Ok(ArmMode::Hold), Ok(BurrMode::Speed), 0.0)
@@ -271,6 +274,15 @@ mod tests {
             assert_eq!(command(&mut follower, &state).arm_mode(), Ok(ArmMode::None));
             follower.plan(entry_m, [0.0, 0.0, 0.6], &state).unwrap();
         }
+    }
+
+    /// Regression: with an entry in range and a base beyond it, physics refused the goal at every tick.
+    #[test]
+    fn a_plan_whose_base_is_out_of_range_is_refused_and_changes_nothing() {
+        let mut follower = follower();
+        let why = follower.plan(Some([0.0, 0.0, -9.95]), [0.0, 0.0, -9.9], &state()).unwrap_err();
+        assert!(why.starts_with("Plan: base: a coordinate is -1.005"), "{why}");
+        assert_eq!(command(&mut follower, &state()).arm_mode(), Ok(ArmMode::None));
     }
 
     /// Regression: physics refused commands for a burr that the scene assigns to another controller.

@@ -14,6 +14,7 @@ use super::peer::Peer;
 use super::peers::PeerRequest;
 use super::plan::{Follower, Speeds};
 use super::{IgtlError, IgtlOptions};
+use crate::own_controller;
 
 /// How long one turn of the loop waits for a state.
 const TURN: Duration = Duration::from_millis(5);
@@ -43,10 +44,7 @@ impl IgtlSession {
         };
         let client = Client::connect(&connection)?;
         let radii = client.scene().manipulator.radii();
-        let name = client.info().controller.as_ref().map(|(name, _)| name.clone());
-        let controllers = &client.scene().controller;
-        let own = controllers.iter().find(|controller| Some(&controller.name) == name.as_ref());
-        let drives = own.map_or(Vec::new(), |controller| controller.drives.clone());
+        let drives = own_controller(&client).map_or(Vec::new(), |controller| controller.drives.clone());
         Ok(IgtlSession {
             client,
             follower: Follower::new(speeds, drives),
@@ -59,15 +57,13 @@ impl IgtlSession {
 
     /// Receives the newest state and, as a controller, answers it. Returns whether the run continues.
     pub(crate) fn advance(&mut self) -> Result<bool, IgtlError> {
-        let follower = &mut self.follower;
+        let (follower, mut gave_up) = (&mut self.follower, false);
         let outcome = if self.client.info().controller.is_some() {
-            self.client.answer(TURN, |state, command| follower.fill(state, command))
+            self.client.answer(TURN, |state, command| gave_up |= follower.fill(state, command))
         } else {
             self.client.wait_state(TURN).map(|_| ())
         };
-        if self.follower.has_given_up()
-            && let Some(peer) = self.planner.upgrade()
-        {
+        if gave_up && let Some(peer) = self.planner.upgrade() {
             let why = "the arm cannot reach the goal: it is abandoned; arm held, burr off";
             peer.answer("Trabecula", StatusCode::Unknown, why);
         }

@@ -17,6 +17,7 @@ use trabecula_client::{Client, ClientError, Connection};
 use super::node::{Incoming, Node};
 use super::notices::Notices;
 use super::{Ros2Error, Ros2Options};
+use crate::own_controller;
 
 /// How long one turn of the loop waits for a state.
 const TURN: Duration = Duration::from_millis(5);
@@ -78,10 +79,7 @@ impl Ros2Session {
 
     /// Returns the topics that can command this controller; empty for an observer.
     pub(crate) fn inputs(&self) -> Vec<Input> {
-        let drives = self.client.info().controller.as_ref().and_then(|(name, _)| {
-            self.client.scene().controller.iter().find(|controller| controller.name == *name)
-        });
-        let Some(controller) = drives else { return Vec::new() };
+        let Some(controller) = own_controller(&self.client) else { return Vec::new() };
         let may = |input: Input| input.needs().is_none_or(|part| controller.drives.contains(&part));
         INPUTS.iter().map(|row| row.topic).filter(|input| may(*input)).collect()
     }
