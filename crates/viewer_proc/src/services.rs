@@ -188,13 +188,6 @@ pub enum Request {
     Plan(PlanRequest),
 }
 
-impl Request {
-    /// Returns whether the request changes something, so that it needs the token.
-    pub fn is_command(&self) -> bool {
-        !matches!(self, Request::Series(_) | Request::Slice(_))
-    }
-}
-
 /// Reply to a request that was executed.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Reply {
@@ -214,6 +207,11 @@ pub enum Reply {
 /// Result of a request: the reply, or an error text for the user.
 pub type Outcome = Result<Reply, String>;
 
+/// Returns whether a service's requests change something, so that they need the token.
+pub(crate) fn is_command(service: u32) -> bool {
+    service != SERIES && service != SLICE
+}
+
 /// Parses a request. Commands require the server's token; read requests only require a connection.
 ///
 /// # Errors
@@ -221,7 +219,7 @@ pub type Outcome = Result<Reply, String>;
 pub fn read_request(service: u32, payload: &[u8], token: &str) -> Result<Request, String> {
     let value: Value = serde_json::from_slice(payload).map_err(|error| format!("not JSON: {error}"))?;
     let given = value.get("token").and_then(Value::as_str).unwrap_or("");
-    if service != SERIES && service != SLICE && !same(given, token) {
+    if is_command(service) && !same(given, token) {
         return Err(NO_TOKEN.to_owned());
     }
     let malformed = |error: serde_json::Error| format!("malformed request: {error}");

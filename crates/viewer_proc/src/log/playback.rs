@@ -49,9 +49,9 @@ const SHOWN: [Topic; 5] = [Topic::Latched, Topic::State, Topic::DrrReply, Topic:
 /// Replies to a slice request while the drilled voxels are unknown, or if there is no volume to show.
 const READING: &str = "the log is being read";
 const OTHER_VOLUME: &str = "the run's volume is not available; see the messages";
-/// Maximum number of waiting field requests.
+/// Maximum number of waiting field requests of owners, and of watchers.
 const SERIES_QUEUE: usize = 16;
-/// Interval at which the thread that answers them checks for the end.
+/// Interval at which the thread that answers them looks for the next one and for the end.
 const ANSWER_LOOK: Duration = Duration::from_millis(5);
 
 /// A log being shown.

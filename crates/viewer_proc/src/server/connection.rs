@@ -21,7 +21,9 @@ use crate::assets::asset;
 use crate::board::Client;
 use crate::calls::Call;
 use crate::protocol::{self, ClientText, Level};
-use crate::services::{NO_TOKEN, Outcome, Request, SERVICES, SLICE, read_request, response, same};
+use crate::services::{
+    NO_TOKEN, Outcome, Request, SERVICES, SLICE, is_command, read_request, response, same,
+};
 use crate::slice::MOST_UNDER_WAY;
 
 /// Maximum length of a client message, bytes.
@@ -306,7 +308,7 @@ impl ClientSession<'_> {
                 let is_slice = matches!(request, Request::Slice(_));
                 let (answer, answered) = oneshot::channel();
                 // A command has been checked for the token.
-                let is_owner = self.is_owner || request.is_command();
+                let is_owner = self.is_owner || is_command(service);
                 match self.shared.calls.try_send(Call { request, answer, is_owner }) {
                     Ok(()) => {
                         self.slices += usize::from(is_slice);

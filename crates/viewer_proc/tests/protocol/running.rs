@@ -4,7 +4,7 @@ use std::rc::Rc;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use futures_util::{SinkExt, StreamExt};
 use serde_json::{Value, json};
@@ -90,7 +90,12 @@ impl Running {
 impl Drop for Running {
     fn drop(&mut self) {
         self.over.store(true, Ordering::Relaxed);
-        self.serving.take().unwrap().join().unwrap();
+        let (serving, begin) = (self.serving.take().unwrap(), Instant::now());
+        while !serving.is_finished() {
+            assert!(begin.elapsed() < LIMIT, "the server's end: not within {LIMIT:?}");
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        serving.join().unwrap();
     }
 }
 
