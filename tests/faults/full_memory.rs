@@ -5,9 +5,10 @@ use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 use std::process::Command;
 
+use test_support::name_space::NameSpace;
+
 use crate::common::program::{Ended, Place, Run, kill_all, parts_of, segments_of, session_below, wait_for};
 use crate::common::scenes;
-use crate::name_space::NameSpace;
 use crate::scarce::{MEMORY, memory_left, start_in};
 
 /// Regression: the transport wrote to a segment before it was reserved, which was a SIGBUS. With less than a

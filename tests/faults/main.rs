@@ -24,7 +24,6 @@ mod fault;
 mod full_memory;
 mod guest;
 mod looks;
-mod name_space;
 mod scarce;
 mod table;
 mod trial;

@@ -4,6 +4,7 @@ use std::path::Path;
 
 use fastrand::Rng;
 use rustix::process::Signal;
+use test_support::name_space::NameSpace;
 
 use crate::common::logs::{assert_replays, read};
 use crate::common::program::{Place, Run, assert_nothing_left, session_folder, signal, wait_for};
@@ -11,7 +12,6 @@ use crate::common::scenes;
 use crate::fault::Fault;
 use crate::guest::{Behaviour, Guest};
 use crate::looks::Looks;
-use crate::name_space::NameSpace;
 use crate::table::Outcome;
 use crate::trial::{next_run_starts, scene};
 

@@ -11,7 +11,7 @@ use rustix::process::Signal;
 use serde_json::Value;
 
 use crate::common::client::Client;
-use crate::common::program::{Place, Run, signal};
+use crate::common::program::{Guarded, Place, Run, signal};
 use crate::common::scenes;
 
 const HELD: Duration = Duration::from_millis(600);
@@ -152,7 +152,7 @@ fn a_physics_whose_group_has_used_up_its_quota_is_called_throttled_and_not_stole
     let place = Place::new();
     // A quota that even a busy machine leaves to the group, used up immediately however little the run itself
     // needs.
-    let mut busy = group.command("sh").args(["-c", "while :; do :; done"]).spawn().unwrap();
+    let busy = Guarded(group.command("sh").args(["-c", "while :; do :; done"]).spawn().unwrap());
     let run = group.start(&place);
     let misses = misses(run, |_, client| {
         limit.iter().for_each(|(name, text)| group.write(name, text));
@@ -162,7 +162,6 @@ fn a_physics_whose_group_has_used_up_its_quota_is_called_throttled_and_not_stole
         let free = if limit.len() > 1 { ("cpu.cfs_quota_us", "-1") } else { ("cpu.max", "max") };
         group.write(free.0, free.1);
     });
-    busy.kill().unwrap();
-    busy.wait().unwrap();
+    drop(busy);
     assert_named(&misses, "throttled");
 }

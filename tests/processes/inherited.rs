@@ -1,4 +1,4 @@
-//! State that a run inherits from whoever starts it: ignored and blocked signals, low limits.
+//! State that a run inherits from its parent: ignored and blocked signals, low limits.
 
 use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
@@ -6,14 +6,10 @@ use std::process::Command;
 
 use rustix::process::Signal;
 use test_support::limited::Limited;
+use test_support::name_space::NameSpace;
 
 use crate::common::program::{Place, Run, assert_nothing_left, signal};
 use crate::common::scenes;
-#[allow(dead_code, reason = "the tests of faults need more of it")]
-#[path = "../faults/name_space.rs"]
-mod name_space;
-
-use name_space::NameSpace;
 
 const PROGRAM: &str = env!("CARGO_BIN_EXE_trabecula");
 

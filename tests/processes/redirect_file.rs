@@ -2,21 +2,11 @@
 
 use std::os::unix::fs::PermissionsExt;
 use std::path::PathBuf;
-use std::process::{Child, Command, Stdio};
+use std::process::{Command, Stdio};
 
 use crate::common::logs::recorded;
-use crate::common::program::{Place, Run, wait_for};
+use crate::common::program::{Guarded, Place, Run, wait_for};
 use crate::common::scenes;
-
-/// A viewer that is killed when this is dropped, so that it does not clean up.
-struct Killed(Child);
-
-impl Drop for Killed {
-    fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
-}
 
 /// Regression: a killed viewer's file, which contains a token, stayed forever.
 #[test]
@@ -34,7 +24,7 @@ fn the_file_that_a_killed_viewer_leaves_goes_with_the_next_viewer_or_run() {
         let mut command = Command::new(env!("CARGO_BIN_EXE_trabecula"));
         command.arg("view").arg(&log).args(["--port", "0"]).env("PATH", &path).env("DISPLAY", ":99");
         command.env("XDG_RUNTIME_DIR", &runtime).stdin(Stdio::null()).stdout(Stdio::null());
-        Killed(command.spawn().unwrap())
+        Guarded(command.spawn().unwrap())
     };
     let pages = || -> Vec<PathBuf> {
         let entries = std::fs::read_dir(&runtime).unwrap().flatten().map(|entry| entry.path());

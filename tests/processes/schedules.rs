@@ -9,7 +9,7 @@
 //! ```
 
 use std::path::Path;
-use std::process::{Child, Command as Program, Stdio};
+use std::process::{Command as Program, Stdio};
 use std::time::{Duration, Instant};
 
 use controller_proc::process::run_controller;
@@ -26,7 +26,7 @@ use rustix::process::{Pid, Signal, setpriority_process};
 use rustix::thread::{CpuSet, sched_setaffinity};
 
 use crate::common::logs::verify;
-use crate::common::program::{BusyLoops, Place, Run, assert_nothing_left, signal};
+use crate::common::program::{BusyLoops, Guarded, Place, Run, assert_nothing_left, signal};
 use crate::common::scenes;
 
 const COUNT_VARIABLE: &str = "TRABECULA_SCHEDULES";
@@ -78,25 +78,19 @@ fn pilot_program() {
 }
 
 /// The external controller in a separate process.
-struct Pilot(Child);
+struct Pilot(Guarded);
 
 impl Pilot {
     fn start(session: &Path, seed: u64) -> Pilot {
         let mut program = Program::new(std::env::current_exe().unwrap());
         program.args(["--exact", "schedules::pilot_program"]);
         program.env(SESSION_VARIABLE, session).env(PILOT_VARIABLE, seed.to_string());
-        Pilot(program.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap())
+        program.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
+        Pilot(Guarded(program.spawn().unwrap()))
     }
 
     fn pid(&self) -> u32 {
-        self.0.id()
-    }
-}
-
-impl Drop for Pilot {
-    fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
+        self.0.0.id()
     }
 }
 

@@ -11,7 +11,7 @@ use run_log::{EndReason, MessageStream, ReadOptions, Topic};
 use zerocopy::FromBytes;
 
 use crate::common::logs::recorded;
-use crate::common::program::{Done, Place, wait_for};
+use crate::common::program::{Done, Guarded, Place, wait_for};
 use crate::common::scenes;
 use crate::dicom_bytes::DicomSlice;
 
@@ -27,20 +27,11 @@ fn limited(words: &[&dyn AsRef<OsStr>]) -> Done {
         command.arg(word);
     });
     let mut child =
-        Killed(command.stdin(Stdio::null()).stdout(file("out")).stderr(file("err")).spawn().unwrap());
+        Guarded(command.stdin(Stdio::null()).stdout(file("out")).stderr(file("err")).spawn().unwrap());
     let named: Vec<&OsStr> = words.iter().map(|word| word.as_ref()).collect();
     let status = wait_for(&format!("the end of {named:?}"), || child.0.try_wait().unwrap());
     let text = |name: &str| String::from_utf8(fs::read(place.path(name)).unwrap()).unwrap();
     Done { code: status.code(), out: text("out"), err: text("err") }
-}
-
-struct Killed(std::process::Child);
-
-impl Drop for Killed {
-    fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
 }
 
 /// Asserts that a command's output contains no control sequences, and returns it; untrusted text is shown

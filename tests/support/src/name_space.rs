@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
-use test_support::limited::{Limited, Watchdog, end_within};
+use crate::limited::{Limited, Watchdog, end_within};
 
 /// For a command that mounts.
 const LIMIT: Duration = Duration::from_secs(90);
