@@ -22,20 +22,10 @@ const STAY_IGNORED: [i32; 4] = [libc::SIGHUP, libc::SIGINT, libc::SIGQUIT, libc:
 /// child can be waited for, and a blocked SIGTERM is never delivered. Call it before the first thread starts;
 /// threads and children inherit the result.
 pub fn reset_inherited_signals() {
-    for signal in (1..=libc::SIGRTMAX()).filter(|signal| !STAY_IGNORED.contains(signal)) {
-        // SAFETY: `sigaction` is a C structure of integers, a set of integers and an optional function, for
-        // all of which zero is valid. Both calls get pointers to whole structures that outlive them, or null,
-        // which means "none". Only SIG_DFL is installed, so no code of this process runs on a signal. The
-        // C library refuses signals that it keeps for itself.
-        unsafe {
-            let mut action: libc::sigaction = std::mem::zeroed();
-            if libc::sigaction(signal, std::ptr::null(), &raw mut action) == 0
-                && action.sa_sigaction == libc::SIG_IGN
-            {
-                action.sa_sigaction = libc::SIG_DFL;
-                action.sa_flags = 0;
-                libc::sigaction(signal, &raw const action, std::ptr::null_mut());
-            }
+    for signal in 1..=libc::SIGRTMAX() {
+        if !STAY_IGNORED.contains(&signal) && is_ignored(signal) {
+            // SAFETY: with SIG_DFL no code of this process runs on a signal.
+            unsafe { libc::signal(signal, libc::SIG_DFL) };
         }
     }
     // SAFETY: `sigemptyset` initializes the whole set before it is read, and the set outlives both calls.
@@ -148,10 +138,14 @@ fn heard_signals() -> Vec<i32> {
     signals
 }
 
-/// Returns whether this process was started with a signal ignored (proc_pid_status(5)).
+/// Returns whether this process ignores a signal. The C library refuses signals that it keeps for itself.
 fn is_ignored(signal: i32) -> bool {
-    let text = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
-    let mask = text.lines().find_map(|line| line.strip_prefix("SigIgn:"));
-    let mask = mask.and_then(|digits| u64::from_str_radix(digits.trim(), 16).ok());
-    mask.is_some_and(|mask| mask >> (signal - 1) & 1 == 1)
+    // SAFETY: `sigaction` is a C structure of integers, a set of integers and an optional function, for all
+    // of which zero is valid. The call gets a pointer to a whole structure that outlives it, and null, with
+    // which it changes nothing.
+    unsafe {
+        let mut action: libc::sigaction = std::mem::zeroed();
+        libc::sigaction(signal, std::ptr::null(), &raw mut action) == 0
+            && action.sa_sigaction == libc::SIG_IGN
+    }
 }

@@ -292,9 +292,9 @@ fn gather(arguments: &GatherArguments) -> Result<(), Failure> {
 fn print_report(arguments: &ReportArguments) -> Result<(), Failure> {
     arguments.of.iter().try_for_each(|name| report::check_figure(name))?;
     let folder = Folder::open(&arguments.folder)?;
-    let (study, rows) = (folder.study()?, folder.rows()?);
+    let rows = folder.rows()?;
     let found = arguments.of.iter().map(|name| {
-        report::sensitivity(&study, &rows, name).ok_or_else(|| {
+        report::sensitivity(folder.study(), &rows, name).ok_or_else(|| {
             Failure::failed(format!(
                 "{}: none of the {} rows has a value of {name}",
                 foreign_path(folder.path()),
@@ -315,7 +315,7 @@ fn plot(arguments: &PlotArguments) -> Result<(), Failure> {
     let folder = Folder::open(&arguments.folder)?;
     let rows = folder.rows()?;
     let place = figure_place(&arguments.output)?;
-    place.write(report::draw(&folder.study()?, &rows, &arguments.of))?;
+    place.write(report::draw(folder.study(), &rows, &arguments.of))?;
     say!("written      {}, .svg", place.files[0].display());
     Ok(())
 }

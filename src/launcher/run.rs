@@ -299,6 +299,7 @@ impl Running<'_> {
             if self.first_tick.is_none() && self.subscriptions.status.is_some_and(has_started) {
                 self.first_tick = Some(self.subscriptions.first_start().unwrap_or_else(Instant::now));
             }
+            self.subscriptions.forget_shown();
             self.parts.iter_mut().for_each(PartProcess::measure);
             if self.end.is_set() {
                 return Ok(Outcome::Interrupted);
@@ -347,7 +348,7 @@ impl Running<'_> {
             if has_exited || self.subscriptions.has_ended() {
                 return Ok(true);
             }
-            if Instant::now() >= limit {
+            if Instant::now() >= limit || self.end.is_set() {
                 return Ok(false);
             }
             std::thread::sleep(POLL_PERIOD);

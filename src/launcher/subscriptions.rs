@@ -27,9 +27,9 @@ pub(super) struct Subscriptions {
     pub(super) status: Option<RunStatus>,
     timings: Vec<TickTiming>,
     frames: u64,
-    /// What the run has been waiting for, since the last update.
+    /// What the run has been waiting for, if not yet shown.
     waiting: Option<String>,
-    /// A limit of this machine that the physics has reported since the last update.
+    /// A limit of this machine that the physics has reported, if not yet shown.
     caution: Option<String>,
 }
 
@@ -56,12 +56,13 @@ impl Subscriptions {
         })
     }
 
-    /// When the first tick of this update began.
+    /// When the first tick not yet shown began.
     pub(super) fn first_start(&self) -> Option<Instant> {
         let since_ns = now_ns().checked_sub(self.timings.first()?.start_ns)?;
         Instant::now().checked_sub(Duration::from_nanos(since_ns))
     }
 
+    /// Adds what has arrived to what is not yet shown.
     pub(super) fn poll(&mut self) -> Result<(), PortError> {
         if let Some(state) = self.states.receive_newest()? {
             self.state = Some(Box::new(*state.message()));
@@ -69,11 +70,9 @@ impl Subscriptions {
         if let Some(status) = self.statuses.receive_newest()? {
             self.status = Some(*status.message());
         }
-        self.timings.clear();
         while let Some(timing) = self.tick_timings.receive()? {
             self.timings.push(*timing.message());
         }
-        (self.waiting, self.caution) = (None, None);
         while let Some(event) = self.events.receive_valid(|_| {})? {
             let message = event.message();
             if message.sender() != Some(Participant::Part(HubPart::Physics)) {
@@ -93,6 +92,12 @@ impl Subscriptions {
             }
         }
         Ok(())
+    }
+
+    /// Forgets what the last snapshot reported once, so that the next one does not repeat it.
+    pub(super) fn forget_shown(&mut self) {
+        self.timings.clear();
+        (self.waiting, self.caution) = (None, None);
     }
 
     pub(super) fn snapshot<'a>(

@@ -54,9 +54,8 @@ impl OpenedStudy {
         let points = points.map(|points| inputs::text::read(&points)).transpose()?;
         let study = Study::parse(&text, file, points.as_deref()).map_err(Failure::bad_input)?;
         let scene = study.scene.clone().map(place).transpose()?;
-        let source = SceneSource::new(scene.as_deref(), BuiltIn::Femur);
         let identity = Identity {
-            scene: source.text()?,
+            scene: SceneSource::new(scene.as_deref(), BuiltIn::Femur).text()?,
             study: text,
             points,
             build: build_info::current().version,
@@ -64,8 +63,14 @@ impl OpenedStudy {
             keys: study.keys().into_iter().map(str::to_owned).collect(),
         };
         let study = OpenedStudy { study, scene, identity };
-        source.with(&study.settings(&study.study.point(0)))?.has_the_keys()?;
+        study.first_scene()?.has_the_keys()?;
         Ok(study)
+    }
+
+    /// Returns the scene of the first point.
+    fn first_scene(&self) -> Result<SceneSource, Failure> {
+        let source = SceneSource::new(self.scene.as_deref(), BuiltIn::Femur);
+        source.with(&self.settings(&self.study.point(0)))
     }
 
     /// Refuses a scene that waits for a controller which no sweep can start. A point can still change its
@@ -74,10 +79,8 @@ impl OpenedStudy {
     /// # Errors
     /// Bad input: a required controller is external.
     pub fn refuse_external(&self) -> Result<(), Failure> {
-        let source = SceneSource::new(self.scene.as_deref(), BuiltIn::Femur);
         // A point whose scene is refused gets a row.
-        let scene = source.with(&self.settings(&self.study.point(0))).and_then(|source| source.load());
-        scene.map_or(Ok(()), |scene| refuse_external(&scene))
+        self.first_scene()?.load().map_or(Ok(()), |scene| refuse_external(&scene))
     }
 
     /// Returns the settings of a run in the order of application.
@@ -120,6 +123,7 @@ pub fn joined(words: &[String]) -> Result<String, Failure> {
 pub struct Folder {
     path: PathBuf,
     identity: Identity,
+    study: Study,
 }
 
 impl Folder {
@@ -179,10 +183,11 @@ impl Folder {
         let text = ipc_types::text_file::read(&file).map_err(|cause| {
             bad(format!("not a sweep folder; expected one written by `trabecula sweep run` ({cause})"))
         })?;
-        let identity = serde_json::from_str(&text).map_err(|cause| bad(format!("study.json: {cause}")))?;
-        let folder = Folder { path: path.to_owned(), identity };
+        let identity: Identity =
+            serde_json::from_str(&text).map_err(|cause| bad(format!("study.json: {cause}")))?;
+        let study =
+            Study::parse(&identity.study, &file, identity.points.as_deref()).map_err(Failure::bad_input)?;
         // The number of rows to look for must not come from an altered file.
-        let (study, identity) = (folder.study()?, &folder.identity);
         if identity.count != study.count() {
             return Err(bad(format!(
                 "study.json: `count` is {}, but its study has {} points",
@@ -193,7 +198,7 @@ impl Folder {
         if !identity.keys.iter().eq(study.keys()) {
             return Err(bad("study.json: `keys` are not those of its study".to_owned()));
         }
-        Ok(folder)
+        Ok(Folder { path: path.to_owned(), identity, study })
     }
 
     /// Returns its path.
@@ -216,10 +221,9 @@ impl Folder {
         self.identity == other.identity
     }
 
-    /// Parses the study, with its table of points, as it was run.
-    pub fn study(&self) -> Result<Study, Failure> {
-        let file = self.path.join("study.json");
-        Study::parse(&self.identity.study, &file, self.identity.points.as_deref()).map_err(Failure::bad_input)
+    /// Returns the study, with its table of points, as it was run.
+    pub fn study(&self) -> &Study {
+        &self.study
     }
 
     fn row_file(&self, point: u64) -> PathBuf {

@@ -68,7 +68,7 @@ fn end_of(mut child: Child, is_to_end: &dyn Fn() -> bool) -> Result<Option<(Exit
     let (heard, said) = std::sync::mpsc::channel();
     let hearing = std::thread::Builder::new().name("listener".to_owned());
     if let Err(cause) = hearing.spawn(move || heard.send(pipe.map(last_of))) {
-        // Without its reader the run would block once the pipe is full.
+        // Its pipe is closed, so the run cannot be heard.
         let _ = child.kill();
         let _ = child.wait();
         return Err(failed(cause));

@@ -134,11 +134,16 @@ fn draft_of(name: &str) -> String {
     format!(".{name}")
 }
 
-/// As [`create_file`], but the file has its name only once it is complete.
+/// As [`create_file`], but the file has its name only once it is complete, and replaces an older one.
 fn create_whole(folder: &OwnedFd, name: &str, content: &[u8]) -> io::Result<()> {
     let draft = draft_of(name);
-    create_file(folder, &draft, content)?;
-    Ok(rustix::fs::renameat(folder, &draft, folder, name)?)
+    let written = create_file(folder, &draft, content)
+        .and_then(|()| Ok(rustix::fs::renameat(folder, &draft, folder, name)?));
+    if written.as_ref().is_err_and(|cause| cause.kind() != io::ErrorKind::AlreadyExists) {
+        // Half a draft, as on a full disk, would make every later attempt fail.
+        let _ = unlinkat(folder, &draft, AtFlags::empty());
+    }
+    written
 }
 
 /// Reads a file of a session's folder. Refuses links and anything a read could block on, and limits the
@@ -404,5 +409,18 @@ mod tests {
         drop(host);
         assert!(!is_locked(&client));
         drop(copy);
+    }
+
+    /// The unfinished draft of a file made every later attempt fail with "File exists".
+    #[test]
+    fn a_file_that_could_not_be_written_can_be_written_later() {
+        let all = places();
+        let (place, _) = super::super::places::choose(&all).unwrap();
+        let host = HostFolder::create(place).unwrap();
+        rustix::fs::mkdirat(&host.handle, "file", Mode::RWXU).unwrap();
+        host.write("file", b"draft").unwrap_err();
+        unlinkat(&host.handle, "file", AtFlags::REMOVEDIR).unwrap();
+        host.write("file", b"all of it").unwrap();
+        assert_eq!(read_file(&host.handle, "file").unwrap(), "all of it");
     }
 }

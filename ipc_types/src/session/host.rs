@@ -70,7 +70,8 @@ impl SessionHost {
         wipe_dead_sessions();
         let sweeper = SegmentSweeper::start(folder.id.shared_memory_prefix())
             .map_err(file_error(Path::new("/dev/shm")))?;
-        let node = create_node(&folder.path, &folder.id).map_err(|error| folder.reason_of(error))?;
+        let with_reason = |error| folder.reason_of(error);
+        let node = create_node(&folder.path, &folder.id).map_err(with_reason)?;
         let memory = SharedMemory::open().map_err(file_error(Path::new("/dev/shm")))?;
         memory
             .close_to_others(&folder.id.shared_memory_prefix())
@@ -81,15 +82,14 @@ impl SessionHost {
         let mut byte_services = Vec::new();
         for (name, service) in plan.services() {
             layouts.insert(name.clone(), service.description.layout_hash());
-            let created = create_byte_service(&node, &name, &service);
-            byte_services.push(created.map_err(|error| folder.reason_of(error))?);
+            byte_services.push(create_byte_service(&node, &name, &service).map_err(with_reason)?);
         }
         let controllers = ControllerIndex::first(plan.controllers.len()).map(Reader::Controller);
         let readers = [Reader::Physics, Reader::Drr, Reader::Recorder].into_iter().chain(controllers);
         let event_services = readers
             .map(|reader| create_event_service(&node, &reader.event_name()))
             .collect::<Result<_, _>>()
-            .map_err(|error| folder.reason_of(error))?;
+            .map_err(with_reason)?;
         let announcement = Announcement {
             pid: std::process::id(),
             iceoryx2: ICEORYX2_VERSION.to_owned(),

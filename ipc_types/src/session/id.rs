@@ -69,7 +69,7 @@ impl SessionId {
     }
 }
 
-/// Returns the prefix for any name; the message reference uses a placeholder.
+/// Returns the prefix for a session's name; the message reference shows it for `<name of the folder>`.
 pub(crate) fn prefix_of(name: &str) -> String {
     format!("trabecula010_{name}_")
 }
