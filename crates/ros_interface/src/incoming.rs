@@ -364,7 +364,8 @@ mod tests {
             let topic = crate::topics::INPUTS[topic].topic;
             let order = if big { Order::Big } else { Order::Little };
             let names = ARM_JOINT_NAMES.map(str::to_owned);
-            if let Ok(Request::Move(Motion::ArmServoJp(values))) = read(topic, &bytes, order, CommandedJoints { arm: &names, tendons: 2 }) {
+            let joints = CommandedJoints { arm: &names, tendons: 2 };
+            if let Ok(Request::Move(Motion::ArmServoJp(values))) = read(topic, &bytes, order, joints) {
                 prop_assert!(values.iter().all(|value| value.is_finite()));
             }
         }

@@ -64,7 +64,7 @@ impl Qos {
 pub struct Row<T> {
     /// Which topic.
     pub topic: T,
-    /// Its name; `<arm>` and `<cm>` are placeholders for [`Names`].
+    /// Name of the topic, in which `<arm>` and `<cm>` stand for the names in [`Names`].
     pub template: &'static str,
     /// Package and message, such as `sensor_msgs/JointState`.
     pub kind: &'static str,

@@ -180,8 +180,11 @@ mod tests {
         for tick in 0..ticks {
             order.latched(&Latched { tick, ..Latched::zeroed() });
             let next = order.next(Supply::Open);
-            let pair = matches!(&next[..], [OrderedMessage::Latched(l), OrderedMessage::State(s)] if l.tick == tick && s.tick == tick + 1);
-            assert!(pair, "tick {tick}: {} messages", next.len());
+            let is_pair = matches!(
+                &next[..],
+                [OrderedMessage::Latched(l), OrderedMessage::State(s)] if l.tick == tick && s.tick == tick + 1
+            );
+            assert!(is_pair, "tick {tick}: {} messages", next.len());
         }
     }
 }
