@@ -46,9 +46,13 @@
 mod design;
 mod matrix;
 mod parameter;
+pub mod quantity;
 mod residual;
+pub mod signal;
 mod solver;
+pub mod study;
 mod uncertainty;
+pub mod unit;
 pub mod wording;
 
 pub use design::{Gain, expected_sd, rank};

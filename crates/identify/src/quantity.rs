@@ -90,8 +90,8 @@ pub struct Quantity {
     pub frame: Frame,
     /// Gauge length of a curvature's node, m.
     pub gauge_m: f64,
-    /// Path of a field.
-    pub field: Option<String>,
+    /// Field of the state.
+    pub field: Option<Column>,
 }
 
 fn isometry(pose: &Pose) -> Isometry3<f64> {
@@ -209,8 +209,7 @@ impl Quantity {
                 out.extend(project(self.point_m(state).into()).unwrap_or([f64::NAN; 2]));
             }
             Kind::Field => {
-                let column = self.field.as_deref().and_then(|path| Quantity::scalar(path).ok());
-                let value = column.and_then(|column| column.value(state.as_bytes()));
+                let value = self.field.as_ref().and_then(|column| column.value(state.as_bytes()));
                 out.push(value.map_or(f64::NAN, run_log::fields::Scalar::nearest_f64));
             }
         }
