@@ -38,11 +38,13 @@
 //! | [`Sim`], [`Snapshot`] | one simulation; its state at a tick |
 //! | [`SharedScene`] | a checked scene with its volume |
 //! | [`Batch`] | many simulations on several threads |
+//! | [`identification`] | parameters of scenes from measured files |
 //! | `from_log`, `recording`, `x_ray` | from a log, into a log, the X-ray of a state |
 
 mod batch;
 mod error;
 mod from_log;
+pub mod identification;
 mod recording;
 mod shared;
 mod simulator;

@@ -62,7 +62,20 @@ impl SharedScene {
         settings: &[String],
         seed: Option<u64>,
     ) -> Result<Arc<SharedScene>, SimError> {
-        let source = SceneSource::new(file, BuiltIn::Femur).with(settings)?;
+        Self::of_source(other, SceneSource::new(file, BuiltIn::Femur), settings, seed)
+    }
+
+    /// As [`SharedScene::load_beside`], of any source.
+    ///
+    /// # Errors
+    /// As [`SharedScene::load`].
+    pub fn of_source(
+        other: Option<&SharedScene>,
+        source: SceneSource,
+        settings: &[String],
+        seed: Option<u64>,
+    ) -> Result<Arc<SharedScene>, SimError> {
+        let source = source.with(settings)?;
         let (mut scene, choice) = plan::load_scene(&source)?;
         scene.run.mode = Mode::Lockstep;
         scene.run.seed = seed.unwrap_or(scene.run.seed);

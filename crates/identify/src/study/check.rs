@@ -150,8 +150,9 @@ impl Checker<'_> {
                 None => known.push(measured),
             }
         }
-        if !experiments.iter().any(|experiment| experiment.role == Role::Fitted) {
-            let problem = "is missing: every experiment is held out, predicted or a candidate";
+        let is_used = |experiment: &Experiment| matches!(experiment.role, Role::Fitted | Role::Candidate);
+        if !experiments.iter().any(is_used) {
+            let problem = "is missing: every experiment is held out or predicted";
             return Err(self.conflict("experiment.measured".to_owned(), problem));
         }
         Ok(())
