@@ -7,6 +7,7 @@ pub(crate) mod docs;
 pub(crate) mod doctor;
 pub(crate) mod drr;
 mod from_markups;
+pub(crate) mod identify;
 pub(crate) mod log;
 pub(crate) mod plan;
 pub(crate) mod plot;

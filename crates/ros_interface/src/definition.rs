@@ -382,15 +382,16 @@ uint32 nanosec
         state.header.stamp.sec = 12;
         state.header.stamp.nanosec = 500_000_000;
         state.header.frame_id = "world".to_owned();
-        let bytes = cdr::encode(&state).unwrap();
+        // Recorders store the encapsulation header too.
+        let bytes = [vec![0, 1, 0, 0], cdr::encode(&state).unwrap()].concat();
         let value = |path: &str| definition.value(&definition.path(path).unwrap(), &bytes).unwrap();
         assert_eq!(value("position[1]"), Some(-1.5));
         assert_eq!(value("effort[0]"), Some(5.0));
         assert_eq!(value("velocity[0]"), None);
         assert_eq!(value("header.stamp"), Some(12.5));
+        let path = definition.path("effort[0]").unwrap();
         for cut in 0..bytes.len() {
-            let path = definition.path("effort[0]").unwrap();
-            assert!(definition.value(&path, &bytes[..cut]).is_err() || cut == bytes.len(), "{cut}");
+            assert!(definition.value(&path, &bytes[..cut]).is_err(), "{cut}");
         }
     }
 
@@ -428,7 +429,6 @@ uint32 nanosec
         bytes.extend([0, 0, 0, 1]);
         bytes.extend(1.5_f32.to_be_bytes());
         bytes.extend([0xff, 0xfe, 0, 3]);
-        bytes.extend([0; 4]);
         bytes.extend((-4_i64).to_be_bytes());
         let value = |path: &str| definition.value(&definition.path(path).unwrap(), &bytes).unwrap();
         let found = ["a", "some[0]", "some[1]", "pair[0]", "pair[1]", "z"].map(value);

@@ -14,7 +14,7 @@ use crate::error::SimError;
 /// A file of synthetic measurements.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct SyntheticFile {
-    /// File name: that of the experiment, and of the sensor where several have other rates.
+    /// File name: experiment and sensor.
     pub name: String,
     /// Its text.
     pub csv: String,
@@ -63,10 +63,19 @@ impl OpenedStudy {
                     }
                     csv.push('\n');
                 }
-                files.push(SyntheticFile { name: format!("{}_{}.csv", experiment.name, measured.name), csv });
+                files.push(SyntheticFile { name: file_name(&experiment.name, &measured.name), csv });
             }
         }
         Ok(files)
+    }
+
+    /// Returns the names of the files of [`OpenedStudy::simulate`].
+    pub fn synthetic_names(&self) -> Vec<String> {
+        let of = |experiment: &identify::study::Experiment| {
+            let name = |measured: &identify::study::Measured| file_name(&experiment.name, &measured.name);
+            experiment.measured.iter().map(name).collect::<Vec<_>>()
+        };
+        self.study.experiments.iter().flat_map(of).collect()
     }
 
     fn refuse_incomplete(&self) -> Result<(), SimError> {
@@ -86,4 +95,8 @@ impl OpenedStudy {
         }
         Ok(())
     }
+}
+
+fn file_name(experiment: &str, sensor: &str) -> String {
+    format!("{experiment}_{sensor}.csv")
 }
