@@ -80,7 +80,11 @@ impl SharedScene {
         scene.run.mode = Mode::Lockstep;
         scene.run.seed = seed.unwrap_or(scene.run.seed);
         volume_source::refuse_missing(&source, &scene)?;
-        let same = other.filter(|other| other.scene.volume == scene.volume);
+        // A registration error moves the loaded volume.
+        let has_volume_of = |other: &&SharedScene| {
+            other.scene.volume == scene.volume && other.scene.has_bone_pose_of(&scene)
+        };
+        let same = other.filter(has_volume_of);
         if let Some(ct) = same.and_then(|other| other.ct.clone()) {
             let notes = feasibility::check(&scene, &source, Some(&ct.volume))?;
             return Ok(Arc::new(SharedScene { scene, ct: Some(ct), notes }));

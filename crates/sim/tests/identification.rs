@@ -282,3 +282,23 @@ fn a_run_is_its_own_measurement() {
     assert!((report.parameters[0].value - 1.4).abs() < 1e-9, "{report:?}");
     assert!(report.cost[1] < 1e-6, "{:?}", report.cost);
 }
+
+/// Regression: a scene whose bone a registration error moves took the volume of the scene loaded before it, so
+/// sweeps and batches over the registration had no effect.
+#[test]
+fn a_moved_bone_is_not_shared_with_a_scene_that_has_it_elsewhere() {
+    let load = |other: Option<&sim::SharedScene>, settings: &[&str]| {
+        let block = ["volume.phantom=\"block\"", "volume.spacing_mm=1.0", "predrill=[]",
+            "tool.burr_start_mm=[0.0, 0.0, -35.0]", "drr.isocentre_mm=[0.0, 0.0, 0.0]",
+            "controller.0.curved_drilling.target_mm=[0.0, 0.0, 0.0]"];
+        let settings: Vec<String> = [&block[..], settings].concat().iter().map(|line| (*line).to_owned()).collect();
+        sim::SharedScene::load_beside(other, None, &settings, None).unwrap()
+    };
+    let origin = |shared: &sim::SharedScene| shared.volume().unwrap().origin_m;
+    let first = load(None, &[]);
+    let moved = load(Some(&first), &["truth.registration_error_mm=[0.5, 0.0, 0.0]"]);
+    assert!((origin(&moved)[0] - origin(&first)[0] - 0.5e-3).abs() < 1e-12);
+    let again = load(Some(&moved), &["truth.registration_error_mm=[0.5, 0.0, 0.0]"]);
+    assert!(std::sync::Arc::ptr_eq(again.ct().unwrap(), moved.ct().unwrap()));
+    assert_eq!(origin(&load(Some(&moved), &[])), origin(&first));
+}

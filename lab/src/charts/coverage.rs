@@ -121,7 +121,7 @@ name = "bench"
 drives = ["tendon", "arm", "burr"]
 external = true
 "#,
-    commands: "t,pull,depth,speed\n0,6,0.002,0\n0.2,2,0.008,0\n",
+    commands: "t,pull,depth\n0,6,0.0015\n0.2,9,0.0028\n",
     experiments: r#"
 [[experiment]]
 name = "rub"

@@ -348,8 +348,8 @@ impl OpenedStudy {
         match best.stop {
             Stop::Converged => {}
             Stop::Rough => said.push(
-                "the fit ended where the simulation is not smooth; set a larger `step` for parameters of drilled \
-                 bone, or compare with several `starts`"
+                "the fit ended where the simulation is not smooth on the scale of `step`; set a larger `step` for \
+                 parameters of drilled bone, a smaller one otherwise, or compare several `starts`"
                     .to_owned(),
             ),
             Stop::Iterations => {
