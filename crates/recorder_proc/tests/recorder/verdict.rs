@@ -238,7 +238,7 @@ fn a_replay_goes_on_behind_each_gap_at_the_next_keyframe() {
 
 /// Every 100 ticks, starting at a tick.
 fn keyframe_from(first: u64, state: &messages::State) -> Option<Vec<u8>> {
-    (state.tick % 100 == 0 && state.tick >= first).then(|| state.as_bytes().to_vec())
+    (state.tick.is_multiple_of(100) && state.tick >= first).then(|| state.as_bytes().to_vec())
 }
 
 /// A log with a keyframe every 100 ticks, starting at tick 200.
