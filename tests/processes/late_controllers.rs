@@ -18,8 +18,7 @@ fn a_silent_controller_in_lockstep_ends_the_run_and_is_named() {
     let scene =
         scenes::drill("lockstep", 600.0).replace("seed = 7", "seed = 7\ncontroller_limit_ms = 2000.0");
     let run = place.start(&scene);
-    let client = Client::join(&run.session());
-    client.wait_for_state(|state| state.tick >= 100);
+    let client = Client::at(&run, 100);
     drop(client);
     signal(run.part("controller"), Signal::STOP);
     let ended = run.end();

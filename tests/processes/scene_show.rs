@@ -2,7 +2,7 @@
 
 use serde_json::Value;
 
-use crate::common::program::{Place, trabecula};
+use crate::common::program::{Place, succeed, trabecula};
 use crate::common::scenes::PLAN_OF_THE_BALL;
 
 fn number(value: &Value) -> f64 {
@@ -14,13 +14,11 @@ fn number(value: &Value) -> f64 {
 fn the_figures_of_a_plan_in_a_ball_are_the_balls_and_the_picture_shows_hole_tool_and_path() {
     let place = Place::new();
     let (ball, plan, scene) = (place.path("ball.nrrd"), place.path("plan.fcsv"), place.path("s.toml"));
-    assert_eq!(trabecula(&[&"phantom", &"sphere", &"-o", &ball]).code, Some(0));
+    succeed(&[&"phantom", &"sphere", &"-o", &ball]);
     std::fs::write(&plan, PLAN_OF_THE_BALL).unwrap();
-    let made = trabecula(&[&"scene", &"from-markups", &plan, &"--ct", &ball, &"-o", &scene]);
-    assert_eq!(made.code, Some(0), "{}", made.err);
+    succeed(&[&"scene", &"from-markups", &plan, &"--ct", &ball, &"-o", &scene]);
     let picture = place.path("plan.png");
-    let done = trabecula(&[&"scene", &"show", &scene, &"-o", &picture, &"--json"]);
-    assert_eq!(done.code, Some(0), "{}", done.err);
+    let done = succeed(&[&"scene", &"show", &scene, &"-o", &picture, &"--json"]);
     let said: Value = serde_json::from_str(&done.out).unwrap();
     // Voxels of half a millimetre.
     for (what, value, wanted) in [
