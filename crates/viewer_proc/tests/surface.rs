@@ -235,8 +235,8 @@ fn the_coarse_surface_has_the_balls_volume_at_a_tenth_of_the_triangles_and_follo
     let scale_m = meshes.values().next().unwrap().scale_m;
     let (_, volume) = area_and_volume(&all, scale_m);
     let expected = 4.0 / 3.0 * core::f64::consts::PI * radius_m.powi(3);
-    // The sagitta of a cell of 1.5 mm on 35 mm, h²/8r = 0.008 mm, and the mean of a cell that the surface cuts,
-    // whose Hounsfield units are clamped.
+    // The sagitta of a cell of 1.5 mm on 35 mm, h²/8r = 0.008 mm, and the mean of a cell that the surface
+    // cuts, whose Hounsfield units are clamped.
     assert!((volume / expected - 1.0).abs() < 0.03, "{volume} {expected}");
 
     // A tunnel of 6 mm, drilled in two rounds and restored in part.
