@@ -28,7 +28,7 @@ const CORES: [(&str, &str); 17] = [
     ("sweep", "crates/sweep"),
     ("hub", "crates/hub"),
     ("delivery", "crates/delivery"),
-    ("hub_simulator", "crates/hub/simulator"),
+    ("hub_schedules", "crates/hub/schedules"),
 ];
 
 /// Crates that no core may reach, and why. Only normal dependencies count: tests and build scripts may use

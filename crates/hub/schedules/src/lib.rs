@@ -21,8 +21,8 @@
 //! those published.
 //!
 //! ```
-//! let plan = hub_simulator::SchedulePlan::of(7);
-//! assert!(hub_simulator::run(&plan).is_ok());
+//! let plan = hub_schedules::SchedulePlan::of(7);
+//! assert!(hub_schedules::run(&plan).is_ok());
 //! ```
 
 mod actors;
