@@ -60,6 +60,10 @@ fn a_controller_whose_first_command_is_refused_is_told_why_when_its_time_is_up()
         };
         let why = format!("refused: command {number}: `tendon_force_n[0]` is 61; allowed: 0 to 60");
         assert!(ended.err.contains(missed) && ended.err.contains(&why), "{}", ended.err);
+        // Regression: nothing was said until then.
+        let caution = format!("caution: controller `pilot`: command {number}: `tendon_force_n[0]` is 61");
+        let (at_once, end) = (ended.err.find(&caution), ended.err.find(missed));
+        assert!(at_once.is_some() && at_once < end, "{}", ended.err);
         assert!(ended.out.contains("controller_late: controller `pilot`"), "{}", ended.out);
         assert!(!ended.err.contains("it is external"), "{}", ended.err);
         assert_nothing_left(ended.pid);
