@@ -59,8 +59,8 @@ fn the_figures_of_a_plan_in_a_ball_are_the_balls_and_the_picture_shows_hole_tool
 
 /// A block of 3 mm of bone, scanned at 20 µm, in air; the plan leads from its lower face to its centre.
 ///
-/// Regression: it was a stamp in grey panels, sampled every 13 voxels, and the path's first point was not said
-/// to be outside it.
+/// Regression: it was a stamp in grey panels, sampled every 13 voxels, and the path's first point was not
+/// reported to be outside it.
 #[test]
 fn a_specimen_of_four_millimetres_fills_the_picture_and_is_measured_to_its_voxel() {
     const SIDE: usize = 195;
