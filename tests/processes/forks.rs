@@ -27,8 +27,8 @@ fn a_call_from_a_signal_handler_in_the_middle_of_another_is_refused_in_c() {
     completed_by("signals", &Place::new());
 }
 
-/// A client belongs to the process that created it. Regression: the normal exit of a child ran the clean-up of
-/// its parent's client, and so ended the run.
+/// A client belongs to the process that created it. Regression: the normal exit of a child ran the clean-up
+/// of its parent's client, and so ended the run.
 #[test]
 fn a_forked_child_that_exits_does_not_disconnect_its_parent_in_c() {
     let place = Place::new();
