@@ -165,8 +165,8 @@ fn a_homogeneous_slab_is_exact_to_the_rounding_of_f32() {
     }
 }
 
-/// Asserts that every instruction set gives the bits of the scalar one on any of these numbers of threads, and
-/// returns the image's hash.
+/// Asserts that every instruction set gives the bits of the scalar one on any of these numbers of threads,
+/// and returns the image's hash.
 pub fn same_hash(
     view: &VolumeView<'_>,
     options: SliceOrderedOptions,
