@@ -40,6 +40,7 @@ mod lichtblick;
 mod lifetimes;
 mod log_tools;
 mod lost_tool;
+mod memory;
 mod model_validity;
 mod oblique;
 mod openigtlink;
