@@ -12,7 +12,7 @@ use rustix::process::Signal;
 use test_support::limited::Limited;
 use test_support::name_space::NameSpace;
 
-use crate::common::program::{Place, Run, assert_nothing_left, only_entry, segments_of, signal, wait_for};
+use crate::common::program::{Place, Run, assert_nothing_left, segments_of, signal, wait_for};
 use crate::common::scenes;
 
 const PROGRAM: &str = env!("CARGO_BIN_EXE_trabecula");
@@ -164,7 +164,7 @@ fn a_sessions_files_have_their_modes_whatever_the_umask() {
         let script = format!("umask {umask}; exec \"$@\"");
         let run = started_by(&["sh", "-c", &script, "sh"], &place, &scenes::hold("realtime", 600.0));
         let session = run.session();
-        wait_for("a log", || run.log());
+        let log = wait_for("a log", || run.log());
         let mode = |path: &Path| path.metadata().map_or(0, |found| found.permissions().mode() & 0o7777);
         assert_eq!(mode(&session), 0o700, "umask {umask}");
         let mut checked = 0;
@@ -178,11 +178,10 @@ fn a_sessions_files_have_their_modes_whatever_the_umask() {
             checked += u32::from(mode != 0);
         }
         assert!(checked > 5, "umask {umask}: {checked} segments");
+        assert_eq!(mode(&log) & 0o600, 0o600, "umask {umask}: the user cannot read {}", log.display());
         signal(run.pid(), Signal::TERM);
         let ended = run.end();
         assert_eq!(ended.code, Some(130), "umask {umask}: {}", ended.err);
-        let log = only_entry(&place.path("out")).join("run.mcap");
-        assert_eq!(mode(&log) & 0o600, 0o600, "umask {umask}: the user cannot read {}", log.display());
         assert_nothing_left(ended.pid);
     }
 }
