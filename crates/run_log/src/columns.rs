@@ -49,6 +49,18 @@ impl Column {
         }
     }
 
+    /// Sets the column's value in a message; returns false, and changes nothing, if it is not a `uint32`.
+    pub fn set_whole(&self, body: &mut [u8], value: u32) -> bool {
+        let place = body.get_mut(self.offset..self.offset + self.size);
+        match place.filter(|place| self.ros_type == "uint32" && place.len() == size_of::<u32>()) {
+            Some(place) => {
+                place.copy_from_slice(&value.to_le_bytes());
+                true
+            }
+            None => false,
+        }
+    }
+
     /// The column's value in a message; `None` for a computed column.
     pub fn value(&self, body: &[u8]) -> Option<Scalar> {
         Scalar::read(self.ros_type, body.get(self.offset..self.offset + self.size)?)

@@ -17,7 +17,7 @@
 //! that its remainder is below the differences.
 
 use messages::layout::Message;
-use messages::{Command, CommandSource, Latched, MAX_CONTROLLERS, State};
+use messages::{Command, CommandSource, Latched, MAX_CONTROLLERS, State, USED_LENGTHS};
 use run_log::columns::{Column, columns};
 use scene::{Drives, Scene};
 use simulation::{Simulation, SimulationError, SimulationSnapshot, StateEntry};
@@ -150,26 +150,12 @@ const OF_THE_STATE: [&str; 8] = [
     "arm_manipulability",
 ];
 
-/// Fields that are arrays, and the field with the number of their used elements.
-const COUNTED: [(&str, &str); 12] = [
-    ("joint_position_rad", "joint_count"),
-    ("joint_velocity_rad_per_s", "joint_count"),
-    ("t_world_link", "joint_count"),
-    ("tendon_tension_n", "tendon_count"),
-    ("tendon_displacement_m", "tendon_count"),
-    ("tendon_force_n", "tendon_count"),
-    ("arm_joint_position_rad", "arm_joint_count"),
-    ("arm_joint_velocity_rad_per_s", "arm_joint_count"),
-    ("arm_joint_deflection_rad", "arm_joint_count"),
-    ("t_world_body", "body_count"),
-    ("contacts", "contact_count"),
-    ("applied", "controller_count"),
-];
-
 /// Returns how many elements of a field, by its name, a state of this scene uses; `None` for a field that is
 /// no array or uses all of them.
 pub fn used_elements(field: &str, state: &State) -> Option<u32> {
-    match COUNTED.iter().find(|(name, _)| *name == field).map(|(_, count)| *count)? {
+    // Arrays of a command have the names of those of a state, except for this one.
+    let field = if field == "tendon_force_n" { "tendon_tension_n" } else { field };
+    match USED_LENGTHS.iter().find(|(of, name, _)| (*of, *name) == ("State", field))?.2 {
         "joint_count" => Some(state.joint_count),
         "tendon_count" => Some(state.tendon_count),
         "arm_joint_count" => Some(state.arm_joint_count),
@@ -197,7 +183,7 @@ fn refused(kind: &'static str, name: &str, reason: String) -> SimError {
 
 fn floats(
     kind: &'static str,
-    name: &String,
+    name: &str,
     found: Result<Vec<Column>, run_log::LogError>,
     state: &State,
 ) -> Result<Vec<Column>, SimError> {
