@@ -32,10 +32,23 @@ unsafe extern "C" fn log3(_: *mut c_void, _: c_int, _: *const c_char, text: *con
     unsafe { keep_message(text) };
 }
 
-/// Takes the format of a message; its further arguments are not read.
-unsafe extern "C" fn log2(_: *mut c_void, _: *const c_char, _: c_int, _: *const c_char, text: *const c_char) {
+/// Takes the format of a message, and its first further argument if the format is `%s`. Other formats are shown
+/// as they are.
+unsafe extern "C" fn log2(
+    _: *mut c_void,
+    _: *const c_char,
+    _: c_int,
+    _: *const c_char,
+    format: *const c_char,
+    first: *const c_char,
+) {
+    if format.is_null() {
+        return;
+    }
     // SAFETY: the standard gives the format as a NUL-terminated text.
-    unsafe { keep_message(text) };
+    let is_text = unsafe { CStr::from_ptr(format) } == c"%s";
+    // SAFETY: NUL-terminated: the format, or the text that `%s` says is given.
+    unsafe { keep_message(if is_text { first } else { format }) };
 }
 
 unsafe extern "C" fn allocate(count: usize, size: usize) -> *mut c_void {
@@ -114,8 +127,8 @@ impl Master {
         let model = archived.model.clone();
         // SAFETY: runs code of the library, which the user has chosen to run in this process.
         let library = unsafe { Library::new(folder.join(model.library())) }.map_err(malformed)?;
-        // SAFETY: on Linux on x86-64 and aarch64, a function takes its fixed arguments in the same places whether
-        // or not it is called as variadic, and `log2` reads no others.
+        // SAFETY: on Linux on x86-64 and aarch64, a function takes its first six pointers and integers in the same
+        // registers whether or not it is called as variadic, and `log2` uses the sixth only if it is given.
         let logger = unsafe { core::mem::transmute::<*const (), Option<_>>(log2 as *const ()) };
         let callbacks = Box::new(Callbacks2 {
             logger,
