@@ -28,7 +28,7 @@ const CORES: [(&str, &str); 17] = [
     ("sweep", "crates/sweep"),
     ("hub", "crates/hub"),
     ("delivery", "crates/delivery"),
-    ("hub_simulator", "crates/hub/simulator"),
+    ("hub_schedules", "crates/hub/schedules"),
 ];
 
 /// Crates that no core may reach, and why. Only normal dependencies count: tests and build scripts may use
@@ -114,14 +114,10 @@ struct Graph {
 
 impl Graph {
     fn read() -> Graph {
-        let cargo = std::env::var("CARGO").unwrap_or_else(|_| "cargo".to_owned());
         // Only the dependencies of this machine's build: cargo has not fetched the crates of other platforms.
-        let platform = host();
-        let arguments =
-            ["metadata", "--offline", "--locked", "--format-version", "1", "--filter-platform", &platform];
-        let output = Command::new(cargo).args(arguments).current_dir(root()).limited_output().unwrap();
-        assert!(output.status.success(), "cargo metadata: {}", String::from_utf8_lossy(&output.stderr));
-        Graph::of(&serde_json::from_slice(&output.stdout).unwrap())
+        let of_host = ["--format-version", "1", "--filter-platform", &host()];
+        let metadata = cargo(&[&["metadata", "--offline", "--locked"], &of_host[..]].concat());
+        Graph::of(&serde_json::from_str(&metadata).unwrap())
     }
 
     fn of(metadata: &Value) -> Graph {

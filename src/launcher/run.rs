@@ -190,8 +190,8 @@ pub struct RunSnapshot<'a> {
     pub frames: u64,
     /// What the run has been waiting for, reported once.
     pub waiting: Option<&'a str>,
-    /// A limit of this machine that affects the run, reported once.
-    pub caution: Option<&'a str>,
+    /// Limits of this machine that affect the run, and refused commands, each reported once.
+    pub cautions: &'a [String],
     /// Running parts, with their resource use.
     pub parts: &'a [PartProcess],
 }

@@ -16,12 +16,12 @@ pub struct Plane {
 }
 
 impl Plane {
-    /// The plane through the first state's tip, spanned by its base's +x (toward tendon 0) and +z
+    /// The plane through the first state's burr centre, spanned by its base's +x (toward tendon 0) and +z
     /// (insertion).
     pub fn of(state: &State) -> Plane {
         let q = state.t_world_base.orientation_xyzw;
         let (bend_axis, insertion_axis) = (rotate(q, [1.0, 0.0, 0.0]), rotate(q, [0.0, 0.0, 1.0]));
-        Plane { origin_m: state.t_world_tip.position_m, bend_axis, insertion_axis }
+        Plane { origin_m: state.t_world_burr.position_m, bend_axis, insertion_axis }
     }
 
     /// Coordinates of a world point along the bend and insertion axes, mm.
@@ -190,7 +190,7 @@ mod tests {
         let h = std::f64::consts::FRAC_1_SQRT_2;
         let mut state = State::zeroed();
         state.t_world_base.orientation_xyzw = [h, 0.0, h, 0.0];
-        state.t_world_tip.position_m = [0.1, 0.2, 0.3];
+        state.t_world_burr.position_m = [0.1, 0.2, 0.3];
         let [bend_mm, insertion_mm] = Plane::of(&state).project_mm([0.105, 9.0, 0.301]);
         assert!(
             (bend_mm - 1.0).abs() < 1e-9 && (insertion_mm - 5.0).abs() < 1e-9,

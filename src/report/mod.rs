@@ -6,7 +6,7 @@
 //! | file | contents |
 //! |---|---|
 //! | `drr_before.png`, `drr_half.png`, `drr_after.png` | first, middle and last frame |
-//! | `tip_path.png`, `.svg` | tip path with the manipulator's shape; tension, bend and burr force over time |
+//! | `tip_path.png`, `.svg` | path of the burr's centre with the manipulator's shape; tension, bend and burr force over time |
 //! | `timing.png`, `.svg` | step time over the run; distributions of step, lateness and round trip |
 //! | `summary.json` | [`Summary`] |
 //! | `report.html` | all of the above on one page, with warnings, scene and replay command |

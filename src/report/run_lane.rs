@@ -20,8 +20,8 @@ const TIME_BINS: usize = 1200;
 pub struct Curves {
     /// Bending plane of the first state.
     pub plane: Plane,
-    /// Tip position along the bend and insertion axes, mm.
-    pub tip_mm: Timeline<Option<[f64; 2]>>,
+    /// Position of the burr's centre along the bend and insertion axes, mm.
+    pub burr_mm: Timeline<Option<[f64; 2]>>,
     /// Tension of each tendon, N.
     pub tension_n: [Timeline<Extremes>; MAX_TENDONS],
     /// Bend, degrees.
@@ -35,7 +35,7 @@ impl Curves {
         let line = Timeline::new(TIME_BINS, dt_ns, Extremes::EMPTY);
         Curves {
             plane: Plane::of(first),
-            tip_mm: Timeline::new(TIME_BINS, dt_ns, None),
+            burr_mm: Timeline::new(TIME_BINS, dt_ns, None),
             tension_n: std::array::from_fn(|_| line.clone()),
             bend_deg: line.clone(),
             burr_force_n: line,
@@ -43,7 +43,7 @@ impl Curves {
     }
 
     fn add(&mut self, state: &State, time_ns: u64) {
-        *self.tip_mm.bin(time_ns) = Some(self.plane.project_mm(state.t_world_tip.position_m));
+        *self.burr_mm.bin(time_ns) = Some(self.plane.project_mm(state.t_world_burr.position_m));
         for (line, &tension_n) in self.tension_n.iter_mut().zip(&state.tendon_tension_n) {
             line.bin(time_ns).add(tension_n);
         }

@@ -68,8 +68,7 @@ fn a_run_without_the_permission_for_fifo_says_so() {
     let words = [without, &["prlimit", "--rtprio=0:0"]].concat();
     let place = Place::new();
     let scene = scenes::hold("realtime", 0.2).replace("seed = 7", "seed = 7\npolicy = \"fifo\"");
-    let ended = started_by(&words, &place, &scene).end();
-    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    let ended = started_by(&words, &place, &scene).end_well();
     let caution = "SCHED_FIFO is not permitted; the physics runs with nice ";
     assert!(ended.err.contains(&format!("caution: {caution}")), "{}", ended.err);
     let summary = std::fs::read_to_string(ended.folder.join("summary.json")).unwrap();

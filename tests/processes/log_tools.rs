@@ -9,7 +9,7 @@ use run_log::{ReadOptions, frames};
 use rustix::process::Signal;
 
 use crate::common::logs::{assert_replays, counts, recorded};
-use crate::common::program::{Place, Run, signal, trabecula, wait_for};
+use crate::common::program::{Place, Run, signal, succeed, trabecula, wait_for};
 use crate::common::scenes;
 
 #[test]
@@ -21,8 +21,7 @@ fn images_are_recorded_as_asked_and_states_cost_the_same() {
     let mut images = Vec::new();
     let mut states = Vec::new();
     for (index, more) in options.iter().enumerate() {
-        let ended = Run::start(&scene, place.path(&format!("out{index}")), more).end();
-        assert_eq!(ended.code, Some(0), "{}", ended.err);
+        let ended = Run::start(&scene, place.path(&format!("out{index}")), more).end_well();
         assert_replays(&ended.folder);
         let count = counts(&ended.folder.join("run.mcap"));
         images.push((count["/drr/frame"], count["/drr/image"]));
@@ -51,8 +50,7 @@ fn logs_are_packed_joined_split_and_exported() {
     let folder = place.complete(&scenes::drill("lockstep", 0.4)).folder;
     let path = |name: &str| place.path(name);
     let run = |arguments: &[&dyn AsRef<std::ffi::OsStr>]| {
-        let done = trabecula(arguments);
-        assert_eq!(done.code, Some(0), "{}", done.err);
+        let done = succeed(arguments);
         done.out
     };
     let packed = path("packed.mcap");

@@ -37,7 +37,6 @@ mod interrupts;
 mod languages;
 mod late_controllers;
 mod lichtblick;
-mod lifetimes;
 mod log_tools;
 mod lost_tool;
 mod model_validity;

@@ -277,15 +277,18 @@ mod tests {
     /// Only keys that are set are checked against their ranges.
     #[test]
     fn every_default_is_within_its_range() {
+        let mut count = 0;
         each_key(&SCENE, "", &mut |path, key| {
             let (AbsentValue::Default(default), Some(range)) = (&key.absent, key.kind.range()) else {
                 return;
             };
+            count += 1;
             let values: Vec<f64> = match default {
                 Value::Array(values) => values.iter().map(|value| value.as_f64().unwrap()).collect(),
                 value => vec![value.as_f64().unwrap()],
             };
             assert!(values.iter().all(|value| range.allows(*value)), "{path}: {default} is not in {range:?}");
         });
+        assert!(count > 50, "{count} keys");
     }
 }

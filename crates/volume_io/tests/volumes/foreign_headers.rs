@@ -4,15 +4,13 @@
 #![allow(clippy::unwrap_used, clippy::panic)]
 
 use crate::common::nifti_bytes::NiftiBytes;
-use std::io::Write;
+use crate::common::{gzip, store};
 use volume_io::{ReadOptions, SliceHandling, VolumeError, read, read_as, read_with_info};
 use voxel_grid::Volume;
 
 /// The volume of a file, and the notes on it.
 fn taken(name: &str, bytes: &[u8]) -> (Volume, String) {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join(name);
-    std::fs::write(&path, bytes).unwrap();
+    let (_folder, path) = store(name, bytes);
     let (volume, info) = read_with_info(&path).unwrap_or_else(|error| panic!("{name}: {error}"));
     (volume, info.notes.join("; "))
 }
@@ -88,9 +86,7 @@ fn a_nifti_stack_of_a_tilted_gantry_is_rectified_on_request() {
             20 * k + 6 * j - 3 * k
         })
         .collect();
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("v.nii");
-    std::fs::write(&path, NiftiBytes::new([4, 9, 7], affine, &voxels).0).unwrap();
+    let (_folder, path) = store("v.nii", &NiftiBytes::new([4, 9, 7], affine, &voxels).0);
     assert!(matches!(read(&path), Err(VolumeError::Sheared { .. })));
     let options = ReadOptions { slices: SliceHandling::Rectify, ..ReadOptions::default() };
     let (volume, info) = read_as(&path, &options).unwrap();
@@ -116,9 +112,7 @@ fn bytes_behind_a_gzip_stream_are_ignored() {
         &[7; 24],
     )
     .0;
-    let mut encoder = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
-    encoder.write_all(&file).unwrap();
-    let packed = encoder.finish().unwrap();
+    let packed = gzip(&file);
     let usual = taken("v.nii.gz", &packed);
     assert_eq!(taken("v.nii.gz", &[&packed, b"trailing".as_slice()].concat()), usual);
 }
