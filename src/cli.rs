@@ -142,7 +142,7 @@ mod tests {
     use test_support::grammar;
 
     /// Commands without `--json`: they print text for another program, or write only images, pages or files.
-    const WITHOUT_FIGURES: [&str; 21] = [
+    const WITHOUT_FIGURES: [&str; 22] = [
         "bridge igtl",
         "bridge ros2",
         "docs completions",
@@ -151,6 +151,7 @@ mod tests {
         "docs messages",
         "docs scene",
         "docs schema",
+        "fmu drive",
         "log cat",
         "log cat-files",
         "log split",

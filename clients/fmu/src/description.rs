@@ -151,8 +151,8 @@ fn outputs(variables: &Variables) -> impl Iterator<Item = &Variable> {
     variables.0.iter().filter(|variable| variable.causality == Causality::Output)
 }
 
-/// Type of a variable in FMI 2.0, whose integers have 32 bits: larger ones are reals. `None` for what it cannot
-/// express.
+/// Type of a variable in FMI 2.0, whose integers have 32 bits: larger ones are reals. `None` for what it
+/// cannot express.
 pub(crate) fn kind_of_two(variable: &Variable) -> Option<&'static str> {
     match (&variable.kind, &variable.place) {
         (Kind::Int64, Place::Key(_, Start::Whole(value))) if i32::try_from(*value).is_err() => None,

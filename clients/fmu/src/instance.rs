@@ -57,7 +57,7 @@ struct Saved {
 /// Values at a communication point.
 #[derive(Clone)]
 struct Values {
-    /// Of the caller's controllers.
+    /// Commands of the controllers that the caller drives.
     commands: Vec<Command>,
     state: State,
     /// Newest reading of each sensor.
@@ -235,8 +235,8 @@ impl Instance {
         Ok(self.time_s())
     }
 
-    /// Finds a variable. With `whole` the reference must be an array's first element, which then stands for all
-    /// (FMI 3.0); otherwise it is that of one element.
+    /// Finds a variable. With `whole` the reference must be an array's first element, which then stands for
+    /// all (FMI 3.0); otherwise it is that of one element.
     pub fn find(&self, reference: u32, whole: bool) -> Result<(&Variable, usize, usize), FmuError> {
         let unknown = || FmuError::NoVariable { kind: "known", reference };
         let (variable, element) = self.variables.find(reference).ok_or_else(unknown)?;

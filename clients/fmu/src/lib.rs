@@ -1,13 +1,13 @@
-//! Scenes as Functional Mock-up Units (FMI 2.0 and 3.0, co-simulation), for Simulink, Modelica tools and other
-//! masters.
+//! Scenes as Functional Mock-up Units (FMI 2.0 and 3.0, co-simulation), for Simulink, Modelica tools and
+//! other masters.
 //!
 //! An FMU holds this library and the scene with its files. Inputs are the fields of the commands that the
-//! caller's controllers send, outputs the fields of the state, sensor readings and X-ray frames; parameters are
-//! keys of the scene. A step is a number of whole ticks with the same commands, so a run has the hash of a
-//! lockstep run with the same commands. FMU states are snapshots, serialised ones keyframes.
+//! caller's controllers send, outputs the fields of the state, sensor readings and X-ray frames; parameters
+//! are keys of the scene. A step is a number of whole ticks with the same commands, so a run has the hash of
+//! a lockstep run with the same commands. FMU states are snapshots, serialised ones keyframes.
 //!
-//! **Boundary:** everything but [`ffi`] is safe code above [`sim`]. An instance and an FMU state are numbers in
-//! tables, not addresses, so a wrong or freed one is detected. No panic crosses the interface.
+//! **Boundary:** everything but [`ffi`] is safe code above [`sim`]. An instance and an FMU state are numbers
+//! in tables, not addresses, so a wrong or freed one is detected. No panic crosses the interface.
 //!
 //! | module | contents |
 //! |---|---|

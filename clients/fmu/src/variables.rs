@@ -1,8 +1,8 @@
 //! The variables of a scene's FMU. Names, units and descriptions come from the messages' own tables.
 //!
-//! Names: `time`; `CONTROLLER.FIELD` of a command for inputs; `state.FIELD`, `sensor.NAME.*`, `hash` and `x_ray`
-//! for outputs; `scene.KEY` for parameters. An array of FMI 3.0 is one variable with the reference of its first
-//! element; FMI 2.0 has a variable for each element, with consecutive references.
+//! Names: `time`; `CONTROLLER.FIELD` of a command for inputs; `state.FIELD`, `sensor.NAME.*`, `hash` and
+//! `x_ray` for outputs; `scene.KEY` for parameters. An array of FMI 3.0 is one variable with the reference of
+//! its first element; FMI 2.0 has a variable for each element, with consecutive references.
 
 use messages::layout::{Description, Element, Message};
 use messages::{Command, MAX_SENSOR_VALUES, SensorReading, State};

@@ -13,8 +13,8 @@
 //!
 //! A difference moves one entry by [`StateEntry::difference`], or one input by a difference of its unit, to
 //! both sides; at the end of a range to one side. Rates and accelerations of the arm's joints and of the tube
-//! have columns of 0: their drives follow plans of limited jerk, which have no derivative where they begin. The contact solver then stops at [`TOLERANCE_M_PER_S`], so
-//! that its remainder is below the differences.
+//! have columns of 0: their drives follow plans of limited jerk, which have no derivative where they begin.
+//! The contact solver then stops at [`TOLERANCE_M_PER_S`], so that its remainder is below the differences.
 
 use messages::layout::Message;
 use messages::{Command, CommandSource, Latched, MAX_CONTROLLERS, State, USED_LENGTHS};
@@ -67,8 +67,8 @@ pub struct LinearModel {
     pub input: Vec<f64>,
     /// g(x₀, u₀).
     pub output: Vec<f64>,
-    /// Where a contact, a stop or a tendon's friction differs within a difference, so that a derivative is the
-    /// mean of two; and inputs without effect.
+    /// Where a contact, a stop or a tendon's friction differs within a difference, so that a derivative is
+    /// the mean of two; and inputs without effect.
     pub notes: Vec<String>,
 }
 
@@ -78,8 +78,8 @@ impl Sim {
     /// elements. The simulation stays as it is.
     ///
     /// # Errors
-    /// As [`Sim::step`]; also if there is no such field, a field is no `float64`, or no controller drives what
-    /// an input belongs to.
+    /// As [`Sim::step`]; also if there is no such field, a field is no `float64`, or no controller drives
+    /// what an input belongs to.
     pub fn linearize(
         &mut self,
         commands: &[Command],

@@ -299,8 +299,8 @@ impl Sim {
     /// run has.
     ///
     /// # Errors
-    /// As [`Sim::restore`]; also if the vector has the wrong length, a value is out of range, or joints of the
-    /// arm differ although it follows a path. Nothing has changed then.
+    /// As [`Sim::restore`]; also if the vector has the wrong length, a value is out of range, or joints of
+    /// the arm differ although it follows a path. Nothing has changed then.
     pub fn restore_vector(&mut self, snapshot: &Snapshot, vector: &[f64]) -> Result<(), SimError> {
         let here = self.snapshot();
         self.restore(snapshot)?;

@@ -1,8 +1,8 @@
 //! The C interfaces, by hand from the headers of FMI 2.0.4 and 3.0.2.
 //!
-//! An instance is a number in a table and passed as a pointer that is never followed; so is an FMU state in its
-//! instance. The only memory of the caller's that is touched are arrays and texts that it passes, in the call
-//! that passes them, and the environment of its log function, which is only handed back.
+//! An instance is a number in a table and passed as a pointer that is never followed; so is an FMU state in
+//! its instance. The only memory of the caller's that is touched are arrays and texts that it passes, in the
+//! call that passes them, and the environment of its log function, which is only handed back.
 
 mod table;
 mod three;
@@ -25,7 +25,7 @@ mod status {
 /// Returns an array of the caller's.
 ///
 /// # Safety
-/// `first` is null or points at `count` values that nobody writes while the result is in use.
+/// `first` is null or points at `count` values that are not written while the result is in use.
 unsafe fn array<'a, T>(first: *const T, count: usize, name: &'static str) -> Result<&'a [T], FmuError> {
     match (count, first.is_null()) {
         (0, _) => Ok(&[]),
@@ -38,7 +38,7 @@ unsafe fn array<'a, T>(first: *const T, count: usize, name: &'static str) -> Res
 /// Returns an array of the caller's to write.
 ///
 /// # Safety
-/// `first` is null or points at `count` initialised values that nobody else uses while the result is in use.
+/// `first` is null or points at `count` initialised values, used by nothing else while the result is in use.
 unsafe fn room<'a, T>(first: *mut T, count: usize, name: &'static str) -> Result<&'a mut [T], FmuError> {
     match (count, first.is_null()) {
         (0, _) => Ok(&mut []),

@@ -38,8 +38,8 @@ fn logger(log: Log2, name: String) -> LogMessage {
         let Some(log) = log else { return };
         let text = CString::new(text.replace('\0', " ")).unwrap_or_default();
         let name = CString::new(name.replace('\0', " ")).unwrap_or_default();
-        // SAFETY: the caller's own function, with its own environment and texts that live through the call; the
-        // format takes the one further argument that is given.
+        // SAFETY: the caller's own function, with its own environment and texts that live through the call;
+        // the format takes the one further argument that is given.
         unsafe {
             log(
                 environment,

@@ -32,8 +32,8 @@ unsafe extern "C" fn log3(_: *mut c_void, _: c_int, _: *const c_char, text: *con
     unsafe { keep_message(text) };
 }
 
-/// Takes the format of a message, and its first further argument if the format is `%s`. Other formats are shown
-/// as they are.
+/// Takes the format of a message, and its first further argument if the format is `%s`. Other formats are
+/// shown as they are.
 unsafe extern "C" fn log2(
     _: *mut c_void,
     _: *const c_char,
@@ -127,8 +127,9 @@ impl Master {
         let model = archived.model.clone();
         // SAFETY: runs code of the library, which the user has chosen to run in this process.
         let library = unsafe { Library::new(folder.join(model.library())) }.map_err(malformed)?;
-        // SAFETY: on Linux on x86-64 and aarch64, a function takes its first six pointers and integers in the same
-        // registers whether or not it is called as variadic, and `log2` uses the sixth only if it is given.
+        // SAFETY: on Linux on x86-64 and aarch64, a function takes its first six pointers and integers in the
+        // same registers whether or not it is called as variadic, and `log2` uses the sixth only if it is
+        // given.
         let logger = unsafe { core::mem::transmute::<*const (), Option<_>>(log2 as *const ()) };
         let callbacks = Box::new(Callbacks2 {
             logger,
@@ -229,7 +230,8 @@ impl Master {
         }
         let name = "fmi3DoStep";
         let (mut event, mut terminate, mut early, mut last_s) = (false, false, false, 0.0);
-        // SAFETY: the standard's type; the instance is the library's, and the four results live through the call.
+        // SAFETY: the standard's type; the instance is the library's, and the four results live through the
+        // call.
         let status = unsafe {
             function::<Step3>(&self.library, name)?(
                 self.instance,

@@ -1,7 +1,7 @@
 //! Runs the FMUs of others: for controllers that come as FMUs.
 //!
-//! **An FMU is a program**: [`Master::new`] loads its library into this process, so use it only in a process of its
-//! own. Reading the archive and its model description ([`Archived`]) runs no code of it.
+//! **An FMU is a program**: [`Master::new`] loads its library into this process, so use it only in a process
+//! of its own. Reading the archive and its model description ([`Archived`]) runs no code of it.
 
 mod library;
 mod model;
@@ -44,8 +44,8 @@ impl Archived {
     /// Reads an FMU.
     ///
     /// # Errors
-    /// If it cannot be read, is no ZIP archive with plain names of at most 1 GiB a file and 2 GiB in all, or has
-    /// no model description for co-simulation, or no library for this machine.
+    /// If it cannot be read, is no ZIP archive with plain names of at most 1 GiB a file and 2 GiB in all, or
+    /// has no model description for co-simulation, or no library for this machine.
     pub fn read(file: &Path) -> Result<Archived, FmuError> {
         let failed = |reason: String| FmuError::File { path: file.display().to_string(), reason };
         let length = std::fs::metadata(file).map_err(|cause| failed(cause.to_string()))?.len();

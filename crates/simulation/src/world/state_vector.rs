@@ -109,8 +109,8 @@ impl StateEntry {
         StateEntry { name, unit, range, difference, slot }
     }
 
-    /// Returns whether the entry is a rate or an acceleration that a drive's plan of limited jerk determines. A
-    /// tick has no derivative by it where a plan begins or ends.
+    /// Returns whether the entry is a rate or an acceleration that a drive's plan of limited jerk determines.
+    /// A tick has no derivative by it where a plan begins or ends.
     pub fn is_of_plan(&self) -> bool {
         matches!(self.slot, Slot::Joint(1.., _) | Slot::Tube(1.., _))
     }
@@ -236,7 +236,8 @@ impl Simulation<'_> {
     /// which no run leads has a hash that no run has.
     ///
     /// # Errors
-    /// [`StateVectorError`]; or joints of the arm differ although it follows a path. Nothing has changed then.
+    /// [`StateVectorError`]; or joints of the arm differ although it follows a path. Nothing has changed
+    /// then.
     pub fn set_state_vector(&mut self, vector: &[f64]) -> Result<(), SimulationError> {
         let entries = self.state_entries();
         check(&entries, vector)?;
