@@ -234,7 +234,10 @@ fn every_build_shares_all_of_its_crates_with_the_build_of_the_workspace() {
     let members = members();
     let of_each = members.iter().map(|member| vec!["-p", member]);
     // The builds of `cargo run` and of clients/python/build_backend.py.
-    let run_and_pip = [vec![], vec!["-p", "trabecula", "-p", "trabecula_client", "-p", "trabecula_sim"]];
+    let run_and_pip = [
+        vec![],
+        vec!["-p", "trabecula", "-p", "trabecula_client", "-p", "trabecula_sim", "-p", "trabecula_fmu"],
+    ];
     assert_one_build_of_each_crate(run_and_pip.into_iter().chain(of_each), "normal,build");
 }
 

@@ -6,6 +6,8 @@ pub(crate) mod calibrate;
 pub(crate) mod docs;
 pub(crate) mod doctor;
 pub(crate) mod drr;
+pub(crate) mod fmu;
+mod fmu_drive;
 mod from_markups;
 pub(crate) mod log;
 pub(crate) mod plan;

@@ -125,5 +125,5 @@ pub use run_lane::RunLog;
 pub use source::{LogBytes, LogSource, ReadSeek};
 pub use stream::{LogMessage, MessageStream, ReadOptions, TopicCount};
 pub use timing_lane::TimingLog;
-pub use topics::{Logged, RUN_TOPICS, Topic, command_topic, schema_of};
+pub use topics::{Logged, RUN_TOPICS, Topic, command_topic, schema_of, unit_of};
 pub use verdict::{Fault, Verdict, verdict};
