@@ -9,6 +9,7 @@ pub(crate) mod drr;
 pub(crate) mod fmu;
 mod fmu_drive;
 mod from_markups;
+pub(crate) mod identify;
 pub(crate) mod log;
 pub(crate) mod plan;
 pub(crate) mod plot;
