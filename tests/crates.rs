@@ -11,7 +11,7 @@ use serde_json::Value;
 use test_support::limited::Limited;
 
 /// Each core and its folder.
-const CORES: [(&str, &str); 17] = [
+const CORES: [(&str, &str); 18] = [
     ("foreign_text", "crates/foreign_text"),
     ("openigtlink", "crates/openigtlink"),
     ("markups", "crates/markups"),
@@ -26,6 +26,7 @@ const CORES: [(&str, &str); 17] = [
     ("run_log", "crates/run_log"),
     ("xray", "crates/xray"),
     ("sweep", "crates/sweep"),
+    ("identify", "crates/identify"),
     ("hub", "crates/hub"),
     ("delivery", "crates/delivery"),
     ("hub_schedules", "crates/hub/schedules"),
@@ -234,7 +235,10 @@ fn every_build_shares_all_of_its_crates_with_the_build_of_the_workspace() {
     let members = members();
     let of_each = members.iter().map(|member| vec!["-p", member]);
     // The builds of `cargo run` and of clients/python/build_backend.py.
-    let run_and_pip = [vec![], vec!["-p", "trabecula", "-p", "trabecula_client", "-p", "trabecula_sim"]];
+    let run_and_pip = [
+        vec![],
+        vec!["-p", "trabecula", "-p", "trabecula_client", "-p", "trabecula_sim", "-p", "trabecula_fmu"],
+    ];
     assert_one_build_of_each_crate(run_and_pip.into_iter().chain(of_each), "normal,build");
 }
 

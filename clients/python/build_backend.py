@@ -96,6 +96,15 @@ LIBRARIES = [
         "TRABECULA_SIM_LIBRARY",
         0o644,
     ),
+    # In `lib` beside the program's folder, where `trabecula fmu export` looks for it.
+    Binary(
+        "{data}/data/lib/libtrabecula_fmu.so",
+        "libtrabecula_fmu.so",
+        "trabecula_fmu",
+        "--lib",
+        "TRABECULA_FMU_LIBRARY",
+        0o644,
+    ),
 ]
 PROGRAM = Binary(
     "{data}/scripts/trabecula", "trabecula", "trabecula", "--bin=trabecula", "TRABECULA_PROGRAM", 0o755
