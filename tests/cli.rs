@@ -92,4 +92,4 @@ macro_rules! pages {
     };
 }
 
-pages!(commands drr logs plans scenes sweeps tools volumes);
+pages!(commands drr identifications logs plans scenes sweeps tools volumes);

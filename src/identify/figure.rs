@@ -1,8 +1,6 @@
 //! Figures of an identification.
 
-use figures::{
-    Axis, COLOURS, Figure, FigureError, HEAD, INK, Key, Panel, Point, RGBColor, Stroke, bounds,
-};
+use figures::{Axis, COLOURS, Figure, FigureError, HEAD, INK, Key, Panel, Point, RGBColor, Stroke, bounds};
 use sim::identification::{FitReport, Series};
 
 const ROW: f64 = 230.0;
@@ -40,10 +38,8 @@ fn draw_values(figure: &mut Figure, cell: figures::Rect, of: &Series) {
     let y = Axis::over(&format!("{} ({})", of.column, of.unit), low.chain(high).chain(measured), 0.08, 5);
     let x = Axis::over("time (s)", at.clone().map(|i| of.times_s[i]), 0.02, 5);
     let mut panel = Panel::new(figure, cell, &of.sensor, x, y);
-    let edges: Vec<(f64, f64, f64)> = at
-        .clone()
-        .map(|i| (of.times_s[i], of.simulated[i] - band(i), of.simulated[i] + band(i)))
-        .collect();
+    let edges: Vec<(f64, f64, f64)> =
+        at.clone().map(|i| (of.times_s[i], of.simulated[i] - band(i), of.simulated[i] + band(i))).collect();
     panel.band(&edges, BAND);
     for i in at.clone().filter(|i| *i < of.measured.len()) {
         panel.disc((of.times_s[i], of.measured[i]), 1.6, COLOURS[1]);
@@ -62,7 +58,12 @@ fn draw_residuals(figure: &mut Figure, cell: figures::Rect, of: &Series) {
     let x = Axis::over("time (s)", of.times_s.iter().copied(), 0.02, 5);
     let limit = QUANTILE * of.noise;
     let ends = bounds(at.clone().map(residual)).map_or([-limit, limit], |(low, high)| [low, high]);
-    let y = Axis::over(&format!("simulated - measured ({})", of.unit), ends.into_iter().chain([-limit, limit]), 0.08, 5);
+    let y = Axis::over(
+        &format!("simulated - measured ({})", of.unit),
+        ends.into_iter().chain([-limit, limit]),
+        0.08,
+        5,
+    );
     let mut panel = Panel::new(figure, cell, "Residuals", x, y);
     if of.measured.is_empty() {
         panel.remark("not measured");
@@ -70,7 +71,11 @@ fn draw_residuals(figure: &mut Figure, cell: figures::Rect, of: &Series) {
     }
     let ends = bounds(of.times_s.iter().copied()).unwrap_or((0.0, 1.0));
     for side in [-limit, limit] {
-        panel.line(&[(ends.0, side), (ends.1, side)], Stroke { colour: INK, width: 0.8, dash: &[4.0, 3.0] }, "");
+        panel.line(
+            &[(ends.0, side), (ends.1, side)],
+            Stroke { colour: INK, width: 0.8, dash: &[4.0, 3.0] },
+            "",
+        );
     }
     at.for_each(|i| panel.disc((of.times_s[i], residual(i)), 1.6, COLOURS[0]));
     panel.finish();

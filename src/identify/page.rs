@@ -56,12 +56,15 @@ pub fn html(name: &str, report: &FitReport) -> Result<String, Failure> {
             remark.to_owned(),
         ]
     };
-    let correlation = report.parameters.iter().zip(&report.correlation).map(|(it, row)| {
-        (it.key.clone(), row.iter().map(|value| format!("{value:.2}")).collect())
-    });
+    let correlation = report
+        .parameters
+        .iter()
+        .zip(&report.correlation)
+        .map(|(it, row)| (it.key.clone(), row.iter().map(|value| format!("{value:.2}")).collect()));
     let mut pictures = Vec::new();
     for experiment in &report.experiments {
-        let series: Vec<&Series> = report.series.iter().filter(|it| it.experiment == experiment.name).collect();
+        let series: Vec<&Series> =
+            report.series.iter().filter(|it| it.experiment == experiment.name).collect();
         let caption = format!("{} ({})", experiment.name, experiment.role.replace('_', " "));
         pictures.push(picture(caption, figure::experiment(&experiment.name, &series))?);
     }

@@ -50,9 +50,7 @@ mod tests {
     /// The present data measure a + b; candidates measure a + b again, a − b, and a − b ten times better.
     #[test]
     fn the_candidate_that_measures_what_is_not_known_comes_first() {
-        let along = |row: [f64; 2], weight: f64| {
-            DMatrix::from_fn(2, 2, |i, j| weight * row[i] * row[j])
-        };
+        let along = |row: [f64; 2], weight: f64| DMatrix::from_fn(2, 2, |i, j| weight * row[i] * row[j]);
         let present = along([1.0, 1.0], 1e4);
         let candidates = [along([1.0, 1.0], 1e4), along([1.0, -1.0], 1e4), along([1.0, -1.0], 1e6)];
         let gains = rank(&present, &candidates);

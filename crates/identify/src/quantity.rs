@@ -182,13 +182,13 @@ impl Quantity {
         let before = out.len();
         match self.kind {
             Kind::Position => {
-                let point = self.frame_of(state, start).inverse() * nalgebra::Point3::from(self.point_m(state));
+                let point =
+                    self.frame_of(state, start).inverse() * nalgebra::Point3::from(self.point_m(state));
                 out.extend(point.iter().copied());
             }
             Kind::FlangeForce | Kind::FlangeTorque => {
                 let wrench = &state.flange_wrench;
-                let vector =
-                    if self.kind == Kind::FlangeForce { wrench.force_n } else { wrench.torque_nm };
+                let vector = if self.kind == Kind::FlangeForce { wrench.force_n } else { wrench.torque_nm };
                 let turned = self.frame_of(state, start).rotation.inverse() * Vector3::from(vector);
                 out.extend(turned.iter().copied());
             }

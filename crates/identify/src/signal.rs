@@ -98,6 +98,9 @@ pub struct Rows {
     pub columns: Vec<Vec<f64>>,
 }
 
+/// Times that are equal in decimal differ by less than this, s; clocks of day resolve less.
+const ROUNDING_S: f64 = 1e-6;
+
 /// What became of the rows of a measurement.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize)]
 pub struct RowCount {
@@ -124,7 +127,9 @@ impl Rows {
         for (row, time_s) in self.times_s.iter().enumerate() {
             match () {
                 () if !time_s.is_finite() => count.without_time += 1,
-                () if time_s - late_s < 0.0 || time_s - early_s > end_s => count.outside += 1,
+                () if time_s - late_s < -ROUNDING_S || time_s - early_s > end_s + ROUNDING_S => {
+                    count.outside += 1;
+                }
                 () => used.push(row),
             }
         }
@@ -161,7 +166,8 @@ mod tests {
     fn a_trace_is_interpolated_between_its_ticks_and_held_beyond_them() {
         let trace = Trace { dt_s: 0.5, width: 2, values: vec![0.0, 10.0, 1.0, 20.0, 3.0, 0.0] };
         assert_eq!(trace.end_s(), 1.0);
-        for (time_s, expected) in [(-1.0, [0.0, 10.0]), (0.25, [0.5, 15.0]), (0.75, [2.0, 10.0]), (9.0, [3.0, 0.0])]
+        for (time_s, expected) in
+            [(-1.0, [0.0, 10.0]), (0.25, [0.5, 15.0]), (0.75, [2.0, 10.0]), (9.0, [3.0, 0.0])]
         {
             let mut values = Vec::new();
             trace.at(time_s, &mut values);

@@ -131,8 +131,9 @@ const NEGLIGIBLE_DECREASE: f64 = 1e-11;
 const NEAR_DECREASE: f64 = 1e-2;
 /// A step must achieve this share of the decrease that the linear model predicts.
 const LEAST_SHARE: f64 = 1e-4;
-/// Damping after which a step is too short to help: the objective is not smooth.
-const MOST_DAMPING: f64 = 1e8;
+/// Damping after which a step, a ten-thousandth of the undamped one, is too short to help: the objective is not
+/// smooth.
+const MOST_DAMPING: f64 = 1e4;
 
 /// A point with its residuals.
 #[derive(Debug, Clone)]
@@ -292,20 +293,15 @@ impl<M: Model> Solver<'_, M> {
         for (j, [a, b]) in steps.into_iter().enumerate() {
             let mut next = |step: f64| (step != 0.0).then(|| points.next()).flatten();
             let (first, second) = (next(a), next(b));
-            let column = difference(at, (a, first), (b, second)).map_err(|reason| {
-                SolveError::Derivative { key: self.parameters[j].key.clone(), reason }
-            })?;
+            let column = difference(at, (a, first), (b, second))
+                .map_err(|reason| SolveError::Derivative { key: self.parameters[j].key.clone(), reason })?;
             columns.push(column);
         }
         Ok(columns)
     }
 
     /// As `columns`; where the model fails on one side, changes to central differences.
-    fn columns_of(
-        &mut self,
-        at: &Point,
-        by: &mut Difference,
-    ) -> Result<Vec<Vec<f64>>, SolveError<M::Error>> {
+    fn columns_of(&mut self, at: &Point, by: &mut Difference) -> Result<Vec<Vec<f64>>, SolveError<M::Error>> {
         match self.columns(at, *by) {
             Err(SolveError::Derivative { .. }) if *by == Difference::OneSided => {
                 *by = Difference::Central;

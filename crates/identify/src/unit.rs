@@ -76,7 +76,8 @@ impl Dimension {
         let own = UNITS.iter().find(|(name, dimension, _)| *name == unit && *dimension == self);
         own.map(|(.., size)| *size).ok_or_else(|| {
             let units = self.units();
-            let meant = meant(unit, &units).map_or(String::new(), |near| format!(" (did you mean `{near}`?)"));
+            let meant =
+                meant(unit, &units).map_or(String::new(), |near| format!(" (did you mean `{near}`?)"));
             format!("one of `{}`{meant}", units.join("`, `"))
         })
     }

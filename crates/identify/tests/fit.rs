@@ -102,7 +102,8 @@ fn an_outlier_pulls_no_more_than_hubers_loss_allows() {
 #[test]
 fn several_starts_find_the_best_of_several_minima() {
     let curve = |f: f64, i: usize| (f * 0.1 * i as f64).cos();
-    let mut model = Closed(|p: &[f64]| Ok((0..100).map(|i| 10.0 * (curve(p[0], i) - curve(2.0, i))).collect()));
+    let mut model =
+        Closed(|p: &[f64]| Ok((0..100).map(|i| 10.0 * (curve(p[0], i) - curve(2.0, i))).collect()));
     let parameters = [parameter("f", 0.5, 6.0)];
     let one = fit(&mut model, &parameters, &[0.9], METHOD).unwrap();
     let many = fit(&mut model, &parameters, &[0.9], Method { starts: 8, ..METHOD }).unwrap();
@@ -114,9 +115,8 @@ fn several_starts_find_the_best_of_several_minima() {
 /// Only a / b enters: the direction in which both grow is named; a prior on one of them determines both.
 #[test]
 fn a_pair_that_only_its_ratio_enters_is_named() {
-    let mut model = Closed(|p: &[f64]| {
-        Ok((0..50).map(|i| (p[0] / p[1] - 1.0) * i as f64 + noise(1, i)).collect())
-    });
+    let mut model =
+        Closed(|p: &[f64]| Ok((0..50).map(|i| (p[0] / p[1] - 1.0) * i as f64 + noise(1, i)).collect()));
     let log = |key: &str| Parameter { scale: Scale::Log, ..parameter(key, 0.25, 4.0) };
     let mut parameters = [log("stiffness"), log("gain"), parameter("unused", 0.0, 1.0)];
     let start = [0.4, 0.6, 0.5];
@@ -125,7 +125,10 @@ fn a_pair_that_only_its_ratio_enters_is_named() {
     let said = undetermined(&parameters, &uncertainty);
     assert_eq!(said.len(), 2, "{said:?}");
     let pair = said.iter().find(|line| line.contains("`stiffness` and `gain`")).unwrap();
-    assert!(pair.contains("`stiffness` by a factor of 1.320") && pair.contains("`gain` by a factor of 1.320"), "{pair}");
+    assert!(
+        pair.contains("`stiffness` by a factor of 1.320") && pair.contains("`gain` by a factor of 1.320"),
+        "{pair}"
+    );
     assert!(said.iter().any(|line| line.contains("do not determine `unused`")), "{said:?}");
     assert!(uncertainty.estimates.iter().all(|estimate| !estimate.is_determined));
     assert_eq!(uncertainty.estimates[0].interval, [0.25, 4.0]);
@@ -139,7 +142,7 @@ fn a_pair_that_only_its_ratio_enters_is_named() {
 
 #[test]
 fn a_model_that_fails_beside_a_point_is_differentiated_on_the_other_side_and_one_that_fails_everywhere_is_refused()
-{
+ {
     // Fails above 1, where the optimum is.
     let mut model = Closed(|p: &[f64]| match p[0] <= 1.0 {
         true => Ok(vec![p[0] - 1.0, 2.0 * (p[0] - 1.0)]),

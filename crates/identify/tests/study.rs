@@ -46,7 +46,10 @@ fn a_study_is_read_with_its_units_modes_and_targets() {
     let study = parsed(STUDY).unwrap();
     let experiment = &study.experiments[0];
     let measured = &experiment.measured[0];
-    assert_eq!((experiment.role, measured.unit, measured.noise.as_deref()), (Role::Fitted, 1e-3, Some(&[0.1; 3][..])));
+    assert_eq!(
+        (experiment.role, measured.unit, measured.noise.as_deref()),
+        (Role::Fitted, 1e-3, Some(&[0.1; 3][..]))
+    );
     let Commands::Table(table) = &experiment.commands else { unreachable!("the study has a table") };
     assert_eq!((table.modes, table.columns[0].unit), ([1, 0, 0, 0], 1e-3));
     assert!(matches!(&study.targets[1], Target::Measured { name, .. } if name == "tip"));
@@ -58,12 +61,24 @@ fn a_study_is_read_with_its_units_modes_and_targets() {
 #[test]
 fn bad_studies_are_refused_by_key_with_what_is_allowed() {
     for (from, to, said) in [
-        ("unit = \"mm\"", "unit = \"N\"", "`experiment.0.measured.0.unit` is `N`, expected one of `m`, `cm`, `mm`, `um`"),
-        ("noise = 0.1", "noise = 0.0", "`experiment.0.measured.0.noise` is malformed, expected a number, or 3 numbers"),
+        (
+            "unit = \"mm\"",
+            "unit = \"N\"",
+            "`experiment.0.measured.0.unit` is `N`, expected one of `m`, `cm`, `mm`, `um`",
+        ),
+        (
+            "noise = 0.1",
+            "noise = 0.0",
+            "`experiment.0.measured.0.noise` is malformed, expected a number, or 3 numbers",
+        ),
         ("noise = 0.1", "nois = 0.1", "unknown field `nois`"),
         ("noise = 0.1", "nois = 0.1", "(did you mean `noise`?)"),
         ("columns = [\"x\", \"\", \"z\"]", "columns = [\"x\"]", "is 1 columns, expected 3 columns: x, y, z"),
-        ("max = 2.0", "max = 0.2", "`parameter.0.max` is 0.2, expected a finite number above `min`, which is 0.5"),
+        (
+            "max = 2.0",
+            "max = 0.2",
+            "`parameter.0.max` is 0.2, expected a finite number above `min`, which is 0.5",
+        ),
         ("min = 0.5", "min = -1", "`parameter.0.min` is -1, expected a number above 0"),
         ("measured.tip.delay_ms", "measured.top.delay_ms", "names the measured quantity `top`"),
         ("measured.tip.delay_ms", "measured.tip.lag", "is not `measured.NAME.` with"),

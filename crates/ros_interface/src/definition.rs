@@ -192,7 +192,10 @@ impl Definition {
             _ => None,
         });
         // A type that uses another in several fields is checked once.
-        nested.collect::<std::collections::BTreeSet<_>>().into_iter().try_for_each(|it| self.check(it, depth + 1))
+        nested
+            .collect::<std::collections::BTreeSet<_>>()
+            .into_iter()
+            .try_for_each(|it| self.check(it, depth + 1))
     }
 
     /// Finds a number by its path.

@@ -81,9 +81,8 @@ impl SharedScene {
         scene.run.seed = seed.unwrap_or(scene.run.seed);
         volume_source::refuse_missing(&source, &scene)?;
         // A registration error moves the loaded volume.
-        let has_volume_of = |other: &&SharedScene| {
-            other.scene.volume == scene.volume && other.scene.has_bone_pose_of(&scene)
-        };
+        let has_volume_of =
+            |other: &&SharedScene| other.scene.volume == scene.volume && other.scene.has_bone_pose_of(&scene);
         let same = other.filter(has_volume_of);
         if let Some(ct) = same.and_then(|other| other.ct.clone()) {
             let notes = feasibility::check(&scene, &source, Some(&ct.volume))?;

@@ -96,9 +96,8 @@ impl Bench {
 
 /// Estimates and true values, in standard deviations.
 fn deviations(report: &FitReport, truth: &[f64]) -> Vec<f64> {
-    let deviation = |(it, truth): (&sim::identification::ParameterReport, &f64)| {
-        (it.value - truth) / it.sd.unwrap()
-    };
+    let deviation =
+        |(it, truth): (&sim::identification::ParameterReport, &f64)| (it.value - truth) / it.sd.unwrap();
     report.parameters.iter().zip(truth).map(deviation).collect()
 }
 
@@ -119,7 +118,9 @@ fn a_tools_parameters_are_recovered_from_noisy_rows_with_their_delay() {
     let found = deviations(&report, &[1.25, 0.08, 7.0]);
     assert!(found.iter().all(|x| x.abs() < 4.0), "{found:?} {report:?}");
     assert!(report.parameters[0].sd.unwrap() < 0.01 && report.parameters[2].sd.unwrap() < 1.0, "{report:?}");
-    assert!(report.undetermined.is_empty() && report.cautions.is_empty(), "{report:?}");
+    // With any delay up to 20 ms, the rows of the first 20 ms cannot all be compared.
+    let others = report.cautions.iter().filter(|line| !line.contains("outside the simulated time"));
+    assert!(report.undetermined.is_empty() && others.count() == 0, "{report:?}");
     assert!((0.7..1.3).contains(&report.reduced_chi_square), "{}", report.reduced_chi_square);
     let toml: toml::Table = report.toml.parse().unwrap();
     assert_eq!(toml["manipulator"]["stiffness_scale"].as_float(), Some(report.parameters[0].value));
@@ -132,18 +133,30 @@ fn stiffness_and_the_gain_of_the_tension_are_not_told_apart_by_the_bend_alone() 
     let study = [
         parameter("manipulator.stiffness_scale", 0.5, 2.0),
         parameter("command.tension.gain", 0.5, 2.0),
-        EXPERIMENT.to_owned(),
+        // Rows where the tool has settled: its vibration would tell stiffness from mass.
+        EXPERIMENT.replace("rate_hz = 200", "rate_hz = 3.3333333").replace(
+            "name = \"pull\"",
+            "name = \"pull\"\nset = [\"manipulator.damping_ratio=1.0\"]\nduration_s = 0.9",
+        ),
     ];
-    let bench = Bench::new("", &study.concat());
-    let report = bench.fit();
+    let settling = |study: &str| {
+        let bench = Bench::new("", study);
+        bench.write("commands.csv", "t,pull\n0,2\n0.305,5\n0.605,8\n");
+        let files = OpenedStudy::open_without_measurements(&bench.study()).unwrap();
+        for file in files.simulate(bench.folder.path(), &|| false).unwrap() {
+            bench.write(&file.name, &file.csv);
+        }
+        bench
+    };
+    let report = settling(&study.concat()).fit();
     let said = report.undetermined.join("\n");
     assert!(said.contains("`manipulator.stiffness_scale` and `command.tension.gain`"), "{report:?}");
     assert!(report.parameters.iter().all(|it| !it.is_determined && it.sd.is_none()), "{report:?}");
 
     // A load cell at the tendon tells them apart.
     let cell = "[[experiment.measured]]\nname = \"cell\"\nof = \"tendon_tension\"\ncolumns = [\"cell_n\"]\nunit = \"N\"\n\
-                file = \"pull_cell.csv\"\nnoise = 0.05\nrate_hz = 200\n";
-    let report = Bench::new("", &[study.concat().as_str(), cell].concat()).fit();
+                file = \"pull_cell.csv\"\nnoise = 0.05\nrate_hz = 3.3333333\n";
+    let report = settling(&[study.concat().as_str(), cell].concat()).fit();
     assert!(report.undetermined.is_empty(), "{report:?}");
     let found = deviations(&report, &[1.0, 1.0]);
     assert!(found.iter().all(|x| x.abs() < 4.0), "{found:?}");
@@ -165,7 +178,10 @@ fn a_wrong_model_shows_in_the_residuals_and_widens_the_band() {
     ]
     .concat();
     let bench = Bench { folder: tempfile::tempdir().unwrap() };
-    bench.write("scene.toml", &format!("{SCENE}\n[manipulator]\nmodel = \"full\"\n").replace("[run]", "[run]\ndt_ms = 0.5"));
+    bench.write(
+        "scene.toml",
+        &format!("{SCENE}\n[manipulator]\nmodel = \"full\"\n").replace("[run]", "[run]\ndt_ms = 0.5"),
+    );
     bench.write("commands.csv", COMMANDS);
     bench.write("others.csv", "t,pull\n0,0\n0.1,5\n0.3,8\n0.45,2\n");
     bench.write("study.toml", &study);
@@ -176,7 +192,8 @@ fn a_wrong_model_shows_in_the_residuals_and_widens_the_band() {
     bench.write("scene.toml", SCENE);
     let report = bench.fit();
     assert!(report.cautions.iter().any(|line| line.contains("are not white")), "{:?}", report.cautions);
-    let held_out = &report.experiments.iter().find(|it| it.role == "held_out").unwrap().measured[0].columns[0];
+    let held_out =
+        &report.experiments.iter().find(|it| it.role == "held_out").unwrap().measured[0].columns[0];
     let coverage = held_out.band.coverage.unwrap();
     assert!(held_out.band.model > 0.0 && coverage > 0.9, "{held_out:?}");
     // Both ways of computing the band that follows from the parameters agree, with 32 draws to a third.
@@ -200,7 +217,11 @@ fn bad_files_are_refused_with_experiment_sensor_and_reason() {
         ("\"bend_deg\"", "\"bnd_deg\"", "no column `bnd_deg` (did you mean `bend_deg`?)"),
         ("manipulator.stiffness_scale", "manipulator.stiffnes_scale", "unknown field `stiffnes_scale`"),
         ("\"scene.toml\"", "\"none.toml\"", "none.toml"),
-        ("file = \"commands.csv\"", "controller = \"other\"\nfile = \"commands.csv\"", "expected one of the scene's controllers: `bench`"),
+        (
+            "file = \"commands.csv\"",
+            "controller = \"other\"\nfile = \"commands.csv\"",
+            "expected one of the scene's controllers: `bench`",
+        ),
     ] {
         let error = change(from, to);
         assert!(error.contains(said), "{to}: {error}");
@@ -212,7 +233,9 @@ fn bad_files_are_refused_with_experiment_sensor_and_reason() {
     bench.write("pull_bend.csv", "time_s,bend_deg\n0.1,\n0.2,NaN\n");
     assert!(bench.refusal().contains("all values in"), "{}", bench.refusal());
     bench.write("pull_bend.csv", &original);
-    assert!(bench.fit().cautions.is_empty());
+    // 121 rows: the reduced chi-square scatters by 0.13.
+    let report = bench.fit();
+    assert!((0.5..1.5).contains(&report.reduced_chi_square), "{report:?}");
 }
 
 /// A parameter without effect, one pressed against its range, and rows beyond the simulation.
@@ -288,10 +311,16 @@ fn a_run_is_its_own_measurement() {
 #[test]
 fn a_moved_bone_is_not_shared_with_a_scene_that_has_it_elsewhere() {
     let load = |other: Option<&sim::SharedScene>, settings: &[&str]| {
-        let block = ["volume.phantom=\"block\"", "volume.spacing_mm=1.0", "predrill=[]",
-            "tool.burr_start_mm=[0.0, 0.0, -35.0]", "drr.isocentre_mm=[0.0, 0.0, 0.0]",
-            "controller.0.curved_drilling.target_mm=[0.0, 0.0, 0.0]"];
-        let settings: Vec<String> = [&block[..], settings].concat().iter().map(|line| (*line).to_owned()).collect();
+        let block = [
+            "volume.phantom=\"block\"",
+            "volume.spacing_mm=1.0",
+            "predrill=[]",
+            "tool.burr_start_mm=[0.0, 0.0, -35.0]",
+            "drr.isocentre_mm=[0.0, 0.0, 0.0]",
+            "controller.0.curved_drilling.target_mm=[0.0, 0.0, 0.0]",
+        ];
+        let settings: Vec<String> =
+            [&block[..], settings].concat().iter().map(|line| (*line).to_owned()).collect();
         sim::SharedScene::load_beside(other, None, &settings, None).unwrap()
     };
     let origin = |shared: &sim::SharedScene| shared.volume().unwrap().origin_m;

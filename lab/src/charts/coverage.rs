@@ -1,8 +1,8 @@
 //! `chart coverage`: studies with random true values; how often the 95 % intervals of `identify` hold them, and
 //! the scatter of the estimates over the Cramér-Rao bound.
 //!
-//! Two benches: a tool in free space (stiffness, friction of the tendon, delay of the sensor), and the same tool
-//! in a hole in bone (friction of contact, cutting coefficient, registration). Each study draws its truth from its
+//! Two benches: a tool in free space (stiffness, friction of the tendon, delay and registration of a tracker), and
+//! the same tool in a hole in bone (friction of contact, cutting coefficient). Each study draws its truth from its
 //! seed, simulates short noisy measurements, and fits them without knowing either.
 
 use std::fs;
@@ -23,7 +23,9 @@ pub struct Plan {
     pub studies: u64,
     /// Seed of the first; the others follow.
     pub seed: u64,
-    /// Whether to run the bench in bone too.
+    /// Whether to run the bench in free space.
+    pub free: bool,
+    /// Whether to run the bench in bone.
     pub bone: bool,
 }
 
@@ -42,7 +44,7 @@ const fn unknown(key: &'static str, fit: [f64; 2], truth: [f64; 2], step: f64) -
 /// A bench.
 struct Bench {
     name: &'static str,
-    unknowns: [Unknown; 3],
+    unknowns: &'static [Unknown],
     scene: &'static str,
     commands: &'static str,
     experiments: &'static str,
@@ -50,16 +52,19 @@ struct Bench {
 
 const FREE: Bench = Bench {
     name: "free space",
-    unknowns: [
-        unknown("truth.manipulator.stiffness_scale", [0.5, 2.0], [0.8, 1.3], 1e-3),
-        unknown("truth.manipulator.tendon_friction", [0.0, 0.4], [0.05, 0.2], 1e-3),
-        unknown("measured.bend.delay_ms", [-10.0, 30.0], [2.0, 15.0], 1e-3),
+    unknowns: &[
+        unknown("truth.manipulator.stiffness_scale", [0.5, 2.0], [0.8, 1.3], 1e-5),
+        unknown("truth.manipulator.tendon_friction", [0.0, 0.4], [0.06, 0.18], 1e-5),
+        unknown("measured.camera.delay_ms", [-10.0, 30.0], [2.0, 15.0], 1e-5),
+        unknown("measured.camera.frame_mm.0", [-5.0, 5.0], [-2.0, 2.0], 1e-5),
     ],
     scene: r#"
 name = "free"
 [run]
 mode = "lockstep"
-duration_s = 0.4
+duration_s = 0.3
+[manipulator]
+damping_ratio = 1.0
 [tool]
 burr_start_mm = [0.0, 0.0, 0.0]
 direction = [0.0, 0.0, 1.0]
@@ -69,42 +74,42 @@ name = "bench"
 drives = ["tendon"]
 external = true
 "#,
-    commands: "t,pull\n0,0\n0.02,5\n0.1,9\n0.18,4\n0.26,7\n0.33,2\n",
+    commands: "t,pull\n0,0\n0.02,5\n0.07,9\n0.12,4\n0.18,7\n0.24,2\n",
     experiments: r#"
 [[experiment]]
 name = "pull"
 scene = "scene.toml"
 time = "time_s"
-file = "pull_bend.csv"
+file = "pull_camera.csv"
 [experiment.commands]
 file = "commands.csv"
 time = "t"
 column = [{ field = "tendon_force_n[0]", column = "pull", unit = "N" }]
 [[experiment.measured]]
-name = "bend"
-of = "bend"
-columns = ["bend"]
-unit = "deg"
-noise = 0.1
+name = "camera"
+of = "position"
+frame = "start"
+columns = ["x", "", "z"]
+unit = "mm"
+noise = 0.2
 rate_hz = 250
 "#,
 };
 
 const BONE: Bench = Bench {
     name: "bone",
-    unknowns: [
-        unknown("truth.contact.friction", [0.0, 1.5], [0.15, 0.5], 0.01),
-        unknown("truth.drilling.cutting_coefficient", [0.3, 5.0], [1.0, 3.0], 0.01),
-        unknown("truth.registration_error_mm.0", [-3.0, 3.0], [-0.8, 0.8], 0.01),
+    unknowns: &[
+        unknown("truth.contact.friction", [0.05, 1.0], [0.15, 0.5], 1e-4),
+        unknown("truth.drilling.cutting_coefficient", [0.8, 4.0], [1.2, 2.8], 5e-3),
     ],
     scene: r#"
 name = "bone"
 [run]
 mode = "lockstep"
-duration_s = 0.4
+duration_s = 0.3
 [volume]
 phantom = "block"
-spacing_mm = 1.0
+spacing_mm = 0.5
 block_density_ratio = 2.0
 bone_threshold_hu = 150
 [[predrill]]
@@ -115,13 +120,15 @@ diameter_mm = 7.0
 burr_start_mm = [0.0, 0.0, -17.0]
 direction = [0.0, 0.0, 1.0]
 bend_toward = [1.0, 0.0, 0.0]
+[manipulator]
+damping_ratio = 1.0
 [truth]
 [[controller]]
 name = "bench"
 drives = ["tendon", "arm", "burr"]
 external = true
 "#,
-    commands: "t,pull,depth\n0,6,0.0015\n0.2,9,0.0028\n",
+    commands: "t,pull,depth\n0,6,0.0015\n0.15,9,0.0028\n",
     experiments: r#"
 [[experiment]]
 name = "rub"
@@ -143,7 +150,7 @@ name = "flange"
 of = "flange_force"
 columns = ["x", "y", "z"]
 unit = "N"
-noise = 0.1
+noise = 0.3
 rate_hz = 250
 
 [[experiment]]
@@ -159,7 +166,7 @@ arm_mode = "insert"
 column = [
     { field = "tendon_force_n[0]", value = 1.0 },
     { field = "arm_depth_m", value = 0.004 },
-    { field = "arm_speed_m_per_s", value = 0.006 },
+    { field = "arm_speed_m_per_s", value = 0.008 },
     { field = "arm_axis[2]", value = 1.0 },
     { field = "burr_speed_rad_per_s", value = 800.0 },
 ]
@@ -168,7 +175,7 @@ name = "flange"
 of = "flange_force"
 columns = ["x", "y", "z"]
 unit = "N"
-noise = 0.1
+noise = 0.3
 rate_hz = 250
 "#,
 };
@@ -185,30 +192,40 @@ impl Bench {
     fn parameters(&self) -> String {
         let text = |it: &Unknown| {
             let [min, max] = it.fit;
-            format!("[[parameter]]\nkey = \"{}\"\nmin = {min:?}\nmax = {max:?}\nstep = {:?}\n", it.key, it.step)
+            // The middle of what is possible, as an experimenter would begin with nominal values.
+            let start = 0.5 * (it.truth[0] + it.truth[1]);
+            let Unknown { key, step, .. } = it;
+            format!(
+                "[[parameter]]\nkey = \"{key}\"\nmin = {min:?}\nmax = {max:?}\nstep = {step:?}\nstart = {start:?}\n"
+            )
         };
         self.unknowns.iter().map(text).collect()
     }
 
     /// Simulates and fits a study; returns the truth and the result.
-    fn study(&self, seed: u64, folder: &Path) -> Result<([f64; 3], FitReport), SimError> {
-        let draw = |i: usize| {
-            let [low, high] = self.unknowns[i].truth;
-            low + Key::of(seed).uniform(i as u64) * (high - low)
+    fn study(&self, seed: u64, folder: &Path) -> Result<(Vec<f64>, FitReport), SimError> {
+        let draw = |(index, unknown): (u64, &Unknown)| {
+            let [low, high] = unknown.truth;
+            low + Key::of(seed).uniform(index) * (high - low)
         };
-        let truth = [0, 1, 2].map(draw);
+        let truth: Vec<f64> = (0..).zip(self.unknowns).map(draw).collect();
         let write = |name: &str, text: &str| fs::write(folder.join(name), text).map_err(Failure::failed);
         write("scene.toml", self.scene)?;
         write("commands.csv", self.commands)?;
         let fitted = format!("seed = {seed}\n{}{}", self.parameters(), self.experiments);
         // The true values are settings of the scenes, or the sensor's own delay.
-        let mut settings = vec!["truth.registration_error_mm=[0.0, 0.0, 0.0]".to_owned()];
+        let mut settings: Vec<String> = Vec::new();
         let mut experiments = self.experiments.to_owned();
-        for (unknown, value) in self.unknowns.iter().zip(truth) {
-            match unknown.key.starts_with("measured.") {
-                true => experiments = experiments.replace("noise = ", &format!("delay_ms = {value:?}\nnoise = ")),
-                false => settings.push(format!("{}={value:?}", unknown.key)),
-            }
+        for (unknown, value) in self.unknowns.iter().zip(&truth) {
+            let own = match unknown.key.strip_prefix("measured.camera.") {
+                Some("delay_ms") => format!("delay_ms = {value:?}\nnoise = "),
+                Some(_) => format!("frame_mm = [{value:?}, 0.0, 0.0]\nnoise = "),
+                None => {
+                    settings.push(format!("{}={value:?}", unknown.key));
+                    continue;
+                }
+            };
+            experiments = experiments.replace("noise = ", &own);
         }
         let set = toml::Value::from(settings);
         write("study.toml", &format!("seed = {seed}\nset = {set}\n{}{experiments}", self.parameters()))?;
@@ -222,9 +239,10 @@ impl Bench {
 
     fn run(&self, plan: &Plan, sheet: &mut Sheet) -> Result<u64, Failure> {
         let folder = tempfile::tempdir().map_err(Failure::failed)?;
-        let mut tallies = [Tally::default(); 3];
+        let mut tallies = vec![Tally::default(); self.unknowns.len()];
         for number in 0..plan.studies {
-            let failed = |error: SimError| Failure::failed(format!("study {number} in {}: {error}", self.name));
+            let failed =
+                |error: SimError| Failure::failed(format!("study {number} in {}: {error}", self.name));
             let (truth, report) = self.study(plan.seed + number, folder.path()).map_err(failed)?;
             for ((tally, it), truth) in tallies.iter_mut().zip(&report.parameters).zip(truth) {
                 let [low, high] = it.interval;
@@ -251,10 +269,7 @@ impl Bench {
 /// # Errors
 /// A study that cannot be simulated or fitted.
 pub fn run(plan: &Plan, sheet: &mut Sheet) -> Result<u64, Failure> {
-    let benches: &[Bench] = if plan.bone { &[FREE, BONE] } else { &[FREE] };
-    let mut outside = 0;
-    for bench in benches {
-        outside += bench.run(plan, sheet)?;
-    }
-    Ok(outside)
+    let benches = [(plan.free, FREE), (plan.bone, BONE)];
+    let mut chosen = benches.iter().filter(|(is_chosen, _)| *is_chosen);
+    chosen.try_fold(0, |outside, (_, bench)| Ok(outside + bench.run(plan, sheet)?))
 }

@@ -152,6 +152,9 @@ pub struct CoverageArguments {
     /// Only the bench in free space.
     #[arg(long)]
     free: bool,
+    /// Only the bench in bone.
+    #[arg(long, conflicts_with = "free")]
+    bone: bool,
     /// Output format of the figures.
     #[command(flatten)]
     figures: Figures,
@@ -200,9 +203,10 @@ pub fn run(command: &ChartCommand) -> Result<(), Failure> {
             }
         }
         ChartCommand::Coverage(arguments) => {
-            let CoverageArguments { studies, seed, free, .. } = *arguments;
+            let CoverageArguments { studies, seed, free, bone, .. } = *arguments;
             let mut sheet = Sheet::new(arguments.figures);
-            let outside = coverage::run(&coverage::Plan { studies, seed, bone: !free }, &mut sheet)?;
+            let outside =
+                coverage::run(&coverage::Plan { studies, seed, free: !bone, bone: !free }, &mut sheet)?;
             sheet.end();
             // Of few studies, no share says much.
             match outside {

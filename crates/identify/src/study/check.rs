@@ -224,7 +224,9 @@ impl Checker<'_> {
             return Err(self.value(key("name"), format!("`{}`", text.name), NAME_EXPECTED));
         }
         if text.held_out && text.candidate {
-            return Err(self.conflict(key("held_out"), "and `candidate` are mutually exclusive; set only one"));
+            return Err(
+                self.conflict(key("held_out"), "and `candidate` are mutually exclusive; set only one")
+            );
         }
         if text.measured.is_empty() || text.measured.len() > MAX_MEASURED {
             return Err(self.value(key("measured"), text.measured.len(), format!("1 to {MAX_MEASURED}")));
@@ -299,7 +301,9 @@ impl Checker<'_> {
         let ending = file.extension().map(|ending| ending.to_string_lossy().to_lowercase());
         let is_table = matches!(ending.as_deref(), Some("csv" | "tsv" | "txt" | "parquet"));
         match (is_table, time, topic) {
-            (true, None, _) => Err(self.conflict(format!("{key}.time"), "is missing: the column with the time")),
+            (true, None, _) => {
+                Err(self.conflict(format!("{key}.time"), "is missing: the column with the time"))
+            }
             (true, _, Some(_)) => {
                 Err(self.conflict(format!("{key}.topic"), "is only for MCAP files and rosbag2 folders"))
             }
@@ -331,8 +335,7 @@ impl Checker<'_> {
             .check_count(count)
             .map_err(|expected| self.value(at("columns"), format!("{count} columns"), expected))?;
         let unit = text.of.dimension(text.field.as_deref()).size_of(&text.unit);
-        let unit =
-            unit.map_err(|expected| self.value(at("unit"), format!("`{}`", text.unit), expected))?;
+        let unit = unit.map_err(|expected| self.value(at("unit"), format!("`{}`", text.unit), expected))?;
         let quantity = self.quantity(key, text)?;
         let shape = match text.of {
             Kind::Position => Shape::Point,
@@ -434,7 +437,9 @@ impl Checker<'_> {
             let is_alone = text.file.is_none() && text.column.is_empty() && text.controller.is_none();
             return match is_alone {
                 true => Ok(Commands::Log(log.clone())),
-                false => Err(self.conflict(at("log"), "and `file`, `column`, `controller` are mutually exclusive")),
+                false => {
+                    Err(self.conflict(at("log"), "and `file`, `column`, `controller` are mutually exclusive"))
+                }
             };
         }
         if text.column.is_empty() {

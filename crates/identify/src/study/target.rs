@@ -111,7 +111,8 @@ impl Target {
     ) -> Result<Target, String> {
         let mut parts = key.splitn(3, '.');
         let (kind, name, rest) = (parts.next(), parts.next(), parts.next());
-        let no_name = |what: &str, name: &str| format!("names {what} `{name}`, which the study does not have");
+        let no_name =
+            |what: &str, name: &str| format!("names {what} `{name}`, which the study does not have");
         match (kind, name, rest) {
             (Some("measured"), Some(name), Some(rest)) => {
                 let part = SignalPart::parse(rest).ok_or_else(|| format!("is not {EXPECTED}"))?;

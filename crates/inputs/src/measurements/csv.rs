@@ -31,9 +31,8 @@ fn number(cell: &str, separator: char) -> Option<f64> {
 /// Reads columns by name.
 pub(super) fn read(file: &Path, wanted: &[&str]) -> Result<Vec<Vec<f64>>, Failure> {
     let mut reader = BufReader::with_capacity(1 << 16, opened(file)?);
-    let bad = |line: usize, why: String| {
-        Failure::bad_input(format!("{}, line {line}: {why}", foreign_path(file)))
-    };
+    let bad =
+        |line: usize, why: String| Failure::bad_input(format!("{}, line {line}: {why}", foreign_path(file)));
     let mut line = String::new();
     let mut number_of_line = 0;
     let mut header: Option<(char, Vec<usize>)> = None;

@@ -81,15 +81,16 @@ fn append(
     let mut schemas = BTreeMap::new();
     let mut decoders: BTreeMap<u16, Decoder> = BTreeMap::new();
     while let Some(event) = reader.next_event() {
-        let (opcode, data) = match event.map_err(|cause| bad(format!("damaged or not an MCAP file ({cause})")))? {
-            LinearReadEvent::ReadRequest(count) => {
-                let read = from.read(reader.insert(count));
-                let read = read.map_err(|cause| bad(format!("cannot be read ({cause})")))?;
-                reader.notify_read(read);
-                continue;
-            }
-            LinearReadEvent::Record { data, opcode } => (opcode, data),
-        };
+        let (opcode, data) =
+            match event.map_err(|cause| bad(format!("damaged or not an MCAP file ({cause})")))? {
+                LinearReadEvent::ReadRequest(count) => {
+                    let read = from.read(reader.insert(count));
+                    let read = read.map_err(|cause| bad(format!("cannot be read ({cause})")))?;
+                    reader.notify_read(read);
+                    continue;
+                }
+                LinearReadEvent::Record { data, opcode } => (opcode, data),
+            };
         let record = mcap::parse_record(opcode, data);
         match record.map_err(|cause| bad(format!("a damaged record ({cause})")))? {
             Record::Schema { header, data } => {

@@ -62,7 +62,8 @@ fn opened(file: &Path) -> Result<File, Failure> {
     let cannot = |cause: &dyn std::fmt::Display| {
         Failure::bad_input(format!("{}: cannot be read ({cause})", foreign_path(file)))
     };
-    let found = OpenOptions::new().read(true).custom_flags(rustix::fs::OFlags::NONBLOCK.bits() as i32).open(file);
+    let found =
+        OpenOptions::new().read(true).custom_flags(rustix::fs::OFlags::NONBLOCK.bits() as i32).open(file);
     let found = found.map_err(|cause| cannot(&cause))?;
     match found.metadata().map_err(|cause| cannot(&cause))?.is_file() {
         true => Ok(found),
@@ -72,7 +73,8 @@ fn opened(file: &Path) -> Result<File, Failure> {
 
 /// Error of a column that a file does not have.
 fn no_column(file: &Path, name: &str, known: &[&str]) -> Failure {
-    let near = meant(name, known).map_or(String::new(), |near| format!(" (did you mean `{}`?)", foreign(near)));
+    let near =
+        meant(name, known).map_or(String::new(), |near| format!(" (did you mean `{}`?)", foreign(near)));
     let listed: Vec<String> = known.iter().take(40).map(|name| foreign(name).to_string()).collect();
     Failure::bad_input(format!(
         "{}: no column `{}`{near}; it has {}",

@@ -76,7 +76,8 @@ fn a_parquet_table_gives_the_rows_that_were_written() {
 /// A bag as recorders write it, by the `mcap` library: compressed chunks, several topics.
 fn bag(file: &Path) {
     let mut bytes = std::io::Cursor::new(Vec::new());
-    let options = ::mcap::WriteOptions::new().compression(Some(::mcap::Compression::Zstd)).chunk_size(Some(200));
+    let options =
+        ::mcap::WriteOptions::new().compression(Some(::mcap::Compression::Zstd)).chunk_size(Some(200));
     let mut writer = ::mcap::Writer::with_options(&mut bytes, options).unwrap();
     let point = writer.add_schema("geometry_msgs/msg/Point", "ros2msg", b"float64 x\nfloat64 y\nfloat64 z\n");
     let channel = writer.add_channel(point.unwrap(), "/tip", "cdr", &Default::default()).unwrap();

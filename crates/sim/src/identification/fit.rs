@@ -70,7 +70,11 @@ impl OpenedStudy {
         self.study.experiments[experiment].role
     }
 
-    fn noise(&self, estimated: &EstimatedNoise, (experiment, measured, column): (usize, usize, usize)) -> f64 {
+    fn noise(
+        &self,
+        estimated: &EstimatedNoise,
+        (experiment, measured, column): (usize, usize, usize),
+    ) -> f64 {
         let measured = &self.study.experiments[experiment].measured[measured];
         let stated = measured.noise.as_ref().map(|noise| noise[column]);
         let key = (measured.name.clone(), column);
@@ -507,7 +511,8 @@ fn rows(count: usize, of: impl Fn(usize, usize) -> f64) -> Vec<Vec<f64>> {
 /// Returns the statistics of a fitted column, which weigh outliers as the fit did.
 fn fitted_statistics(fitted: &Fitted<'_>, column: &Column) -> Option<ResidualStatistics> {
     let is_its = |other: &Column| {
-        (other.experiment, other.measured, other.column) == (column.experiment, column.measured, column.column)
+        (other.experiment, other.measured, other.column)
+            == (column.experiment, column.measured, column.column)
     };
     let index = fitted.model.columns.iter().position(is_its)?;
     fitted.uncertainty.series.get(index).copied()

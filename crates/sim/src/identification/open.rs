@@ -233,10 +233,9 @@ fn opened(
     let latched = log.as_deref().map(latched).transpose().map_err(named)?;
     let source = match (&experiment.scene, &log, &latched) {
         (Some(scene), ..) => SceneSource::new(Some(&beside(folder, scene)), BuiltIn::Femur),
-        (None, Some(log), Some((_, text))) => SceneSource::Changed {
-            source: Box::new(SceneSource::File(log.clone())),
-            text: text.clone(),
-        },
+        (None, Some(log), Some((_, text))) => {
+            SceneSource::Changed { source: Box::new(SceneSource::File(log.clone())), text: text.clone() }
+        }
         _ => SceneSource::BuiltIn(BuiltIn::Femur),
     };
     let shared = SharedScene::of_source(first, source.clone(), &experiment.set, None);
@@ -306,7 +305,8 @@ fn no_overlap(
     let file = measured.source.as_ref().map(|source| foreign_path(&source.file).to_string());
     let file = file.unwrap_or_default();
     let times = rows.times_s.iter().copied().filter(|time| time.is_finite());
-    let (first, last) = (times.clone().fold(f64::INFINITY, f64::min), times.fold(f64::NEG_INFINITY, f64::max));
+    let (first, last) =
+        (times.clone().fold(f64::INFINITY, f64::min), times.fold(f64::NEG_INFINITY, f64::max));
     match () {
         () if count.rows == 0 => Failure::bad_input(format!("`{name}`: {file} has no rows")),
         () if count.outside + count.without_time < count.rows => {
