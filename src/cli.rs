@@ -56,6 +56,8 @@ enum UserCommand {
     /// Run a scene many times with varied parameters, and report which ones affect the results.
     #[command(subcommand)]
     Sweep(commands::sweep::SweepCommand),
+    /// Fit parameters of scenes to measured files, with their uncertainty.
+    Identify(commands::identify::IdentifyArguments),
     /// List this user's running sessions; pause, resume or stop one.
     #[command(subcommand)]
     Session(commands::session::SessionCommand),
@@ -123,6 +125,7 @@ fn dispatch(command: &UserCommand) -> Result<(), Failure> {
         UserCommand::Plan(arguments) => commands::plan::run(arguments),
         UserCommand::Scene(command) => commands::scene::run(command),
         UserCommand::Sweep(command) => commands::sweep::run(command),
+        UserCommand::Identify(arguments) => commands::identify::run(arguments),
         UserCommand::Session(command) => commands::session::run(command),
         UserCommand::Cache(command) => commands::cache::run(command),
         UserCommand::Tool(command) => commands::tool::run(command),

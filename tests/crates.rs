@@ -11,7 +11,7 @@ use serde_json::Value;
 use test_support::limited::Limited;
 
 /// Each core and its folder.
-const CORES: [(&str, &str); 17] = [
+const CORES: [(&str, &str); 18] = [
     ("foreign_text", "crates/foreign_text"),
     ("openigtlink", "crates/openigtlink"),
     ("markups", "crates/markups"),
@@ -26,6 +26,7 @@ const CORES: [(&str, &str); 17] = [
     ("run_log", "crates/run_log"),
     ("xray", "crates/xray"),
     ("sweep", "crates/sweep"),
+    ("identify", "crates/identify"),
     ("hub", "crates/hub"),
     ("delivery", "crates/delivery"),
     ("hub_schedules", "crates/hub/schedules"),

@@ -108,13 +108,13 @@ pub struct Course {
 }
 
 impl Course {
-    /// Creates an empty course for a scene.
-    pub fn of(scene: &Scene) -> Course {
+    /// Creates an empty course for a scene, with the voxel spacing of its volume.
+    pub fn of(scene: &Scene, spacing_m: Option<[f64; 3]>) -> Course {
         let target_mm = scene.controller.iter().find_map(|c| c.curved_drilling.as_ref()?.target_mm);
         Course {
             stop_rad: manipulator_parameters(scene).ok().map(|tool| tool.joint_limit_rad),
             target_m: target_mm.map(|target_mm| scene.in_bone_mm(target_mm).map(|x| x * 1e-3)),
-            voxel_volume_mm3: voxel_volume_mm3(scene),
+            voxel_volume_mm3: spacing_m.map(|edges_m| edges_m.iter().map(|edge_m| 1e3 * edge_m).product()),
             ..Course::default()
         }
     }
@@ -171,13 +171,6 @@ fn put(kept: &mut Option<Box<State>>, state: &State) {
         Some(kept) => **kept = *state,
         None => *kept = Some(Box::new(*state)),
     }
-}
-
-/// Returns the volume of a voxel if the scene specifies it, as for phantoms and for files resampled to cubes.
-fn voxel_volume_mm3(scene: &Scene) -> Option<f64> {
-    let volume = scene.volume.as_ref()?;
-    let edge_mm = volume.phantom.map(|_| volume.spacing_mm).or(volume.resample_mm)?;
-    Some(edge_mm * edge_mm * edge_mm)
 }
 
 #[cfg(test)]

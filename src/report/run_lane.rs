@@ -110,8 +110,8 @@ const MAX_GAPS: usize = 100;
 
 impl RunLane {
     /// Reads the file once. Faults become notes. The middle frame is chosen by the simulated length of the
-    /// run, `end_ns`, or if unknown by the scene's length.
-    pub fn read(path: &Path, end_ns: Option<u64>) -> RunLane {
+    /// run, `end_ns`, or if unknown by the scene's length. `spacing_m` is that of the run's volume.
+    pub fn read(path: &Path, end_ns: Option<u64>, spacing_m: Option<[f64; 3]>) -> RunLane {
         let mut lane = RunLane::default();
         let stream = match MessageStream::open(&LogFile::at(path), ReadOptions::default()) {
             Ok(stream) => stream,
@@ -122,7 +122,7 @@ impl RunLane {
         };
         let header = stream.header().clone();
         lane.scene = Scene::parse(&header.scene_toml, Path::new("scene.toml")).ok();
-        lane.course = lane.scene.as_ref().map_or_else(Course::default, Course::of);
+        lane.course = lane.scene.as_ref().map_or_else(Course::default, |scene| Course::of(scene, spacing_m));
         let scene_end_ns = lane.scene.as_ref().map_or(0, |scene| (scene.run.duration_s * 1e9) as u64);
         let middle_ns = end_ns.unwrap_or(scene_end_ns) / 2;
         let dt_ns = header.dt_ns;

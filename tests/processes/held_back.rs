@@ -52,7 +52,7 @@ fn a_stopped_physics_is_called_stopped_and_not_stolen() {
 }
 
 /// A control group created by a test, empty when dropped.
-struct Group(PathBuf);
+pub(crate) struct Group(pub(crate) PathBuf);
 
 impl Group {
     /// Creates a group below a mounted hierarchy whose groups have a file of this name.
@@ -79,12 +79,12 @@ impl Group {
         Err(format!("no group with `{needed}`: {}", causes.join(", ")))
     }
 
-    fn write(&self, name: &str, text: &str) {
+    pub(crate) fn write(&self, name: &str, text: &str) {
         fs::write(self.0.join(name), text).unwrap();
     }
 
     /// Returns a command that runs in the group.
-    fn command(&self, program: &str) -> Command {
+    pub(crate) fn command(&self, program: &str) -> Command {
         let mut command = Command::new("sh");
         let enter = format!("echo $$ > {}/cgroup.procs && exec \"$@\"", self.0.display());
         command.args(["-c", &enter, "sh", program]);
@@ -112,7 +112,7 @@ impl Drop for Group {
     }
 }
 
-fn group(needed: &str) -> Option<Group> {
+pub(crate) fn group(needed: &str) -> Option<Group> {
     Group::make(needed).inspect_err(|cause| eprintln!("SKIPPED: {cause}")).ok()
 }
 

@@ -126,6 +126,29 @@ fn parquet_rows(file: &Path) -> i64 {
     rows
 }
 
+/// Regression: in Parquet the upper half of all hashes were negative numbers.
+#[test]
+fn hashes_are_the_same_in_both_tables_and_the_latest_run_is_found() {
+    let place = Place::new();
+    let folder = recorded(&place, &scenes::hold("lockstep", 0.05));
+    let [csv, parquet] = ["x.csv", "x.parquet"].map(|name| place.path(name));
+    let latest = folder.parent().unwrap().join("latest");
+    for table in [&csv, &parquet] {
+        let done = trabecula(&[&"log", &"export", &latest, &"-o", table, &"--field", &"hash"]);
+        assert_eq!(done.code, Some(0), "{}", done.err);
+    }
+    let reader = SerializedFileReader::new(fs::File::open(parquet).unwrap()).unwrap();
+    let rows = reader.get_row_iter(None).unwrap().map(|row| {
+        let cells = row.unwrap().into_columns().into_iter().map(|(_, cell)| cell.to_string());
+        cells.collect::<Vec<_>>().join(",")
+    });
+    let text = fs::read_to_string(csv).unwrap();
+    assert!(rows.eq(text.lines().skip(1).map(str::to_owned)), "{text}");
+    let upper =
+        |line: &str| line.split(',').skip(2).any(|cell| cell.parse::<u64>().unwrap() > i64::MAX as u64);
+    assert!(text.lines().skip(1).any(upper), "no hash is in the upper half");
+}
+
 #[test]
 fn the_table_of_a_damaged_log_can_be_read() {
     let place = Place::new();

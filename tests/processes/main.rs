@@ -39,6 +39,7 @@ mod late_controllers;
 mod lichtblick;
 mod log_tools;
 mod lost_tool;
+mod memory;
 mod model_validity;
 mod oblique;
 mod openigtlink;

@@ -49,6 +49,11 @@ fn table(place: &Place) -> Vec<Row> {
         row("log split @two.mcap -o @runs", &["runs/run1.mcap", "runs/run2.mcap"]),
         row("sweep gather @swept -o @g.parquet", &["g.parquet"]),
         row("sweep plot @swept --of bend_deg -o @s", &["s.png", "s.svg"]),
+        row(
+            "identify @fit.toml -o @fit",
+            &["fit/identified.toml", "fit/identification.json", "fit/report.html"],
+        ),
+        row("identify @fit.toml --simulate -o @plan", &["plan/pull_bend.csv"]),
         row("plot @log t_world_tip.position_m --output @f", &["f.png", "f.svg"]),
         row("replay @log --output @again", &["again/run.mcap"]),
         row(
@@ -86,6 +91,13 @@ fn with_inputs() -> Place {
     let study = "scene = \"scene.toml\"\ndesign = \"csv\"\npoints = \"points.csv\"\nset = [\"run.duration_s=0.01\"]\n";
     fs::write(place.path("study.toml"), study).unwrap();
     fs::write(place.path("points.csv"), "run.seed\n1\n2\n").unwrap();
+    let fit = "[[parameter]]\nkey = \"manipulator.stiffness_scale\"\nmin = 0.5\nmax = 2.0\n\
+        [[experiment]]\nname = \"pull\"\nscene = \"scene.toml\"\nset = [\"run.duration_s=0.01\"]\n\
+        file = \"bend.csv\"\ntime = \"t\"\n\
+        [[experiment.measured]]\nname = \"bend\"\nof = \"bend\"\ncolumns = [\"bend\"]\nunit = \"deg\"\n\
+        noise = 0.1\nrate_hz = 200\n";
+    fs::write(place.path("fit.toml"), fit).unwrap();
+    fs::write(place.path("bend.csv"), "t,bend\n0.004,0.1\n0.008,0.2\n").unwrap();
     let done = call(&place.words("sweep run @study.toml -o @swept --quiet"));
     assert_eq!(done.code, Some(0), "{}", done.err);
     place

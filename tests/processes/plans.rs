@@ -79,6 +79,42 @@ fn a_plan_of_slicer_is_drilled_to_its_target_and_what_was_made_opens_there() {
     }
 }
 
+/// Regression: a plan with entry and target exchanged was accepted, and the scene of a plan whose arm would
+/// be in bone got a warning that named the value that cures it.
+#[test]
+fn exchanged_points_are_reported_and_the_arm_is_kept_out_of_bone() {
+    let place = Place::new();
+    let ct = place.path("pelvis.nrrd");
+    let done = trabecula(&[&"phantom", &"pelvis", &"-o", &ct, &"--spacing-mm", &"2"]);
+    assert_eq!(done.code, Some(0), "{}", done.err);
+    // The line of `plans.py`, from the lateral cortex through the neck of the femur.
+    let [outside, inside] = [[-150.2, -135.1, 101.5], [-112.3, -141.4, 112.7]];
+    let made = |name: &str, entry: [f64; 3], target: [f64; 3]| {
+        let point =
+            |number, [x, y, z]: [f64; 3], name| format!("{number},{x},{y},{z},0,0,0,1,1,1,0,{name},,\n");
+        let lines = [point(1, entry, "entry"), point(2, target, "target")].concat();
+        let (plan, scene) = (place.path(&format!("{name}.fcsv")), place.path(&format!("{name}.toml")));
+        std::fs::write(&plan, format!("# CoordinateSystem = LPS\n{lines}")).unwrap();
+        let done = trabecula(&[&"scene", &"from-markups", &plan, &"--ct", &ct, &"-o", &scene]);
+        assert_eq!(done.code, Some(0), "{name}: {}", done.err);
+        (done.out + &done.err, std::fs::read_to_string(&scene).unwrap(), scene)
+    };
+    let (said, text, _) = made("usual", outside, inside);
+    assert!(!said.contains("exchanged") && !text.contains("[arm]"), "{said}\n{text}");
+    let (said, ..) = made("exchanged", inside, outside);
+    assert!(said.contains("are entry and target exchanged?"), "{said}");
+    // From below, where the arm's wrist would be in the femur.
+    let (said, text, scene) = made("below", [-99.0, -143.0, 70.0], [-99.0, -143.0, 110.0]);
+    assert!(!said.contains("arm.tool_position_mm"), "{said}");
+    let line = text.lines().find(|line| line.starts_with("tool_position_mm = ")).expect("the arm is moved");
+    std::fs::write(&scene, text.replace(line, "")).unwrap();
+    let checked = trabecula(&[&"scene", &"check", &scene]);
+    assert!(
+        (checked.out + &checked.err).contains("`arm.tool_position_mm` is [0, 0, 0]"),
+        "without it: {text}"
+    );
+}
+
 /// Uses the position of the CT of `configs/pelvis_ct.toml`.
 #[test]
 fn a_plan_of_slicer_on_a_real_ct_is_drilled_to_its_target() {

@@ -255,6 +255,8 @@ fn the_doctor_says_what_each_thing_costs_and_what_grants_it() {
         "control groups",
         "huge pages",
         "/dev/shm",
+        "address space",
+        "memory",
         "clock source",
         "preemption model",
         "steal",

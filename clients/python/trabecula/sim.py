@@ -18,6 +18,7 @@ Units are SI; names end in their unit.
 
 from __future__ import annotations
 
+import json
 import os
 from pathlib import Path
 from typing import Any, Iterable, Mapping, Optional, Sequence, Union
@@ -34,7 +35,7 @@ from ._linear import LinearModel, signals
 from ._results import Ct, Image, Reading
 from ._run import settings
 
-__all__ = ["Batch", "Labels", "LinearModel", "Mask", "Sim", "Snapshot"]
+__all__ = ["Batch", "Labels", "LinearModel", "Mask", "Sim", "Snapshot", "identify"]
 
 #: A file, or None for the built-in femur.
 SceneFile = Union[str, "os.PathLike[str]", None]
@@ -604,6 +605,28 @@ class Batch:
 
     def __repr__(self) -> str:
         return f"Batch(n={self._count}, threads={self.threads})"
+
+
+def identify(study: Union[str, "os.PathLike[str]"], task: str = "fit") -> dict[str, Any]:
+    """Fits parameters of scenes to measured files, as `trabecula identify` does.
+
+    Ctrl-C ends it. The simulations run on all cores, and the interpreter lock is released meanwhile.
+
+    Args:
+        study: Study file (docs/identify.md).
+        task: "fit"; "check": compare once at the starting point; "design": rank the candidate experiments.
+
+    Returns:
+        The result that the command prints with `--json`: `parameters` with `value`, `sd` and `interval`,
+        `covariance`, `correlation`, `undetermined`, `cautions`, `experiments`, and `toml` for a scene.
+
+    Raises:
+        ArgumentError: The study, a scene or a measured file is refused, with the error text of the command.
+    """
+    if task not in ("fit", "check", "design"):
+        raise ArgumentError(f"`task` is {task!r}, expected 'fit', 'check' or 'design'")
+    result: dict[str, Any] = json.loads(native.identify(os.fspath(study), task))
+    return result
 
 
 def _loaded(

@@ -65,6 +65,16 @@ impl Column {
     pub fn value(&self, body: &[u8]) -> Option<Scalar> {
         Scalar::read(self.ros_type, body.get(self.offset..self.offset + self.size)?)
     }
+
+    /// Sets the column's value in a message, if it is a `float64`.
+    pub fn put_f64(&self, body: &mut [u8], value: f64) {
+        if self.ros_type == "float64"
+            && let Some(place) = body.get_mut(self.offset..self.offset + self.size)
+            && place.len() == 8
+        {
+            place.copy_from_slice(&value.to_le_bytes());
+        }
+    }
 }
 
 /// Returns the columns for the given fields, in that order, or for the whole message if there are none.

@@ -102,6 +102,7 @@ mod sink;
 mod source;
 mod stream;
 pub mod timeline;
+mod times;
 mod timing_lane;
 mod topics;
 mod unpack;

@@ -240,7 +240,7 @@ fn the_coarse_surface_has_the_balls_volume_at_a_tenth_of_the_triangles_and_follo
     assert!((volume / expected - 1.0).abs() < 0.03, "{volume} {expected}");
 
     // A tunnel of 6 mm, drilled in two rounds and restored in part.
-    let mut drill = |coarse: &mut CoarseBone, field: &mut Field, (from, to): (usize, usize), voxel: Voxel| {
+    let drill = |coarse: &mut CoarseBone, field: &mut Field, (from, to): (usize, usize), voxel: Voxel| {
         for index in 0..grid.voxel_count() as u32 {
             let at = grid.voxel(index as usize).unwrap();
             let off = [at[0] as f64 - centre[0], at[1] as f64 - centre[1]];

@@ -22,6 +22,8 @@ fn facts() -> RunFacts {
         outcome: "completed".to_string(),
         peak_memory_bytes: BTreeMap::from([("physics".to_string(), 40_000_000)]),
         processor_s: BTreeMap::from([("physics".to_string(), 2.5)]),
+        // A file's voxels are no cubes, unless the scene asks for them.
+        volume_spacing_m: Some([5e-4, 2.5e-4, 1e-3]),
         replay_command: "trabecula replay runs/x/run.mcap".to_string(),
     }
 }
@@ -63,7 +65,7 @@ fn a_run_is_summed_up() {
     let summary = write(folder.path(), &facts()).unwrap();
     check_figures(folder.path());
     let timing = TimingLane::read(&folder.path().join("timing.mcap")).unwrap();
-    let run = RunLane::read(&folder.path().join("run.mcap"), Some(timing.end_ns));
+    let run = RunLane::read(&folder.path().join("run.mcap"), Some(timing.end_ns), None);
     assert_eq!(tip_figure::draw(&run).unwrap().collisions(), []);
     assert_eq!(timing_figure::draw(&timing, run.end_ns).unwrap().collisions(), []);
 

@@ -80,7 +80,7 @@ fn a_parquet_file_holds_the_same_numbers() {
         for (value, wanted) in values[3..6].iter().zip(state.t_world_link[7].position_m) {
             assert!(matches!(value, Field::Double(value) if value.to_bits() == wanted.to_bits()));
         }
-        assert_eq!(values[7], Field::Long(state.hash[1] as i64));
+        assert_eq!(values[7], Field::ULong(state.hash[1]));
     }
 }
 

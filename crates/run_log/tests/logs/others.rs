@@ -7,7 +7,7 @@ use std::io::Cursor;
 use std::path::Path;
 
 use crate::common::*;
-use mcap::records::Record;
+use mcap::records::{MessageHeader, Record};
 use mcap::{Attachment, WriteOptions, Writer};
 use run_log::*;
 
@@ -35,6 +35,16 @@ fn edited_again(
     beside: Beside,
     edit: impl for<'a> Fn(&str, &'a [u8]) -> &'a [u8],
 ) -> Vec<u8> {
+    retimed_again(log, options, beside, |topic, _, data| edit(topic, data))
+}
+
+/// The same, with the header of each message in the hands of `edit` too.
+fn retimed_again(
+    log: &[u8],
+    options: WriteOptions,
+    beside: Beside,
+    mut edit: impl for<'a> FnMut(&str, &mut MessageHeader, &'a [u8]) -> &'a [u8],
+) -> Vec<u8> {
     let mut topics = std::collections::BTreeMap::new();
     let mut out = Cursor::new(Vec::new());
     let mut writer: Writer<_> = options.profile("ros2").create(&mut out).unwrap();
@@ -59,7 +69,7 @@ fn edited_again(
                 topics.insert(channel.id, channel.topic);
             }
             Record::Message { mut header, data } => {
-                let data = edit(&topics[&header.channel_id], &data);
+                let data = edit(&topics[&header.channel_id], &mut header, &data);
                 header.channel_id = channels[&header.channel_id];
                 writer.write_to_known_channel(&header, data).unwrap();
             }
@@ -243,6 +253,31 @@ fn a_message_too_short_for_its_topic_is_damage_though_its_checksum_is_right() {
     for error in refused(&LogBytes::new("l.mcap", again)) {
         assert!(matches!(error, LogError::NotWhole { .. }), "{error}");
         assert!(error.to_string().contains("a message of /state of 16 bytes, expected"), "{error}");
+    }
+}
+
+/// Regression: a replay compared only the messages' content, and found nothing where `log_time` was altered.
+#[test]
+fn an_altered_time_of_a_message_is_damage_though_its_checksum_is_right() {
+    let log = write_log(&run_messages(200, None));
+    for wanted in ["/state", "/latched", "/removed", "/drr/reply", "/drr/frame", "/drr/image"] {
+        for is_log_time in [true, false] {
+            let mut count = 0;
+            let options = WriteOptions::new();
+            let again = retimed_again(&log, options, Beside::WhereTheyStood, |topic, header, data| {
+                count += u32::from(topic == wanted);
+                let time = if is_log_time { &mut header.log_time } else { &mut header.publish_time };
+                *time += u64::from(topic == wanted && count == 3);
+                data
+            });
+            let report = verify(&mut open_bytes(&again).unwrap(), Toy::new, None);
+            let name = if is_log_time { "log_time" } else { "publish_time" };
+            let Some(LogError::Damaged { cause, .. }) = &report.log_error else {
+                panic!("{wanted}, {name}: {:?}", report.log_error);
+            };
+            assert!(cause.contains(wanted) && cause.contains(name), "{cause}");
+            assert!(!report.is_identical());
+        }
     }
 }
 

@@ -263,3 +263,35 @@ fn another_series_than_that_of_the_file_is_refused() {
     let said = choose(&path, Some("1.2.9")).unwrap_err().to_string();
     assert!(said.contains("series 1.2.9 not found") && said.contains("1.2.3"), "{said}");
 }
+
+/// Regression: frames without functional groups were refused, though the file says how they lie.
+#[test]
+fn frames_of_a_classic_image_are_stacked_by_their_spacing() {
+    let usual = read_bytes(&DicomSlice::default().bytes()).unwrap();
+    let mut bytes = DicomSlice::default().bytes();
+    let mut insert = |next: &[u8], element: &[u8]| {
+        let at = bytes.windows(next.len()).position(|window| window == next).unwrap();
+        bytes.splice(at..at, element.iter().copied());
+    };
+    insert(b"\x28\0\x10\0US", b"\x28\0\x08\0IS\x02\x003 ");
+    let refused = {
+        let at = bytes.windows(6).position(|window| window == b"\xe0\x7f\x10\0OW").unwrap();
+        let length = u32::from_le_bytes(bytes[at + 8..at + 12].try_into().unwrap());
+        bytes[at + 8..at + 12].copy_from_slice(&(3 * length).to_le_bytes());
+        let pixels = bytes[at + 12..].to_vec();
+        bytes.extend([pixels.clone(), pixels].concat());
+        read_bytes(&bytes).unwrap_err().to_string()
+    };
+    assert!(refused.contains("SpacingBetweenSlices (0018,0088)"), "{refused}");
+    let at = bytes.windows(PATIENT_POSITION.len()).position(|window| window == PATIENT_POSITION).unwrap();
+    // Behind the slice thickness, of 10 bytes.
+    bytes.splice(at + 10..at + 10, b"\x18\0\x88\0DS\x04\x002.50".iter().copied());
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("v.dcm");
+    std::fs::write(&path, &bytes).unwrap();
+    let (volume, info) = read_as(&path, &ReadOptions::default()).unwrap();
+    assert_eq!(volume.hu, usual.hu.repeat(3));
+    assert_eq!((volume.grid.dims()[2], volume.grid.spacing_m()[2]), (3, 2.5e-3));
+    assert_eq!(volume.grid.origin_m(), usual.grid.origin_m());
+    assert!(info.notes.iter().any(|note| note.contains("only the first frame has a position")), "{info}");
+}

@@ -26,6 +26,11 @@ fn text_headers_of_other_programs_are_read() {
         taken("v.nrrd", &[b"NRRD0005\n", before, fields.as_bytes(), after, b"\n", &[7; 48]].concat())
     };
     let usual = nrrd(b"", "little", b"");
+    let without_sizes =
+        "NRRD0004\ntype: short\ndimension: 3\nsizes: 2 3 4\nencoding: raw\nendian: little\n\n";
+    let (volume, notes) = taken("v.nrrd", &[without_sizes.as_bytes(), &[7; 48]].concat());
+    assert_eq!((volume.grid.spacing_m(), volume.hu.len()), ([1e-3; 3], 24));
+    assert!(notes.contains("no `spacings` given; assuming voxels of 1 mm"), "{notes}");
     assert_eq!(nrrd(b"# Sch\xe4del\n", "Little", b"Patient:=M\xfcller\n"), usual);
     assert_eq!(nrrd(b"", "LITTLE", b"type: short\n"), usual);
     let mha = |more: &[u8]| {
@@ -105,7 +110,7 @@ fn a_nifti_stack_of_a_tilted_gantry_is_rectified_on_request() {
 
 /// Regression: bytes behind a gzip stream made the file unreadable.
 #[test]
-fn bytes_behind_a_gzip_stream_are_ignored() {
+fn bytes_behind_a_gzip_stream_are_ignored_with_a_note() {
     let file = NiftiBytes::new(
         [2, 3, 4],
         [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]],
@@ -114,5 +119,12 @@ fn bytes_behind_a_gzip_stream_are_ignored() {
     .0;
     let packed = gzip(&file);
     let usual = taken("v.nii.gz", &packed);
-    assert_eq!(taken("v.nii.gz", &[&packed, b"trailing".as_slice()].concat()), usual);
+    assert_eq!(taken("v.nii.gz", &[&packed, [0; 512].as_slice()].concat()), usual, "padding");
+    let (volume, notes) = taken("v.nii.gz", &[&packed, b"trailing".as_slice()].concat());
+    assert_eq!(volume, usual.0);
+    assert!(
+        notes.contains("bytes after the gzip data are ignored") && usual.1.is_empty(),
+        "{notes}; {}",
+        usual.1
+    );
 }
