@@ -8,8 +8,8 @@ use trabecula_fmu::master::Archived;
 /// Longest content that is unpacked here: the seeds are small, and an archive of megabytes only takes time.
 const MOST_BYTES: usize = 1 << 20;
 
-/// Reads an FMU. The names of an accepted one stay in the folder into which it is extracted; each file is whole
-/// or refused.
+/// Reads an FMU. The names of an accepted one stay in the folder into which it is extracted; each file is
+/// whole or refused.
 pub fn fmu(data: &[u8]) {
     let Ok(archived) = Archived::of(data.to_vec()) else { return };
     let model = &archived.model;

@@ -236,8 +236,8 @@ impl<'v> Simulation<'v> {
         }
     }
 
-    /// Sets whether ticks leave the bone as it is: nothing is cut or crushed, and no energy is spent. A cutter
-    /// of several balls whose motor or side force is modelled cuts all the same.
+    /// Sets whether ticks leave the bone as it is: nothing is cut or crushed, and no energy is spent. A
+    /// cutter of several balls whose motor or side force is modelled cuts all the same.
     pub fn freeze_bone(&mut self, is_frozen: bool) {
         self.bone_is_frozen = is_frozen;
     }
