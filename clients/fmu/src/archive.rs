@@ -21,7 +21,7 @@ const MODE: u32 = 0o100_755 << 16;
 
 /// An archive under construction.
 #[derive(Debug, Default)]
-pub(crate) struct Archive {
+pub struct Archive {
     bytes: Vec<u8>,
     directory: Vec<u8>,
     count: u16,

@@ -216,8 +216,9 @@ impl Instance {
             return Err(FmuError::Phase("a step follows initialisation"));
         }
         let own_s = self.time_s();
-        // Written so that NaN fails.
-        if !((from_s - own_s).abs() <= 0.5 * self.dt_s) {
+        // False for NaN.
+        let is_here = (from_s - own_s).abs() <= 0.5 * self.dt_s;
+        if !is_here {
             return Err(FmuError::Time { given_s: from_s, own_s });
         }
         let ticks = (step_s / self.dt_s).round();

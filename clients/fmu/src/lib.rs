@@ -27,5 +27,6 @@ mod instance;
 pub mod master;
 mod variables;
 
+pub use archive::Archive;
 pub use description::Version;
 pub use error::FmuError;

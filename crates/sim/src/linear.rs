@@ -9,7 +9,8 @@
 //!
 //! with the state vector of [`Sim::state_entries`], the bone as it is, and the contacts of the tick. Outputs
 //! that follow from the state alone (poses, angles, rates) are those of state k, so their rows of D are 0.
-//! Forces, tensions, energies and the burr's speed are computed by tick k, and are those of state k+1.
+//! Forces, tensions and the burr's speed are computed by tick k, and are those of state k+1. Nothing is cut,
+//! so energies do not change.
 //!
 //! A difference moves one entry by [`StateEntry::difference`], or one input by a difference of its unit, to
 //! both sides; at the end of a range to one side. Rates and accelerations of the arm's joints and of the tube
@@ -92,10 +93,13 @@ impl Sim {
         let dt_s = self.shared.scene().dt_s();
         self.at_next_tick(commands, |plant, here, latched| {
             let usual = plant.set_contact_tolerance(TOLERANCE_M_PER_S);
-            let entries = plant.state_entries();
-            let mut tick = OneTick { plant, here, entries: &entries, outputs: &outputs, all_after: false };
+            plant.freeze_bone(true);
+            let (entries, bone) = (plant.state_entries(), plant.bone_changes());
+            let mut tick =
+                OneTick { plant, here, entries: &entries, outputs: &outputs, bone, all_after: false };
             let model = tick.model(latched, &inputs, dt_s);
             plant.set_contact_tolerance(usual);
+            plant.freeze_bone(false);
             model
         })
     }
@@ -119,10 +123,11 @@ impl Sim {
         let width = inputs.len();
         self.at_next_tick(commands, |plant, here, latched| {
             let usual = plant.set_contact_tolerance(TOLERANCE_M_PER_S);
-            let entries = plant.state_entries();
-            plant.restore(here)?;
+            plant.freeze_bone(true);
+            let (entries, bone) = (plant.state_entries(), plant.bone_changes());
             let vector = plant.state_vector();
-            let mut tick = OneTick { plant, here, entries: &entries, outputs: &outputs, all_after: true };
+            let mut tick =
+                OneTick { plant, here, entries: &entries, outputs: &outputs, bone, all_after: true };
             let mut derivatives = vec![0.0; outputs.len() * width];
             let mut run = || {
                 for (j, input) in inputs.iter().enumerate() {
@@ -133,6 +138,7 @@ impl Sim {
             };
             let done = run();
             plant.set_contact_tolerance(usual);
+            plant.freeze_bone(false);
             done.map(|()| derivatives)
         })
     }
@@ -302,13 +308,20 @@ struct OneTick<'t> {
     here: &'t SimulationSnapshot,
     entries: &'t [StateEntry],
     outputs: &'t [Column],
+    /// Number of the bone's changes at which it is the snapshot's.
+    bone: u64,
     /// Whether all outputs are those after the tick.
     all_after: bool,
 }
 
 impl OneTick<'_> {
     fn run(&mut self, vector: &[f64], latched: &Latched) -> Result<Outcome, SimulationError> {
-        self.plant.restore(self.here)?;
+        if self.plant.bone_changes() == self.bone {
+            self.plant.restore_beside_bone(self.here)?;
+        } else {
+            self.plant.restore(self.here)?;
+            self.bone = self.plant.bone_changes();
+        }
         self.plant.set_state_vector(vector)?;
         let before = *self.plant.state();
         self.plant.step(latched)?;
@@ -359,7 +372,6 @@ impl OneTick<'_> {
         dt_s: f64,
     ) -> Result<LinearModel, SimulationError> {
         let entries = self.entries;
-        self.plant.restore(self.here)?;
         let state = self.plant.state_vector();
         let on_path = self.plant.is_arm_on_path();
         let nominal = self.run(&state, latched)?;

@@ -263,6 +263,47 @@ fn a_contact_is_part_of_the_model_and_a_changing_one_is_said() {
     assert!(said);
 }
 
+/// A block in front of the burr.
+const BLOCK: &str = "name = \"a\"\nrun = { mode = \"lockstep\", duration_s = 10.0 }\n[volume]\nphantom = \"block\"\n\
+                     spacing_mm = 1.0\n[tool]\nburr_start_mm = [0.0, 0.0, -31.0]\ndirection = [0.0, 0.0, 1.0]\n\
+                     bend_toward = [1.0, 0.0, 0.0]\n[[controller]]\nname = \"test\"\n\
+                     drives = [\"tendon\", \"arm\", \"burr\"]\nexternal = true\n";
+
+#[test]
+fn drilling_goes_on_as_if_no_model_had_been_taken() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("scene.toml");
+    std::fs::write(&file, BLOCK).unwrap();
+    let shared = SharedScene::load(Some(&file), &[], None).unwrap();
+    let mut sims = [0, 1].map(|_| Sim::new(&shared, &Drive::Nothing).unwrap());
+    let feed = Command {
+        arm_mode: ArmMode::Insert.code(),
+        arm_axis: [0.0, 0.0, 1.0],
+        arm_depth_m: 0.01,
+        arm_speed_m_per_s: 0.01,
+        burr_speed_rad_per_s: 800.0,
+        ..pull([3.0, 1.0])
+    };
+    let mut models = Vec::new();
+    for tick in 0..300 {
+        sims.iter_mut().for_each(|sim| sim.step(&[feed], 1).unwrap());
+        if tick % 100 == 99 {
+            let before = *sims[0].state();
+            models.push(linear(&mut sims[0], &feed));
+            assert_eq!(*sims[0].state(), before);
+            assert_eq!(
+                linear(&mut sims[0], &feed),
+                models[models.len() - 1],
+                "a function of state and command"
+            );
+        }
+    }
+    assert!(sims[1].state().burr_force_n > 0.0 && !sims[1].drilled().is_empty());
+    assert_eq!(sims[0].state(), sims[1].state());
+    assert_eq!(sims[0].drilled(), sims[1].drilled());
+    assert!(models[2].a != models[0].a && models[2].output.iter().all(|y| y.is_finite()));
+}
+
 #[test]
 fn unknown_signals_are_refused_by_name() {
     let mut sim = sim("");

@@ -197,8 +197,9 @@ macro_rules! numbers {
         ) -> c_int {
             with(instance, |it| {
                 // SAFETY: null or of the stated length, as the standard says.
-                let (references, values) =
-                    unsafe { (array(references, count, "vr")?, room(values, count, "value")?) };
+                let references = unsafe { array(references, count, "vr")? };
+                // SAFETY: as above.
+                let values = unsafe { room(values, count, "value")? };
                 for (reference, value) in references.iter().zip(values) {
                     check(it, *reference, $kind)?;
                     let (_, found) = it.get(*reference, false)?;
@@ -221,8 +222,9 @@ macro_rules! numbers {
         ) -> c_int {
             with(instance, |it| {
                 // SAFETY: null or of the stated length, as the standard says.
-                let (references, values) =
-                    unsafe { (array(references, count, "vr")?, array(values, count, "value")?) };
+                let references = unsafe { array(references, count, "vr")? };
+                // SAFETY: as above.
+                let values = unsafe { array(values, count, "value")? };
                 for (reference, value) in references.iter().zip(values) {
                     let kind = check(it, *reference, $kind)?;
                     it.set(*reference, false, &[$in(*value, kind)?])?;

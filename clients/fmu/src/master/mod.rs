@@ -80,6 +80,11 @@ impl Archived {
         Ok(Archived { model, bytes, entries })
     }
 
+    /// Returns the names and contents of all files.
+    pub fn files(&self) -> impl Iterator<Item = (&str, Result<Vec<u8>, FmuError>)> {
+        self.entries.iter().map(|entry| (entry.name.as_str(), unzip::content(&self.bytes, entry)))
+    }
+
     /// Writes the libraries for this machine and the resources into an empty folder.
     ///
     /// # Errors

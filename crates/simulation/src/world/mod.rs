@@ -164,6 +164,8 @@ pub struct Simulation<'v> {
     receding: RecessionState,
     /// Voxels that the last tick could not cut: out of memory.
     uncut_voxels: usize,
+    /// Whether ticks leave the bone as it is.
+    bone_is_frozen: bool,
     /// Contacts that exceeded the capacity in the last tick.
     left_out_contacts: usize,
     sensors: SensorArray,
@@ -232,6 +234,17 @@ impl<'v> Simulation<'v> {
         if let Some(bone) = &mut self.bone {
             bone.field.use_plain_instructions();
         }
+    }
+
+    /// Sets whether ticks leave the bone as it is: nothing is cut or crushed, and no energy is spent. A
+    /// cutter of several balls whose motor or side force is modelled cuts all the same.
+    pub fn freeze_bone(&mut self, is_frozen: bool) {
+        self.bone_is_frozen = is_frozen;
+    }
+
+    /// Returns the number of changes of the bone so far: if it is the same twice, so is the bone.
+    pub fn bone_changes(&self) -> u64 {
+        self.bone.as_ref().map_or(0, |bone| bone.field.changes())
     }
 
     /// Returns whether the arm follows a path, which determines its joints.
@@ -388,6 +401,12 @@ impl<'v> Simulation<'v> {
     fn wear(&mut self) -> Result<usize, SimulationError> {
         self.find_indentations();
         self.find_burr_contacts();
+        // The lever of a cutter of several balls is known only from the bone that it cuts.
+        let is_ball = self.manipulator.parameters().cutter.only_radius_m().is_some();
+        if self.bone_is_frozen && (is_ball || !self.burr_drive.is_modelled()) {
+            self.load_burr(0.0);
+            return Ok(0);
+        }
         let Some(bone) = &mut self.bone else {
             self.load_burr(0.0);
             return Ok(0);
@@ -445,6 +464,17 @@ impl<'v> Simulation<'v> {
     /// # Errors
     /// The snapshot is from another scene.
     pub fn restore(&mut self, snapshot: &SimulationSnapshot) -> Result<(), SimulationError> {
+        if let (Some(bone), Some(saved)) = (&mut self.bone, &snapshot.bone) {
+            bone.field.restore(saved)?;
+        }
+        self.restore_beside_bone(snapshot)
+    }
+
+    /// Restores a snapshot as [`Simulation::restore`] does, except for the bone.
+    ///
+    /// # Errors
+    /// The snapshot is from another scene.
+    pub fn restore_beside_bone(&mut self, snapshot: &SimulationSnapshot) -> Result<(), SimulationError> {
         self.arm.restore(&snapshot.arm)?;
         if let (Some(compliance), Some(saved)) = (&mut self.compliance, &snapshot.compliance) {
             compliance.restore(saved);
@@ -454,9 +484,6 @@ impl<'v> Simulation<'v> {
             self.manipulator.set_deployed(tube.deployed_m());
         }
         self.manipulator.restore(&snapshot.manipulator);
-        if let (Some(bone), Some(saved)) = (&mut self.bone, &snapshot.bone) {
-            bone.field.restore(saved)?;
-        }
         if let (Some(rigid), Some(saved)) = (&mut self.rigid, &snapshot.rigid) {
             rigid.restore(saved);
         }
