@@ -44,6 +44,7 @@ mod stack;
 mod sudden_pulls;
 mod swings;
 mod tendons;
+mod thin_bone;
 mod truth;
 mod widening;
 mod world;
