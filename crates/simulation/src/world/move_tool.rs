@@ -54,7 +54,7 @@ const MAX_REACH_M: f64 = 0.05;
 #[derive(Debug, Clone, Copy)]
 pub(super) struct SearchRange {
     /// Start position, world, m.
-    from_m: Vector3<f64>,
+    pub(super) from_m: Vector3<f64>,
     margin_m: f64,
     /// Whether it presses so hard that its planes get the strength of the bone.
     presses: bool,

@@ -41,6 +41,7 @@ mod promise;
 mod receding;
 mod rigid_scene;
 mod stack;
+mod stops;
 mod sudden_pulls;
 mod swings;
 mod tendons;
