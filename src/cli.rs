@@ -38,6 +38,9 @@ enum UserCommand {
     /// Connect a running session to other software.
     #[command(subcommand)]
     Bridge(commands::bridge::BridgeCommand),
+    /// Write scenes as Functional Mock-up Units (FMI).
+    #[command(subcommand)]
+    Fmu(commands::fmu::FmuCommand),
     /// Plot log fields over time.
     Plot(commands::plot::PlotArguments),
     /// Inspect, convert and repair logs.
@@ -53,6 +56,8 @@ enum UserCommand {
     /// Run a scene many times with varied parameters, and report which ones affect the results.
     #[command(subcommand)]
     Sweep(commands::sweep::SweepCommand),
+    /// Fit parameters of scenes to measured files, with their uncertainty.
+    Identify(commands::identify::IdentifyArguments),
     /// List this user's running sessions; pause, resume or stop one.
     #[command(subcommand)]
     Session(commands::session::SessionCommand),
@@ -113,12 +118,14 @@ fn dispatch(command: &UserCommand) -> Result<(), Failure> {
         UserCommand::Replay(arguments) => commands::replay::run(arguments),
         UserCommand::View(arguments) => commands::view::run(arguments),
         UserCommand::Bridge(command) => commands::bridge::run(command),
+        UserCommand::Fmu(command) => commands::fmu::run(command),
         UserCommand::Plot(arguments) => commands::plot::run(arguments),
         UserCommand::Log(command) => commands::log::run(command),
         UserCommand::Calibrate(arguments) => commands::calibrate::run(arguments),
         UserCommand::Plan(arguments) => commands::plan::run(arguments),
         UserCommand::Scene(command) => commands::scene::run(command),
         UserCommand::Sweep(command) => commands::sweep::run(command),
+        UserCommand::Identify(arguments) => commands::identify::run(arguments),
         UserCommand::Session(command) => commands::session::run(command),
         UserCommand::Cache(command) => commands::cache::run(command),
         UserCommand::Tool(command) => commands::tool::run(command),
@@ -138,7 +145,7 @@ mod tests {
     use test_support::grammar;
 
     /// Commands without `--json`: they print text for another program, or write only images, pages or files.
-    const WITHOUT_FIGURES: [&str; 21] = [
+    const WITHOUT_FIGURES: [&str; 22] = [
         "bridge igtl",
         "bridge ros2",
         "docs completions",
@@ -147,6 +154,7 @@ mod tests {
         "docs messages",
         "docs scene",
         "docs schema",
+        "fmu drive",
         "log cat",
         "log cat-files",
         "log split",

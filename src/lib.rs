@@ -15,6 +15,7 @@ pub mod commands;
 mod dataset;
 pub mod geometry;
 pub mod help;
+mod identify;
 mod keeper;
 pub mod launcher;
 pub mod machine;

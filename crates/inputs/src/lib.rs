@@ -12,12 +12,14 @@
 //! | [`plan`] | the cheapest settings that meet a scene's tolerance |
 //! | [`volume_source`], [`suspicions`], [`cache`] | volumes, warnings about them, and their cache |
 //! | [`feasibility`] | impossible and improbable settings of a checked scene |
+//! | [`measurements`] | measured files: CSV, Parquet, MCAP, rosbag2 |
 //! | [`log`] | a log with its scene and volume, and where it does not match this build |
 
 pub mod cache;
 pub mod failure;
 pub mod feasibility;
 pub mod log;
+pub mod measurements;
 pub mod plan;
 pub mod scenes;
 pub mod suspicions;

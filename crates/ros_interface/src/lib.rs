@@ -27,11 +27,13 @@
 //! |---|---|
 //! | [`topics`] | names, types and quality of service of all topics |
 //! | [`msg`], [`cdr`] | the messages and their bytes |
+//! | [`definition`] | any message by its definition as text |
 //! | [`outgoing`], [`image`], [`robot`], [`urdf`] | from states and frames to messages |
 //! | [`incoming`], [`commander`] | from messages to commands |
 
 pub mod cdr;
 pub mod commander;
+pub mod definition;
 pub mod image;
 pub mod incoming;
 pub mod msg;

@@ -30,6 +30,13 @@ impl Scene {
         self.truth.as_ref().map_or(direction, |truth| turned(direction, truth.registration_error_deg))
     }
 
+    /// Whether the true bone lies where that of another scene lies.
+    pub fn has_bone_pose_of(&self, other: &Scene) -> bool {
+        let axes = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+        self.in_bone_mm([0.0; 3]) == other.in_bone_mm([0.0; 3])
+            && axes.iter().all(|axis| self.turned_with_bone(*axis) == other.turned_with_bone(*axis))
+    }
+
     /// Whether the bone's true pose differs from the plan.
     pub fn has_registration_error(&self) -> bool {
         let moves = |truth: &Truth| {

@@ -100,7 +100,7 @@ fn stretch_m(state: &State, i: usize, count: usize) -> f64 {
 
 /// Error-free node readings: curvature toward and across for each node, from base to tip, 1/m. All zero for a
 /// tool that does not bend.
-pub(crate) fn node_curvatures(state: &State, nodes: u32, gauge_m: f64) -> impl Iterator<Item = f64> {
+pub fn node_curvatures(state: &State, nodes: u32, gauge_m: f64) -> impl Iterator<Item = f64> {
     let stretches = Stretches::of(state);
     let length_m = stretches.length_m();
     node_places(nodes).flat_map(move |share| {

@@ -57,7 +57,7 @@ use scene::{MAX_READINGS_UNDERWAY, Scene};
 use serde::{Deserialize, Serialize};
 
 use device::{Device, DeviceState};
-pub use fibre::{Fibre, node_places, t_world_tube};
+pub use fibre::{Fibre, node_curvatures, node_places, t_world_tube};
 pub use measured_state::MeasuredState;
 
 /// The sensors of a scene, in its order.

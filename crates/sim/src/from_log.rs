@@ -75,7 +75,7 @@ impl Sim {
     }
 
     /// Runs a tick with the commands that were latched in it.
-    fn follow(&mut self, latched: &Latched) -> Result<(), SimError> {
+    pub(crate) fn follow(&mut self, latched: &Latched) -> Result<(), SimError> {
         let state = self.run.plant().state();
         let built_in = self.drivers.iter_mut().filter_map(|driver| driver.built_in.as_mut());
         built_in.for_each(|built_in| built_in.step(state, &mut Command::zeroed()));

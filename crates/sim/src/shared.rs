@@ -62,12 +62,29 @@ impl SharedScene {
         settings: &[String],
         seed: Option<u64>,
     ) -> Result<Arc<SharedScene>, SimError> {
-        let source = SceneSource::new(file, BuiltIn::Femur).with(settings)?;
+        Self::of_source(other, SceneSource::new(file, BuiltIn::Femur), settings, seed)
+    }
+
+    /// As [`SharedScene::load_beside`], of any source.
+    ///
+    /// # Errors
+    /// As [`SharedScene::load`].
+    pub fn of_source(
+        other: Option<&SharedScene>,
+        source: SceneSource,
+        settings: &[String],
+        seed: Option<u64>,
+    ) -> Result<Arc<SharedScene>, SimError> {
+        let source = source.with(settings)?;
         let (mut scene, choice) = plan::load_scene(&source)?;
         scene.run.mode = Mode::Lockstep;
         scene.run.seed = seed.unwrap_or(scene.run.seed);
         volume_source::refuse_missing(&source, &scene)?;
-        let same = other.filter(|other| other.scene.volume == scene.volume);
+        // A registration error moves the loaded volume.
+        let has_volume_of = |other: &&SharedScene| {
+            other.scene.volume == scene.volume && other.scene.has_bone_pose_of(&scene)
+        };
+        let same = other.filter(has_volume_of);
         if let Some(ct) = same.and_then(|other| other.ct.clone()) {
             let notes = feasibility::check(&scene, &source, Some(&ct.volume))?;
             return Ok(Arc::new(SharedScene { scene, ct: Some(ct), notes }));

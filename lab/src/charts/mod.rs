@@ -1,5 +1,6 @@
 //! Charts: measured figures as SVG, PNG and CSV.
 
+pub mod coverage;
 pub mod drr;
 pub mod flexure;
 pub mod method;

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use clap::{Args, Subcommand};
 
-use crate::charts::{drr, flexure, physics, stability};
+use crate::charts::{coverage, drr, flexure, physics, stability};
 use crate::sheet::Sheet;
 use trabecula::failure::Failure;
 use trabecula::plan::OwnTool;
@@ -23,6 +23,8 @@ pub enum ChartCommand {
     Flexure(FlexureChartArguments),
     /// Physics: random scenes with a tolerance, planned and run; counts those that exceed it.
     Promise(PromiseArguments),
+    /// Identification: how often 95 % intervals hold random true values.
+    Coverage(CoverageArguments),
     /// Physics: the step sizes at which each method converges, is inaccurate or diverges.
     Stability(StabilityArguments),
 }
@@ -138,6 +140,23 @@ pub struct PromiseArguments {
     figures: Figures,
 }
 
+/// Number and selection of studies.
+#[derive(Debug, Args)]
+pub struct CoverageArguments {
+    /// Studies of each bench, 1 to 10000.
+    #[arg(long, default_value_t = 200, value_parser = clap::value_parser!(u64).range(1..=10_000))]
+    studies: u64,
+    /// Seed of the first study; the others follow.
+    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u64).range(0..=1_000_000_000))]
+    seed: u64,
+    /// Only the bench in free space.
+    #[arg(long)]
+    free: bool,
+    /// Output format of the figures.
+    #[command(flatten)]
+    figures: Figures,
+}
+
 /// Runs the command.
 ///
 /// # Errors
@@ -178,6 +197,19 @@ pub fn run(command: &ChartCommand) -> Result<(), Failure> {
             match exceeded {
                 0 => Ok(()),
                 exceeded => Err(Failure::failed(format!("{exceeded} scenes exceeded their tolerance"))),
+            }
+        }
+        ChartCommand::Coverage(arguments) => {
+            let CoverageArguments { studies, seed, free, .. } = *arguments;
+            let mut sheet = Sheet::new(arguments.figures);
+            let outside = coverage::run(&coverage::Plan { studies, seed, bone: !free }, &mut sheet)?;
+            sheet.end();
+            // Of few studies, no share says much.
+            match outside {
+                outside if outside > 0 && studies >= 100 => Err(Failure::failed(format!(
+                    "the intervals of {outside} parameters hold the truth in less than 92 % or more than 98 %"
+                ))),
+                _ => Ok(()),
             }
         }
         ChartCommand::Stability(arguments) if arguments.bone => {

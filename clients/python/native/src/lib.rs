@@ -7,6 +7,7 @@
 
 mod batch;
 mod failing;
+mod identification;
 mod scene;
 mod simulation;
 
@@ -19,5 +20,6 @@ fn _sim(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<simulation::Sim>()?;
     module.add_class::<simulation::Snapshot>()?;
     module.add_class::<batch::Batch>()?;
+    module.add_function(wrap_pyfunction!(identification::identify, module)?)?;
     Ok(())
 }

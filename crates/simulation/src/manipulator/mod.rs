@@ -217,9 +217,7 @@ impl ManipulatorModel for Manipulator {
         }
     }
 
-    fn straighten(&mut self) {
-        self.common.straighten();
-        self.follow_state();
+    fn update_take_up(&mut self) {
         let take_up = |t: usize| self.tendon.take_up(&self.configuration, t);
         self.common.set_take_up(&self.tendon.channels, take_up);
     }

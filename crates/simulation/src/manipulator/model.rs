@@ -58,8 +58,14 @@ pub trait ManipulatorModel {
     /// # Errors
     /// The input is not finite or out of range. A rejected step changes nothing.
     fn step(&mut self, dt_s: f64, input: &StepInput) -> Result<StepReport, ManipulatorError>;
+    /// Sets the take-up of the tendons to that of the present shape, without a change of friction.
+    fn update_take_up(&mut self);
     /// Straightens the tool and puts it at rest, like a pre-curved tool held in a hole or guide.
-    fn straighten(&mut self);
+    fn straighten(&mut self) {
+        self.common_mut().straighten();
+        self.follow_state();
+        self.update_take_up();
+    }
     /// Returns the unloaded bend of a flexure at the present deployment from an outer tube, rad.
     fn rest_rad(&self, joint: usize) -> f64;
     /// Returns the pose of the point at `along_m` on the axis of `link` (0 is the shaft at the base origin,
@@ -90,6 +96,12 @@ pub trait ManipulatorModel {
     /// Sets whether the burr spins (initially true). A stationary burr has the tube's friction.
     fn set_burr_turns(&mut self, turns: bool) {
         self.common_mut().burr_turns = turns;
+    }
+
+    /// Sets the speed by which contacts may violate their law when their solver stops, m/s; returns the
+    /// previous one.
+    fn set_contact_tolerance(&mut self, m_per_s: f64) -> f64 {
+        core::mem::replace(&mut self.common_mut().parameters.contact.tolerance_m_per_s, m_per_s)
     }
 
     /// Disables SIMD: slower, with the same bits.
@@ -320,6 +332,10 @@ impl ManipulatorModel for AnyManipulator {
 
     fn step(&mut self, dt_s: f64, input: &StepInput) -> Result<StepReport, ManipulatorError> {
         self.model_mut().step(dt_s, input)
+    }
+
+    fn update_take_up(&mut self) {
+        self.model_mut().update_take_up();
     }
 
     fn straighten(&mut self) {

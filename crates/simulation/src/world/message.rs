@@ -43,6 +43,14 @@ impl Simulation<'_> {
         }
     }
 
+    /// Writes what the present state of arm, tool and drives determines, not what a step computes.
+    pub(super) fn show_pose(&mut self) {
+        self.write_tool();
+        self.write_tube();
+        self.write_arm();
+        self.state.drive_shaft_wind_up_rad = self.burr_drive.state.shaft.wind_up_rad;
+    }
+
     fn write_tool(&mut self) {
         let wrench = self.flange_wrench();
         let (state, tool) = (&mut self.state, &self.manipulator);

@@ -27,6 +27,7 @@ mod move_tool;
 mod plant;
 mod receding;
 mod setup;
+mod state_vector;
 mod tendon_drive;
 mod tool;
 mod tube_drive;
@@ -63,6 +64,7 @@ pub use keyframe::KeyframeError;
 pub use lost::LostTool;
 pub use message::pose;
 pub use setup::{contact_kind, manipulator_parameters, rung};
+pub use state_vector::{StateEntry, StateVectorError};
 pub use tube_drive::TubeRefusal;
 
 /// The simulation's view of the CT: geometry and Hounsfield units, x fastest, borrowed.
@@ -233,6 +235,17 @@ impl<'v> Simulation<'v> {
         }
     }
 
+    /// Returns whether the arm follows a path, which determines its joints.
+    pub fn is_arm_on_path(&self) -> bool {
+        self.arm.is_on_path()
+    }
+
+    /// Sets the speed by which contacts may violate their law when their solver stops, m/s; returns the
+    /// previous one. Results within it change; derivatives need a smaller one.
+    pub fn set_contact_tolerance(&mut self, m_per_s: f64) -> f64 {
+        self.manipulator.set_contact_tolerance(m_per_s)
+    }
+
     /// Drops the caches of the bone. Results do not change (tested).
     pub fn rebuild_caches(&mut self) {
         if let Some(bone) = &mut self.bone {
@@ -347,20 +360,34 @@ impl<'v> Simulation<'v> {
         if let Some(limit_n) = self.max_flange_force_n {
             self.arm.watch_force(self.manipulator.flange_wrench().force_n.norm(), limit_n);
         }
-        let arm = self.arm.step();
-        let rigid = BaseMotion {
-            t_world_base: arm.t_world_tool,
-            linear_velocity_m_per_s: arm.linear_velocity_m_s,
-            angular_velocity_rad_per_s: arm.angular_velocity_rad_s,
-        };
+        self.arm.step();
         let wrench = self.flange_wrench();
-        let Some(compliance) = &mut self.compliance else { return Ok(rigid) };
-        let deflected = compliance.step(&self.arm, &wrench.force_n, &wrench.torque_nm)?;
-        Ok(BaseMotion {
-            t_world_base: deflected.t_world_tool,
-            linear_velocity_m_per_s: deflected.linear_velocity_m_s,
-            angular_velocity_rad_per_s: deflected.angular_velocity_rad_s,
-        })
+        if let Some(compliance) = &mut self.compliance {
+            compliance.step(&self.arm, &wrench.force_n, &wrench.torque_nm)?;
+        }
+        Ok(self.arm_base())
+    }
+
+    /// Returns the motion of the tool base on the arm, including the deflection of elastic joints.
+    fn arm_base(&self) -> BaseMotion {
+        match &self.compliance {
+            Some(compliance) => {
+                let deflected = compliance.base(&self.arm);
+                BaseMotion {
+                    t_world_base: deflected.t_world_tool,
+                    linear_velocity_m_per_s: deflected.linear_velocity_m_s,
+                    angular_velocity_rad_per_s: deflected.angular_velocity_rad_s,
+                }
+            }
+            None => {
+                let arm = self.arm.state();
+                BaseMotion {
+                    t_world_base: arm.t_world_tool,
+                    linear_velocity_m_per_s: arm.linear_velocity_m_s,
+                    angular_velocity_rad_per_s: arm.angular_velocity_rad_s,
+                }
+            }
+        }
     }
 
     fn wear(&mut self) -> Result<usize, SimulationError> {

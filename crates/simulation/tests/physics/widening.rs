@@ -13,7 +13,9 @@
 use std::path::Path;
 
 use core::f64::consts::{PI, TAU};
-use messages::{ArmMode, BurrMode, Command, CommandSource, ContactPart, Latched, LatchedCommand};
+
+use crate::common::held;
+use messages::{ArmMode, BurrMode, Command, ContactPart, Latched};
 use nalgebra::Vector3;
 use scene::Scene;
 use simulation::bone::cutting::lever_share;
@@ -60,10 +62,7 @@ fn latched(tick: u64, feed_m_per_s: f64) -> Latched {
         burr_speed_rad_per_s: SPEED_RAD_S,
         ..Command::zeroed()
     };
-    let source = if tick == 0 { CommandSource::Fresh } else { CommandSource::Held }.code();
-    let mut latched = Latched { tick, controller_count: 1, ..Latched::zeroed() };
-    latched.commands[0] = LatchedCommand { source, controller_index: 0, age_ticks: tick, command };
-    latched
+    held(tick, command)
 }
 
 /// Means of a feed.

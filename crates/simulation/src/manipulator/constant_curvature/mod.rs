@@ -164,11 +164,9 @@ impl ManipulatorModel for ConstantCurvature {
         }
     }
 
-    fn straighten(&mut self) {
-        self.common.straighten();
-        self.follow_state();
-        let straight_rad = -self.rest_rad;
-        self.common.set_take_up(&self.channels, |t| self.channels.offset_m[t][0] * straight_rad);
+    fn update_take_up(&mut self) {
+        let bent_rad = self.deflection()[3];
+        self.common.set_take_up(&self.channels, |t| self.channels.offset_m[t][0] * bent_rad);
     }
 
     fn rest_rad(&self, joint: usize) -> f64 {

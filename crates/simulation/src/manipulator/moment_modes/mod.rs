@@ -205,6 +205,10 @@ impl<const N: usize> ManipulatorModel for MomentModes<N> {
         // Projects onto the modes, which are orthonormal under the compliance.
         self.common.state.position.copy_from_slice(&self.basis.project(&moment));
         self.follow_state();
+        self.update_take_up();
+    }
+
+    fn update_take_up(&mut self) {
         let Self { common, tendons: Tendons { channels, .. }, bent, .. } = self;
         common.set_take_up(channels, |t| bent.take_up_m(channels, t));
     }

@@ -158,9 +158,7 @@ impl<const D: usize> ManipulatorModel for SpatialChain<D> {
         }
     }
 
-    fn straighten(&mut self) {
-        self.common.straighten();
-        self.follow_state();
+    fn update_take_up(&mut self) {
         let Self { common, tendon, layout, .. } = self;
         let position = common.state.position.clone();
         common.set_take_up(&tendon.channels, |t| tendon.take_up(layout, &position, t));
