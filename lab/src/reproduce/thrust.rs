@@ -95,8 +95,8 @@ const fn quoted(what: &'static str, density: f64, diameter_mm: f64, range_n: [f6
     }
 }
 
-/// Three speeds; the largest force is at the lowest speed. Table 6 of Orelaja et al. prints the torques of this
-/// source, 53.3 to 186.3 N mm, as forces.
+/// Three speeds; the largest force is at the lowest speed. Table 6 of Orelaja et al. prints the torques of
+/// this source, 53.3 to 186.3 N mm, as forces.
 const fn macavelia(what: &'static str, density: f64, range_n: [f64; 2]) -> Row {
     Row {
         source: MACAVELIA,
@@ -107,7 +107,8 @@ const fn macavelia(what: &'static str, density: f64, range_n: [f64; 2]) -> Row {
     }
 }
 
-/// Every second of the first nine rows is used for the fit. The tools of the four rows after them are unknown.
+/// Every second of the first nine rows is used for the fit. The tools of the four rows after them are
+/// unknown.
 const ROWS: [Row; 15] = [
     foam("foam 10 PCF 0.05 mm/s", 160.0, 0.05, false),
     foam("foam 10 PCF 0.15 mm/s", 160.0, 0.15, true),

@@ -11,8 +11,8 @@
 //! cylinder of radius r in a flat wall follows the chord, `strength x length x 2 sqrt(2 r d - d^2)` at the
 //! depth d. Where the sphere breaks through thin bone, little or no bone is left at its final depth, but the
 //! bone on its way had to be crushed: F_y is therefore at least the mean force over the depth d, the energy
-//! that the crushed bone absorbs divided by d. The work of a contact at its strength then never falls short of
-//! that energy.
+//! that the crushed bone absorbs divided by d. The work of a contact at its strength then never falls short
+//! of that energy.
 //!
 //! **Indentation.** A contact at its strength penetrates as far as the tool's step takes it. The overlap that
 //! its force does not explain is permanent: every surface on its side recedes to the depth of the deepest, so

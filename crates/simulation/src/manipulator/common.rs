@@ -125,8 +125,8 @@ impl Common {
         2.0 * self.parameters.damping_ratio / self.first_frequency_rad_per_s
     }
 
-    /// Returns the elastic energy of the joint stops, J. A rung with a single stop has those of all flexures in
-    /// series.
+    /// Returns the elastic energy of the joint stops, J. A rung with a single stop has those of all flexures
+    /// in series.
     pub(super) fn stop_energy_j(&self) -> f64 {
         let (law, torques_nm) = (self.parameters.stop_law(), &self.state.stop_torque_nm);
         let in_series = if torques_nm.len() == 1 { self.bend[0].len() as f64 } else { 1.0 };

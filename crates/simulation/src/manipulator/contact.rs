@@ -203,8 +203,8 @@ impl<const N: usize, O: Operator<N>> ContactSolver<N, O> {
     }
 
     /// Adds the stop of a freedom at `position` rad if the free motion, at `rate` rad/s, would bring it near
-    /// its stop; of a stop that is `pressed`, only the hard part. `last_nm` is the stop's last torque. Must be
-    /// called in ascending order of freedoms.
+    /// its stop; of a stop that is `pressed`, only the hard part. `last_nm` is the stop's last torque. Must
+    /// be called in ascending order of freedoms.
     pub fn collect_stop(
         &mut self,
         (dt, law): (f64, &StopLaw),
@@ -279,8 +279,8 @@ impl<const N: usize, O: Operator<N>> ContactSolver<N, O> {
         }
     }
 
-    /// Calls `each` with the freedom and the torque of every part of a stop in the solution, for the next warm
-    /// start. Returns how many stops carry torque.
+    /// Calls `each` with the freedom and the torque of every part of a stop in the solution, for the next
+    /// warm start. Returns how many stops carry torque.
     pub fn stop_torques(&self, dt: f64, mut each: impl FnMut(usize, f64)) -> usize {
         for StopRow { freedom, stop, .. } in &self.stop {
             each(*freedom, stop.sign * stop.impulse / dt);

@@ -1,19 +1,19 @@
 //! Energy ledger of the tool, updated by every tick.
 //!
-//! All energies are relative to the tool's base. The work of a tick uses the forces at its end over the motions
-//! within it, as the implicit step does:
+//! All energies are relative to the tool's base. The work of a tick uses the forces at its end over the
+//! motions within it, as the implicit step does:
 //!
 //! - tendons: tension times change of the displacement at the proximal end;
-//! - arm: the contacts' forces times the base's motion at their points, with the sign reversed, the work of the
-//!   base's acceleration, and what a sliding outer tube changes in the springs;
+//! - arm: the contacts' forces times the base's motion at their points, with the sign reversed, the work of
+//!   the base's acceleration, and what a sliding outer tube changes in the springs;
 //! - gravity: weight times the motion of the centre of mass;
 //! - motor: the energy that cutting uses, and the cutting's side force times the tip's motion;
 //! - bodies: their contacts' forces times the tool's motion.
 //!
 //! The energy of the tool is kinetic and elastic, with the springs of tendons, contacts and stops. What the
 //! sum leaves after cutting, crushing, contact friction and damping is lost to the integrator, impacts, the
-//! friction of the tendons in their channels and feed against cut bone. This remainder may be negative only by
-//! the integrator's error; beyond a bound, the tick has created energy.
+//! friction of the tendons in their channels and feed against cut bone. This remainder may be negative only
+//! by the integrator's error; beyond a bound, the tick has created energy.
 
 use messages::State;
 use nalgebra::{Isometry3, Vector3};

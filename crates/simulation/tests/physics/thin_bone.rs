@@ -1,5 +1,5 @@
-//! Regression: a tool pulled into thin bone crushed it with the least force that any bone supports, because no
-//! bone was left at its final depth: 884 mJ of bone where the tendon had done 103 mJ of work.
+//! Regression: a tool pulled into thin bone crushed it with the least force that any bone supports, because
+//! no bone was left at its final depth: 884 mJ of bone where the tendon had done 103 mJ of work.
 
 #![allow(clippy::unwrap_used, reason = "a scene that cannot be built is a failed test")]
 

@@ -192,9 +192,9 @@ fn the_force_that_widens_a_hole_is_in_proportion_to_the_bone_cut() {
     }
 }
 
-/// The thrust that widens a hole exceeds the edge pressure on the ring. Regression: a burr whose contacts are on
-/// all sides of a hole of 6 mm cut from 0.43 of it, because the thresholds of the sides were averaged instead
-/// of added.
+/// The thrust that widens a hole exceeds the edge pressure on the ring. Regression: a burr whose contacts are
+/// on all sides of a hole of 6 mm cut from 0.43 of it, because the thresholds of the sides were averaged
+/// instead of added.
 #[test]
 fn the_edges_that_widen_a_hole_need_their_pressure_on_the_ring() {
     let (edge_mpa, feed_m_per_s) = (5.0, 2.0e-3);

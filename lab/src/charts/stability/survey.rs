@@ -84,8 +84,8 @@ struct Count {
 }
 
 /// Runs `count` scenes from `seed` on; prints each unsound one, and the counts. Returns the number that are
-/// not finite, fail with an error other than a lost tool, or are lost, chatter, are fast without a cause, pass
-/// a stop or create energy without a warning.
+/// not finite, fail with an error other than a lost tool, or are lost, chatter, are fast without a cause,
+/// pass a stop or create energy without a warning.
 ///
 /// # Errors
 /// A scene cannot be drawn.
@@ -125,7 +125,8 @@ pub fn run(count: u64, seed: u64, sheet: &mut Sheet) -> Result<usize, Failure> {
     Ok(counts.iter().map(|(class, count)| wrong(*class, count)).sum())
 }
 
-/// Returns the number of unacceptable scenes: a warning excuses all but errors and numbers that are not finite.
+/// Returns the number of unacceptable scenes: a warning excuses all but errors and numbers that are not
+/// finite.
 fn wrong(class: Class, count: &Count) -> usize {
     match class {
         Class::Sound | Class::Refused => 0,
