@@ -377,6 +377,9 @@ codes! {
         /// The model of the tool is invalid from here on, because a flexure is past its stop; `text` gives
         /// the flexure and the excess.
         ModelNotValid = EVENT_MODEL_NOT_VALID, 15, "model_not_valid";
+        /// A tick created energy beyond the error of the integrator, the first in this run: from here on,
+        /// forces and motions may not be physical; `text` gives the energy.
+        EnergyCreated = EVENT_ENERGY_CREATED, 16, "energy_created";
     }
 }
 

@@ -140,14 +140,14 @@ fn what_is_most_likely_wrong_with_a_run_is_said() {
             state.burr_force_n = 60.0;
         }
     });
-    assert_eq!(pressed, ["burr force reached 60.0 N, above the arm's payload of 49.1 N"]);
+    assert_eq!(pressed, ["burr force reached 60.0 N, above the arm's payload: 49.1 N"]);
     let jammed = cautions_of(|state| {
         if state.tick == 40 {
             state.contacts[0].normal_force_n = 1000.0;
             state.contact_count = 1;
         }
     });
-    assert_eq!(jammed, ["contact force reached 1000.0 N, above the arm's payload of 49.1 N"]);
+    assert_eq!(jammed, ["contact force reached 1000.0 N, above the arm's payload: 49.1 N"]);
     let still = cautions_of(|state| state.t_world_tip = Pose::IDENTITY);
     assert_eq!(still, ["the tip never moved more than 0.0000 mm from its start"]);
     let stopped = cautions_of(|state| {

@@ -255,4 +255,19 @@ impl ManipulatorModel for Manipulator {
         }
         energy + self.kinetic_energy_j()
     }
+
+    fn damping_w(&self) -> f64 {
+        let Generalised { joint, .. } = Generalised::of(&self.common.state.velocity);
+        let flexures = self.damping.iter().zip(&joint[..self.layout.joints]);
+        self.common.mount_damping_w() + flexures.map(|(damping, rate)| damping * rate * rate).sum::<f64>()
+    }
+
+    fn mass_moment_kg_m(&self) -> Vector3<f64> {
+        let across_m = self.common.state.position[1];
+        (0..=self.layout.joints).fold(Vector3::zeros(), |sum, link| {
+            let body = &self.layout.body[link];
+            let [x, z] = self.configuration.point(link, body.centre_m);
+            sum + Vector3::new(x, across_m, z) * body.mass_kg
+        })
+    }
 }

@@ -1,6 +1,6 @@
 //! The ladder of manipulator models, behind one trait.
 
-use nalgebra::Isometry3;
+use nalgebra::{Isometry3, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::common::Common;
@@ -73,6 +73,14 @@ pub trait ManipulatorModel {
     fn t_world_point(&self, link: usize, along_m: f64) -> Isometry3<f64>;
     /// Returns the kinetic energy relative to the base plus elastic energy of flexures and mount, J.
     fn energy_j(&self) -> f64;
+    /// Returns the elastic energy of the joint stops, J.
+    fn stop_energy_j(&self) -> f64 {
+        self.common().stop_energy_j()
+    }
+    /// Returns the power that the damping of flexures and mount takes, W.
+    fn damping_w(&self) -> f64;
+    /// Returns the sum of mass times position relative to the base origin, base axes, kg m.
+    fn mass_moment_kg_m(&self) -> Vector3<f64>;
 
     /// Sets the deployment of a tool from its outer tube, m (initially 0), which determines its springs and
     /// the radius of the covered part. The caller moves the base, which slides with it. Ignored by rungs that
@@ -352,5 +360,13 @@ impl ManipulatorModel for AnyManipulator {
 
     fn energy_j(&self) -> f64 {
         self.model().energy_j()
+    }
+
+    fn damping_w(&self) -> f64 {
+        self.model().damping_w()
+    }
+
+    fn mass_moment_kg_m(&self) -> Vector3<f64> {
+        self.model().mass_moment_kg_m()
     }
 }

@@ -18,9 +18,12 @@ impl Simulation<'_> {
         self.write_contacts();
         self.write_arm();
         self.write_bodies();
+        let tool_energy_j = self.tool_energy_j();
         let state = &mut self.state;
         if self.initial.is_some() {
             state.tick = latched.tick + 1;
+        } else {
+            state.tool_energy_j = tool_energy_j;
         }
         state.sim_time_s = state.tick as f64 * self.dt_s;
         state.removed_in_tick = removed as u32;

@@ -2,8 +2,9 @@
 //!
 //! The strength of yielding bone is computed only where a sphere presses hard enough to matter: with at least
 //! the minimum strength of any contact, in the last tick or in this one. A sphere that goes deep within one
-//! tick leaves its own footprint: its strength is then that at its final depth; otherwise, a long step would
-//! pass through bone.
+//! tick leaves its own footprint: its strength is then the largest on its way; otherwise, a long step would
+//! pass through bone. If the attempts end before the assumed strengths hold, the last one does not yield: a
+//! tick may stop the tool too early, but never crushes bone with less force than the bone supports.
 
 use nalgebra::Vector3;
 
@@ -41,6 +42,9 @@ const BEHIND_M: f64 = 1.0e-4;
 const SAME_COSINE: f64 = 0.996;
 /// Maximum attempts to step the tool in a tick, each with planes from farther away or with stronger ones.
 const MAX_ATTEMPTS: usize = 16;
+/// Fraction of a sphere's radius that separates the positions at which the strength on its way is evaluated.
+/// The bone that a position sees reaches a radius ahead, so a thin wall is seen from at least one.
+const SWEEP_SHARE: f64 = 0.5;
 /// Factor by which the bone at the final depth must be stronger than assumed for the step to be repeated.
 const STRONGER: f64 = 1.05;
 /// Maximum search distance for planes, m. A faster tool would move the length of a hip joint in one tick.
@@ -50,7 +54,7 @@ const MAX_REACH_M: f64 = 0.05;
 #[derive(Debug, Clone, Copy)]
 pub(super) struct SearchRange {
     /// Start position, world, m.
-    from_m: Vector3<f64>,
+    pub(super) from_m: Vector3<f64>,
     margin_m: f64,
     /// Whether it presses so hard that its planes get the strength of the bone.
     presses: bool,
@@ -128,6 +132,9 @@ impl Simulation<'_> {
             attempt += 1;
             self.manipulator.restore(&self.before);
             self.find_contacts();
+            if attempt == MAX_ATTEMPTS {
+                self.planes.iter_mut().for_each(|plane| plane.strength_n = f64::INFINITY);
+            }
         }
     }
 
@@ -294,7 +301,7 @@ impl Simulation<'_> {
     }
 }
 
-/// Returns the strength of a sphere's planes after a motion from its centre, N.
+/// Returns the largest strength of a sphere's planes during a motion from its centre, N.
 fn strengths_n(
     bone: &mut Bone,
     radius_m: f64,
@@ -303,11 +310,21 @@ fn strengths_n(
 ) -> [f64; PLANES_PER_SPHERE] {
     #[cfg(test)]
     tests::SEARCHES.set(tests::SEARCHES.get() + 1);
-    let mut depth_m = [0.0; PLANES_PER_SPHERE];
-    for (depth_m, plane) in depth_m.iter_mut().zip(planes) {
-        *depth_m = (-(plane.gap_m + plane.normal.dot(moved_m))).max(0.0);
+    let mut most_n = [0.0; PLANES_PER_SPHERE];
+    // At most `MAX_REACH_M` over half a radius: a faster tool is lost.
+    let count = (moved_m.norm().min(MAX_REACH_M) / (SWEEP_SHARE * radius_m)).ceil().max(1.0) as usize;
+    for position in 1..=count {
+        let moved_m = moved_m * (position as f64 / count as f64);
+        let mut depth_m = [0.0; PLANES_PER_SPHERE];
+        for (depth_m, plane) in depth_m.iter_mut().zip(planes) {
+            *depth_m = (-(plane.gap_m + plane.normal.dot(&moved_m))).max(0.0);
+        }
+        let pressing = Pressing { centre_m: from_m + moved_m, radius_m, planes, depth_m };
+        for (most_n, strength_n) in most_n.iter_mut().zip(bone.field.strengths_n(&bone.hu, &pressing)) {
+            *most_n = strength_n.max(*most_n);
+        }
     }
-    bone.field.strengths_n(&bone.hu, &Pressing { centre_m: from_m + moved_m, radius_m, planes, depth_m })
+    most_n
 }
 
 #[cfg(test)]
