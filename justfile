@@ -32,8 +32,8 @@ fuzz seconds="600" *targets:
 
 # run the hub under seeded schedules: just schedules 10000000
 schedules count="1000000":
-    cargo run --release -p hub_simulator --bin hub_simulator -- --count {{count}}
+    cargo run --release -p hub_schedules --bin hub_schedules -- --count {{count}}
 
 # check that the schedules detect each broken version of the hub
 mutants *name:
-    cargo run --release -p hub_simulator --example hub_mutants -- {{name}}
+    cargo run --release -p hub_schedules --example hub_mutants -- {{name}}

@@ -38,6 +38,9 @@ enum UserCommand {
     /// Connect a running session to other software.
     #[command(subcommand)]
     Bridge(commands::bridge::BridgeCommand),
+    /// Write scenes as Functional Mock-up Units (FMI).
+    #[command(subcommand)]
+    Fmu(commands::fmu::FmuCommand),
     /// Plot log fields over time.
     Plot(commands::plot::PlotArguments),
     /// Inspect, convert and repair logs.
@@ -115,6 +118,7 @@ fn dispatch(command: &UserCommand) -> Result<(), Failure> {
         UserCommand::Replay(arguments) => commands::replay::run(arguments),
         UserCommand::View(arguments) => commands::view::run(arguments),
         UserCommand::Bridge(command) => commands::bridge::run(command),
+        UserCommand::Fmu(command) => commands::fmu::run(command),
         UserCommand::Plot(arguments) => commands::plot::run(arguments),
         UserCommand::Log(command) => commands::log::run(command),
         UserCommand::Calibrate(arguments) => commands::calibrate::run(arguments),
@@ -141,7 +145,7 @@ mod tests {
     use test_support::grammar;
 
     /// Commands without `--json`: they print text for another program, or write only images, pages or files.
-    const WITHOUT_FIGURES: [&str; 21] = [
+    const WITHOUT_FIGURES: [&str; 22] = [
         "bridge igtl",
         "bridge ros2",
         "docs completions",
@@ -150,6 +154,7 @@ mod tests {
         "docs messages",
         "docs scene",
         "docs schema",
+        "fmu drive",
         "log cat",
         "log cat-files",
         "log split",

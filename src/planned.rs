@@ -33,6 +33,8 @@ pub struct PlannedScene<'a> {
     pub segment: Option<&'a str>,
     /// Largest voxel spacing of the three axes, mm.
     pub thickest_mm: f64,
+    /// Distance of the tool's base from the flange, mm, if the default would put the arm into bone.
+    pub from_flange_mm: Option<f64>,
 }
 
 impl PlannedScene<'_> {
@@ -78,6 +80,12 @@ impl PlannedScene<'_> {
                 self.thickest_mm
             )
         });
+        let arm = self.from_flange_mm.map(|distance_mm| {
+            format!(
+                "[arm]\ntool_position_mm = [0.0, 0.0, {distance_mm:?}]  # from the flange: holder and bare \
+                 shaft keep the wrist outside the bone\n\n"
+            )
+        });
         let [hole_from_mm, hole_to_mm] = plan.pilot_hole_mm().map(place);
         format!(
             include_str!("../templates/planned.toml"),
@@ -94,6 +102,7 @@ impl PlannedScene<'_> {
             bend_toward = direction(plan.bend_toward()),
             hole_from_mm = hole_from_mm,
             hole_to_mm = hole_to_mm,
+            arm = arm.unwrap_or_default(),
             isocentre_mm = place(plan.middle_mm()),
             feed_mm_per_s = feed_mm_per_s,
             target_mm = place(plan.target_mm()),
@@ -135,6 +144,7 @@ mod tests {
             ct: Path::new("a \"b\".nrrd"),
             segment: Some("left hip"),
             thickest_mm: 3.0,
+            from_flange_mm: None,
         };
         planned.text()
     }

@@ -27,8 +27,6 @@ const ANSWER_LIMIT: Duration = Duration::from_secs(60);
 const WORD_LIMIT: Duration = Duration::from_secs(5);
 /// The same limit after a signal.
 const HURRIED_LIMIT: Duration = Duration::from_millis(500);
-/// Interval between retries on a non-blocking stream.
-const RETRY: Duration = Duration::from_millis(10);
 
 /// Printers of standard output and standard error; the same printer twice if both lead to the same place, to
 /// keep the order.
@@ -117,7 +115,7 @@ impl Printer {
                 continue;
             };
             drop(queue);
-            let written = write_all(&piece.to, &piece.bytes);
+            let written = write_all(&*piece.to, &piece.bytes);
             queue = self.lock();
             if let Err(cause) = written
                 && piece.priority == Priority::Answer
@@ -170,12 +168,11 @@ fn is_gone(cause: &Error) -> bool {
 }
 
 /// Writes everything, even if another program has made the terminal non-blocking.
-fn write_all(mut to: &File, mut bytes: &[u8]) -> std::io::Result<()> {
+fn write_all(mut to: impl Write, mut bytes: &[u8]) -> std::io::Result<()> {
     while !bytes.is_empty() {
-        match to.write(bytes) {
+        match say::when_ready(|| to.write(bytes)) {
             Ok(0) => return Err(Error::from(ErrorKind::WriteZero)),
             Ok(count) => bytes = &bytes[count..],
-            Err(cause) if cause.kind() == ErrorKind::WouldBlock => std::thread::sleep(RETRY),
             Err(cause) if cause.kind() == ErrorKind::Interrupted => {}
             Err(cause) => return Err(cause),
         }
@@ -239,7 +236,7 @@ fn put(stream: usize, priority: Priority, bytes: &[u8]) -> std::io::Result<usize
     match (PRINTERS.get(), STREAMS.get()) {
         (Some(printers), Some(streams)) => printers[stream].push(&streams[stream], priority, bytes),
         _ if stream == 0 => say::standard_output().write_all(bytes)?,
-        _ => stderr().write_all(bytes)?,
+        _ => write_all(stderr(), bytes)?,
     }
     Ok(bytes.len())
 }

@@ -4,7 +4,7 @@ use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
-use ipc_types::process::{EXIT_BAD_INPUT, EXIT_FAILED, EXIT_GAP, reset_inherited_signals};
+use ipc_types::process::{EXIT_BAD_INPUT, EXIT_FAILED, EXIT_GAP, exit_on_abort, reset_inherited_state};
 use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 
 use crate::failure::Failure;
@@ -26,7 +26,7 @@ pub fn run<C>(
     parse: impl FnOnce() -> Result<C, clap::Error> + Send,
     dispatch: impl FnOnce(C) -> Result<Option<ExitCode>, Failure> + Send,
 ) -> ExitCode {
-    reset_inherited_signals();
+    reset_inherited_state();
     with_stack(|| run_on_this_stack(parse, dispatch)).unwrap_or_else(|cause| {
         tell!(
             "trabecula: the stack limit is too low, and no thread with a larger stack can be started \
@@ -71,12 +71,12 @@ fn run_on_this_stack<C>(
     ExitCode::from(with_its_answer(code))
 }
 
-/// Prepares this process: exceeding the file size limit becomes an error instead of killing the process, and
-/// cache warnings are printed.
+/// Prepares this process: exceeding the file size limit becomes an error instead of killing the process,
+/// running out of memory ends it with an exit code, and cache warnings are printed.
 fn start() -> Result<(), Failure> {
     crate::cache::tell_remarks_by(|text| tell!("trabecula: {text}"));
     signal_hook::flag::register(signal_hook::consts::SIGXFSZ, Arc::new(AtomicBool::new(false)))
-        .map(drop)
+        .and_then(|_| exit_on_abort(EXIT_FAILED))
         .map_err(Failure::signals)
 }
 

@@ -7,6 +7,7 @@
 use std::io::{self, BufWriter, ErrorKind, Stdout, StdoutLock, Write};
 use std::path::Path;
 use std::sync::OnceLock;
+use std::time::Duration;
 
 use foreign_text::{EscapingWriter, plain};
 
@@ -21,11 +22,25 @@ pub struct CheckedWriter<W>(W);
 
 impl<W: Write> Write for CheckedWriter<W> {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        note(self.0.write(bytes))
+        note(when_ready(|| self.0.write(bytes)))
     }
 
     fn flush(&mut self) -> io::Result<()> {
-        note(self.0.flush())
+        note(when_ready(|| self.0.flush()))
+    }
+}
+
+/// Interval between retries on a non-blocking stream.
+const RETRY: Duration = Duration::from_millis(10);
+
+/// Writes to a stream that may be non-blocking, because another program that shares it has made it so: waits
+/// until it takes more, as a blocking one does.
+pub fn when_ready<T>(mut write: impl FnMut() -> io::Result<T>) -> io::Result<T> {
+    loop {
+        match write() {
+            Err(cause) if cause.kind() == ErrorKind::WouldBlock => std::thread::sleep(RETRY),
+            written => return written,
+        }
     }
 }
 

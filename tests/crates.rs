@@ -29,7 +29,7 @@ const CORES: [(&str, &str); 18] = [
     ("identify", "crates/identify"),
     ("hub", "crates/hub"),
     ("delivery", "crates/delivery"),
-    ("hub_simulator", "crates/hub/simulator"),
+    ("hub_schedules", "crates/hub/schedules"),
 ];
 
 /// Crates that no core may reach, and why. Only normal dependencies count: tests and build scripts may use
@@ -115,14 +115,10 @@ struct Graph {
 
 impl Graph {
     fn read() -> Graph {
-        let cargo = std::env::var("CARGO").unwrap_or_else(|_| "cargo".to_owned());
         // Only the dependencies of this machine's build: cargo has not fetched the crates of other platforms.
-        let platform = host();
-        let arguments =
-            ["metadata", "--offline", "--locked", "--format-version", "1", "--filter-platform", &platform];
-        let output = Command::new(cargo).args(arguments).current_dir(root()).limited_output().unwrap();
-        assert!(output.status.success(), "cargo metadata: {}", String::from_utf8_lossy(&output.stderr));
-        Graph::of(&serde_json::from_slice(&output.stdout).unwrap())
+        let of_host = ["--format-version", "1", "--filter-platform", &host()];
+        let metadata = cargo(&[&["metadata", "--offline", "--locked"], &of_host[..]].concat());
+        Graph::of(&serde_json::from_str(&metadata).unwrap())
     }
 
     fn of(metadata: &Value) -> Graph {
@@ -239,7 +235,10 @@ fn every_build_shares_all_of_its_crates_with_the_build_of_the_workspace() {
     let members = members();
     let of_each = members.iter().map(|member| vec!["-p", member]);
     // The builds of `cargo run` and of clients/python/build_backend.py.
-    let run_and_pip = [vec![], vec!["-p", "trabecula", "-p", "trabecula_client", "-p", "trabecula_sim"]];
+    let run_and_pip = [
+        vec![],
+        vec!["-p", "trabecula", "-p", "trabecula_client", "-p", "trabecula_sim", "-p", "trabecula_fmu"],
+    ];
     assert_one_build_of_each_crate(run_and_pip.into_iter().chain(of_each), "normal,build");
 }
 

@@ -55,16 +55,18 @@ fn physics_and_x_ray_take_the_tools_radii_from_one_place() {
 }
 
 /// Returns a scene with the tool of a file, with one line of it changed.
-fn with_tool(from: &str, to: &str) -> Scene {
+fn with_tool(file: &str, from: &str, to: &str) -> Scene {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("configs/tools");
     let read = |file: &Path| {
         let text = std::fs::read_to_string(file)?;
         assert!(text.contains(from), "{from}");
         Ok(text.replacen(from, to, 1))
     };
-    let text = "name = \"tool\"\nrun = { mode = \"lockstep\", duration_s = 0.1 }\nmanipulator = { file = \"two_segments.toml\" }\n\
-        tool = { burr_start_mm = [0.0, 0.0, 0.0], direction = [0.0, 0.0, 1.0], bend_toward = [1.0, 0.0, 0.0] }\n";
-    Scene::parse_with(text, &folder.join("scene.toml"), &read).unwrap()
+    let text = format!(
+        "name = \"tool\"\nrun = {{ mode = \"lockstep\", duration_s = 0.1 }}\nmanipulator = {{ file = {file:?} }}\n\
+        tool = {{ burr_start_mm = [0.0, 0.0, 0.0], direction = [0.0, 0.0, 1.0], bend_toward = [1.0, 0.0, 0.0] }}\n"
+    );
+    Scene::parse_with(&text, &folder.join("scene.toml"), &read).unwrap()
 }
 
 /// Everything that depends on one line of a tool file: physics, X-ray, viewer, exported surface, robot
@@ -86,13 +88,13 @@ fn a_changed_radius_in_a_tool_file_changes_physics_x_ray_and_viewer() {
         )
     };
     let (line, burr) = ("outer_diameter_mm = 6.0", "diameter_mm = 6.5");
-    let before = seen(&with_tool(line, line));
+    let before = seen(&with_tool("two_segments.toml", line, line));
     assert_eq!(before.0, [3.25e-3, 3e-3, 2e-3, 3e-3, 3e-3]);
-    let thin = seen(&with_tool(line, "outer_diameter_mm = 5.6"));
+    let thin = seen(&with_tool("two_segments.toml", line, "outer_diameter_mm = 5.6"));
     assert_eq!(thin.0, [3.25e-3, 2.8e-3, 2e-3, 2.8e-3, 2.8e-3]);
     assert_eq!((thin.1.clone(), thin.2), (vec![3.25e-3, 2.8e-3, 2e-3], [2.8e-3, 3.25e-3]));
     assert!(thin.3 < before.3 - 100.0 && thin.4 < 0.9 * before.4, "{thin:?} {before:?}");
-    let small = seen(&with_tool(burr, "diameter_mm = 6.0"));
+    let small = seen(&with_tool("two_segments.toml", burr, "diameter_mm = 6.0"));
     assert_eq!((small.0[0], small.1[0], small.2[1]), (3e-3, 3e-3, 3e-3));
     assert!(small.3 < before.3 - 10.0);
 }
@@ -100,15 +102,9 @@ fn a_changed_radius_in_a_tool_file_changes_physics_x_ray_and_viewer() {
 /// The outer tube's radius, in contact spheres, X-ray, viewer and exported surface.
 #[test]
 fn a_changed_radius_of_an_outer_tube_changes_physics_x_ray_and_viewer() {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("configs/tools");
     let seen = |diameter_mm: f64| {
-        let text = "name = \"tool\"\nrun = { mode = \"lockstep\", duration_s = 0.1 }\nmanipulator = { file = \"tube_in_tube.toml\" }\n\
-            tool = { burr_start_mm = [0.0, 0.0, 0.0], direction = [0.0, 0.0, 1.0], bend_toward = [1.0, 0.0, 0.0] }\n";
-        let read = |file: &Path| {
-            let text = std::fs::read_to_string(file)?;
-            Ok(text.replace("outer_diameter_mm = 5.0", &format!("outer_diameter_mm = {diameter_mm}")))
-        };
-        let scene = Scene::parse_with(text, &folder.join("scene.toml"), &read).unwrap();
+        let changed = format!("outer_diameter_mm = {diameter_mm:?}");
+        let scene = with_tool("tube_in_tube.toml", "outer_diameter_mm = 5.0", &changed);
         let radii = scene.manipulator.radii();
         let parameters = manipulator_parameters(&scene).unwrap();
         let simulation = Simulation::new(&scene, None).unwrap();
@@ -137,7 +133,7 @@ fn a_changed_radius_of_an_outer_tube_changes_physics_x_ray_and_viewer() {
 /// A log stores the tool itself, so it reads as the same tool without the file.
 #[test]
 fn what_a_log_keeps_of_a_described_tool_is_the_tool() {
-    let scene = with_tool("pitch_mm", "pitch_mm");
+    let scene = with_tool("two_segments.toml", "pitch_mm", "pitch_mm");
     let kept = Scene::parse(&toml::to_string(&scene).unwrap(), Path::new("log")).unwrap();
     assert_eq!(kept, scene);
     assert_eq!(manipulator_parameters(&kept).unwrap(), manipulator_parameters(&scene).unwrap());

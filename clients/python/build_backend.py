@@ -1,5 +1,5 @@
 """Build backend: the wheel with the program, the client library and the native half of trabecula.sim from
-cargo; and the sdist.
+cargo, and with scenes, examples, headers and documentation; and the sdist.
 
 Needs Rust, a C++ compiler with binutils, and Python. Setting (`-C` of pip and build):
 `platform=manylinux_2_28_x86_64` states the platform of prebuilt binaries; without it the wheel is for
@@ -20,6 +20,8 @@ import sys
 import sysconfig
 import tarfile
 import tempfile
+import threading
+import time
 import zipfile
 from pathlib import Path
 from typing import NamedTuple
@@ -36,6 +38,25 @@ TAG = "cp39-abi3"
 #: Time limits for a full build and for any other program, s; only reached by a hang.
 BUILD_LIMIT_S = 4 * 3600
 LIMIT_S = 120
+#: Files of the checkout that the wheel holds in its folder `files`, under the same paths, so that the
+#: documentation's commands work in a copy of it. The Rust client needs the sources.
+SHIPPED = (
+    "README.md",
+    "CITATION.cff",
+    "configs/",
+    "docs/",
+    "clients/scenes/",
+    "clients/c/README.md",
+    "clients/c/examples/",
+    "clients/c/include/",
+    "clients/cpp/",
+    "clients/zig/",
+    "clients/ros2/",
+    "clients/python/README.md",
+    "clients/python/examples/",
+)
+#: Time between two lines of progress, s.
+PROGRESS_S = 20.0
 #: File with the licences of linked crates, in addition to the wheel's own; generated per wheel, so not in the
 #: source distribution.
 THIRD_PARTY = "THIRD_PARTY"
@@ -75,6 +96,15 @@ LIBRARIES = [
         "TRABECULA_SIM_LIBRARY",
         0o644,
     ),
+    # In `lib` beside the program's folder, where `trabecula fmu export` looks for it.
+    Binary(
+        "{data}/data/lib/libtrabecula_fmu.so",
+        "libtrabecula_fmu.so",
+        "trabecula_fmu",
+        "--lib",
+        "TRABECULA_FMU_LIBRARY",
+        0o644,
+    ),
 ]
 PROGRAM = Binary(
     "{data}/scripts/trabecula", "trabecula", "trabecula", "--bin=trabecula", "TRABECULA_PROGRAM", 0o755
@@ -98,12 +128,44 @@ def _binaries() -> dict[Binary, Path]:
     packages = [f"--package={binary.package}" for binary in binaries]
     targets = sorted({binary.target for binary in binaries})
     built = ROOT / os.environ.get("CARGO_TARGET_DIR", "target") / "release"
-    # pip shows this and cargo's progress only with `-v`.
     text = f"Building program and libraries in {built}, as `cargo build --release` does"
     print(text, file=sys.stderr, flush=True)
-    line = ["cargo", "build", "--release", "--locked", *packages, *targets]
-    subprocess.run(line, cwd=ROOT, check=True, timeout=BUILD_LIMIT_S)
+    _build(["cargo", "build", "--release", "--locked", *packages, *targets])
     return {binary: built / binary.built for binary in binaries}
+
+
+def _build(line: list[str]) -> None:
+    """Runs cargo; a terminal shows that it goes on, because pip shows a backend's output only with `-v`.
+
+    Raises:
+        CalledProcessError: cargo failed.
+    """
+    try:
+        terminal = open("/dev/tty", "w") if not sys.stderr.isatty() else None
+    except OSError:
+        terminal = None
+    began = said = time.monotonic()
+    compiled = 0
+    with subprocess.Popen(line, cwd=ROOT, stderr=subprocess.PIPE, text=True) as cargo:
+        limit = threading.Timer(BUILD_LIMIT_S, cargo.kill)
+        limit.start()
+        try:
+            assert cargo.stderr is not None  # a pipe
+            for text in cargo.stderr:
+                print(text, end="", file=sys.stderr, flush=True)
+                compiled += text.lstrip().startswith("Compiling ")
+                now = time.monotonic()
+                if terminal and compiled and now - said >= PROGRESS_S:
+                    said = now
+                    hint = "a first build takes 4 to 10 minutes on two cores"
+                    message = f"\ntrabecula: {compiled} crates after {now - began:.0f} s ({hint})"
+                    print(message, file=terminal, flush=True)
+        finally:
+            limit.cancel()
+            if terminal:
+                terminal.close()
+    if cargo.returncode != 0:
+        raise subprocess.CalledProcessError(cargo.returncode, line)
 
 
 def _stripped(path: Path) -> bytes:
@@ -209,6 +271,8 @@ def build_wheel(wheel_directory, config_settings=None, metadata_directory=None):
     sources = [path for path in sorted((HERE / "trabecula").glob("*.py*")) if path.is_file()]
     sources.append(HERE / "trabecula/py.typed")
     files = {f"trabecula/{path.name}": (path.read_bytes(), 0o644) for path in sources}
+    shipped = [file for file in _source_files() if file.startswith(SHIPPED)]
+    files.update({f"trabecula/files/{file}": ((ROOT / file).read_bytes(), 0o644) for file in shipped})
     for binary, path in _binaries().items():
         files[binary.place.format(data=data)] = (_stripped(path), binary.mode)
     wheel = f"Wheel-Version: 1.0\nGenerator: trabecula\nRoot-Is-Purelib: false\nTag: {TAG}-{platform}\n"

@@ -11,6 +11,7 @@
 )]
 
 pub mod client_message;
+pub mod fmu;
 pub mod keyframe;
 pub mod log;
 pub mod mesh;
@@ -47,6 +48,7 @@ pub const TARGETS: &[Target] = &[
     Target { name: "dicom", run: volume::dicom, seeds: seeds::dicom },
     Target { name: "plan", run: plan::plan, seeds: plan::seeds },
     Target { name: "urdf", run: urdf::urdf, seeds: urdf::seeds },
+    Target { name: "fmu", run: fmu::fmu, seeds: fmu::seeds },
     Target { name: "mesh", run: mesh::mesh, seeds: mesh::seeds },
     Target { name: "openigtlink", run: openigtlink::openigtlink, seeds: openigtlink::seeds },
 ];

@@ -15,7 +15,7 @@ use crate::session::{Session, SessionError};
 pub use crate::family::{
     bind_to_parent, bind_to_parent_with, children, descendants, end_with_parent, is_alive,
 };
-pub use crate::signals::{EndRequest, EndSignal, ResumeFlag, reset_inherited_signals};
+pub use crate::signals::{EndRequest, EndSignal, ResumeFlag, exit_on_abort, reset_inherited_state};
 
 /// Exit code of a run that failed.
 pub const EXIT_FAILED: u8 = 1;

@@ -1,11 +1,13 @@
-//! The signals that the hub's processes handle: requests to end, and resuming after a stop; and the signal
+//! The signals that the hub's processes handle: requests to end, resuming after a stop, and aborts; and the
 //! state that a process inherits.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use signal_hook::consts::{SIGCONT, SIGHUP, SIGINT, SIGTERM};
+use rustix::fs::Mode;
+use rustix::process::{Resource, getrlimit, umask};
+use signal_hook::consts::{SIGABRT, SIGCONT, SIGHUP, SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
 use signal_hook::low_level::signal_name;
 
@@ -17,11 +19,47 @@ const ONE_REQUEST: Duration = Duration::from_millis(300);
 /// script, SIGPIPE by Rust's runtime, which gives its children the default.
 const STAY_IGNORED: [i32; 4] = [libc::SIGHUP, libc::SIGINT, libc::SIGQUIT, libc::SIGPIPE];
 
+/// Resets what a process inherits from its parent over `exec` and what would break it: signals, timers, and a
+/// umask that takes the user's own rights to new files. Priority, cores, OOM score and limits are the user's
+/// choice and stay. With a limit on the address space all threads share one allocation arena: each further
+/// one takes 64 MiB of it. Call it before the first thread starts; threads and children inherit the result.
+pub fn reset_inherited_state() {
+    reset_inherited_signals();
+    stop_inherited_timers();
+    let inherited = umask(Mode::empty());
+    umask(inherited - Mode::RWXU);
+    if getrlimit(Resource::As).current.is_some() {
+        // SAFETY: the call only sets a number of the C library's allocator, before the first thread starts.
+        unsafe { libc::mallopt(libc::M_ARENA_MAX, 1) };
+    }
+}
+
+/// Stops the timers of `setitimer` and `alarm`, which survive `exec`: their signals would kill the process.
+fn stop_inherited_timers() {
+    for timer in [libc::ITIMER_REAL, libc::ITIMER_VIRTUAL, libc::ITIMER_PROF] {
+        // SAFETY: `itimerval` is a C structure of integers, for which zero is valid and stops the timer. The
+        // call reads a whole structure that outlives it, and gets null for the previous value.
+        unsafe {
+            let none: libc::itimerval = std::mem::zeroed();
+            libc::setitimer(timer, &raw const none, std::ptr::null_mut());
+        }
+    }
+}
+
+/// Makes an abort end the process with this exit code instead of a signal. The cause has been printed by
+/// then: the standard library aborts when memory runs out, the C++ library at an uncaught exception.
+///
+/// # Errors
+/// If the system refuses to install a handler.
+pub fn exit_on_abort(code: u8) -> std::io::Result<()> {
+    let always = Arc::new(AtomicBool::new(true));
+    signal_hook::flag::register_conditional_shutdown(SIGABRT, code.into(), always).map(drop)
+}
+
 /// Unblocks all signals, and gives those that the parent ignored their default action, except those that
 /// are ignored by convention (`nohup`, background commands). Both survive `exec`: with SIGCHLD ignored no
-/// child can be waited for, and a blocked SIGTERM is never delivered. Call it before the first thread starts;
-/// threads and children inherit the result.
-pub fn reset_inherited_signals() {
+/// child can be waited for, and a blocked SIGTERM is never delivered.
+fn reset_inherited_signals() {
     for signal in 1..=libc::SIGRTMAX() {
         if !STAY_IGNORED.contains(&signal) && is_ignored(signal) {
             // SAFETY: with SIG_DFL no code of this process runs on a signal.

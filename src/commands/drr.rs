@@ -5,9 +5,11 @@ use std::sync::{Mutex, PoisonError};
 
 use clap::Args;
 use drr_proc::ThisMachine;
-use voxel_grid::Volume;
+use foreign_text::number;
+use nalgebra::Vector3;
+use voxel_grid::{Volume, VoxelGrid};
 use xray::{
-    DetectorParameters, Display, DisplayParameters, DrrError, DrrParameters, DrrRenderer, Projector,
+    CArm, DetectorParameters, Display, DisplayParameters, DrrError, DrrParameters, DrrRenderer, Projector,
     Spectrum, VolumeView,
 };
 
@@ -18,7 +20,7 @@ use crate::output::refuse_existing;
 use crate::say::{Figures, path_text};
 use crate::x_ray::dicom::{Series, write_dicom};
 use crate::x_ray::files::{Animation, write_nrrd, write_png};
-use crate::x_ray::poses::{self, Pose, ResolvedPose};
+use crate::x_ray::poses::{self, DEFAULT_PITCH_MM, LARGEST_PITCH_MM, Pose, ResolvedPose};
 use crate::x_ray::series::{RenderStyle, render_and_write};
 use inputs::suspicions;
 
@@ -59,9 +61,9 @@ pub struct DrrArguments {
     /// Pixel rows.
     #[arg(long, default_value_t = 512)]
     rows: u32,
-    /// Distance between pixel centres on the detector.
-    #[arg(long, default_value_t = 0.6)]
-    pixel_pitch_mm: f64,
+    /// Distance between pixel centres on the detector; default: the whole volume is in every frame.
+    #[arg(long)]
+    pixel_pitch_mm: Option<f64>,
     /// Rotate the C-arm through this primary angle, degrees, in `--frames` steps.
     #[arg(long, allow_negative_numbers = true)]
     sweep: Option<f64>,
@@ -122,6 +124,11 @@ const DISPLAYS: [Choice<Display>; 3] = [
 /// Default number of frames in a sweep.
 const SWEEP_FRAMES: u32 = 60;
 
+/// Margin around a framed volume.
+const MARGIN: f64 = 1.02;
+/// Nearest that a framed volume comes to the source, as a share of the detector's distance.
+const NEAREST_SHARE: f64 = 0.02;
+
 /// Output formats, by file extension.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Kind {
@@ -156,7 +163,7 @@ pub fn run(arguments: &DrrArguments) -> Result<(), Failure> {
     for note in info.notes.iter().chain(&suspicions::of_a_mask(&volume)) {
         tell!("{}: {note}", arguments.volume.display());
     }
-    let placed = place(&poses, &volume)?;
+    let placed = place(poses, &volume)?;
     let sides: Vec<(u32, u32)> = placed.iter().map(|p| (p.c_arm.columns, p.c_arm.rows)).collect();
     if arguments.animate && sides.iter().any(|side| *side != sides[0]) {
         return Err(Failure::bad_input("--animate: all poses must have the same columns and rows"));
@@ -190,12 +197,18 @@ pub fn run(arguments: &DrrArguments) -> Result<(), Failure> {
     }
     let (count, output) = (placed.len(), arguments.output.display());
     let (all_ms, frames_per_s) = (seconds * 1e3, count as f64 / seconds);
+    let pitch_mm = number(1e3 * placed[0].c_arm.pixel_pitch_m[0]);
     arguments.figures.say(
-        || format!("{output}: {count} frame(s), rendered in {all_ms:.1} ms ({frames_per_s:.1} per second)"),
+        || {
+            format!(
+                "{output}: {count} frame(s), rendered in {all_ms:.1} ms ({frames_per_s:.1} per second), \
+                 pixels of {pitch_mm} mm"
+            )
+        },
         || {
             serde_json::json!({
                 "output": path_text(&arguments.output), "frames": count, "render_ms": all_ms,
-                "frames_per_s": frames_per_s,
+                "frames_per_s": frames_per_s, "pixel_pitch_mm": 1e3 * placed[0].c_arm.pixel_pitch_m[0],
             })
         },
     );
@@ -225,7 +238,7 @@ fn all_poses(arguments: &DrrArguments) -> Result<Vec<Pose>, Failure> {
         isocentre_mm: isocentre.and_then(|v| v.try_into().ok()),
         columns: Some(arguments.columns),
         rows: Some(arguments.rows),
-        pixel_pitch_mm: Some(arguments.pixel_pitch_mm),
+        pixel_pitch_mm: arguments.pixel_pitch_mm,
         ..Pose::default()
     };
     let poses: Vec<Pose> = match &arguments.pose {
@@ -259,11 +272,51 @@ fn all_poses(arguments: &DrrArguments) -> Result<Vec<Pose>, Failure> {
     Ok((0..frames).map(turned).collect())
 }
 
-/// Resolves all poses, so that a bad one is reported before anything is rendered.
-fn place(poses: &[Pose], volume: &Volume) -> Result<Vec<ResolvedPose>, Failure> {
-    let centre_m = volume.grid.world_m(volume.grid.dims().map(|n| 0.5 * (n as f64 - 1.0)));
-    let number = |i: usize, cause| Failure::bad_input(format!("pose {}: {cause}", i + 1));
-    poses.iter().enumerate().map(|(i, p)| p.place(centre_m).map_err(|cause| number(i, cause))).collect()
+/// Resolves all poses, so that a bad one is reported before anything is rendered. Poses by C-arm angles
+/// without a pixel pitch share the one that has the whole volume in every frame.
+fn place(mut poses: Vec<Pose>, volume: &Volume) -> Result<Vec<ResolvedPose>, Failure> {
+    let grid = &volume.grid;
+    let centre_m = grid.world_m(grid.dims().map(|n| 0.5 * (n as f64 - 1.0)));
+    let failure = |i: usize, cause| Failure::bad_input(format!("pose {}: {cause}", i + 1));
+    let is_framed = |pose: &Pose| pose.pixel_pitch_mm.is_none() && !pose.is_given();
+    let mut pitch_mm = Some(0.0);
+    for (i, pose) in poses.iter().enumerate().filter(|(_, pose)| is_framed(pose)) {
+        let c_arm = pose.place(centre_m).map_err(|cause| failure(i, cause))?.c_arm;
+        pitch_mm = pitch_mm.zip(framed_pitch_mm(&c_arm, grid)).map(|(most, own): (f64, f64)| most.max(own));
+    }
+    if pitch_mm.is_none() {
+        tell!(
+            "the volume reaches to the source, so it cannot be framed: pixels of {DEFAULT_PITCH_MM} mm; \
+             --source-isocentre-mm, --source-detector-mm and --pixel-pitch-mm change that"
+        );
+    }
+    poses.iter_mut().filter(|pose| is_framed(pose)).for_each(|pose| pose.pixel_pitch_mm = pitch_mm);
+    poses.iter().enumerate().map(|(i, p)| p.place(centre_m).map_err(|cause| failure(i, cause))).collect()
+}
+
+/// Returns the pixel pitch, rounded up to a micrometre, at which all of a volume is projected onto the
+/// detector; `None` if part of it is beside or behind the source, or the pitch would be out of range.
+fn framed_pitch_mm(c_arm: &CArm, grid: &VoxelGrid) -> Option<f64> {
+    let vector = |point_m: [f64; 3]| Vector3::from(point_m);
+    let (source, row, column) = (vector(c_arm.source_m), vector(c_arm.row_axis), vector(c_arm.column_axis));
+    let (normal, to_centre) = (row.cross(&column), vector(c_arm.detector_centre_m) - source);
+    let distance_m = to_centre.dot(&normal);
+    let last = grid.dims().map(|count| count as f64 - 0.5);
+    let mut most_m = 0.0;
+    for corner in 0..8 {
+        let index = [0, 1, 2].map(|axis| if corner >> axis & 1 == 1 { last[axis] } else { -0.5 });
+        let away = vector(grid.world_m(index)) - source;
+        // The share of the way to the detector's plane.
+        let share = away.dot(&normal) / distance_m;
+        if share < NEAREST_SHARE {
+            return None;
+        }
+        let on_detector = away / share - to_centre;
+        let across = |axis: &Vector3<f64>, pixels: u32| 2.0 * on_detector.dot(axis).abs() / f64::from(pixels);
+        most_m = f64::max(most_m, across(&row, c_arm.columns).max(across(&column, c_arm.rows)));
+    }
+    let pitch_mm = (1e6 * most_m * MARGIN).ceil() * 1e-3;
+    (pitch_mm <= LARGEST_PITCH_MM).then_some(pitch_mm)
 }
 
 fn parameters(arguments: &DrrArguments) -> DrrParameters {
@@ -298,4 +351,60 @@ fn of_flag(error: DrrError) -> Failure {
 fn numbered(path: &Path, number: usize) -> PathBuf {
     let part = |text: Option<&std::ffi::OsStr>| text.unwrap_or_default().to_string_lossy().into_owned();
     path.with_file_name(format!("{}_{number:04}.{}", part(path.file_stem()), part(path.extension())))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Regression: of a CT 366 mm long, the frame showed the middle 215 mm.
+    #[test]
+    fn the_whole_volume_is_in_every_frame_and_fills_it() {
+        for (dims, spacing_m) in [([366, 235, 240], 1e-3), ([195, 205, 180], 19e-6), ([64, 512, 700], 0.7e-3)]
+        {
+            let grid = VoxelGrid::axis_aligned(dims, [spacing_m; 3], [0.1, -0.2, 0.3]).unwrap();
+            let volume = Volume { grid, hu: Vec::new() };
+            let angles = [(0.0, 0.0), (37.0, 0.0), (90.0, -20.0), (-135.0, 30.0)];
+            let poses = angles.map(|(primary, secondary)| Pose {
+                primary_angle_deg: Some(primary),
+                secondary_angle_deg: Some(secondary),
+                columns: Some(512),
+                rows: Some(400),
+                ..Pose::default()
+            });
+            let placed = place(poses.to_vec(), &volume).unwrap();
+            let corners = (0..8).map(|corner| {
+                grid.world_m(
+                    [0, 1, 2]
+                        .map(|axis| if corner >> axis & 1 == 1 { dims[axis] as f64 - 0.5 } else { -0.5 }),
+                )
+            });
+            let mut filled: f64 = 0.0;
+            for (pose, corner) in
+                placed.iter().flat_map(|pose| corners.clone().map(move |corner| (pose, corner)))
+            {
+                // By the camera, which the framing does not use.
+                let camera = pose.c_arm.camera(xray::PixelCentre::Whole);
+                let rows = camera.rotation.map(|row| Vector3::from(row).dot(&Vector3::from(corner)));
+                let [x, y, z] = [0, 1, 2].map(|axis| rows[axis] + camera.translation_m[axis]);
+                let [k0, k1, _] = camera.intrinsics;
+                let (u, v) = (k0[0] * x / z + k0[2], k1[1] * y / z + k1[2]);
+                assert!((-0.5..=511.5).contains(&u) && (-0.5..=399.5).contains(&v), "{corner:?} at {u} {v}");
+                filled = filled.max((u - 255.5).abs() / 256.0).max((v - 199.5).abs() / 200.0);
+            }
+            assert!(filled > 0.9, "the volume takes {filled} of the frame");
+            assert!(placed.iter().all(|pose| pose.c_arm.pixel_pitch_m == placed[0].c_arm.pixel_pitch_m));
+        }
+    }
+
+    #[test]
+    fn a_given_pitch_a_camera_and_a_volume_around_the_source_are_not_framed() {
+        let grid = VoxelGrid::axis_aligned([100; 3], [1e-3; 3], [0.0; 3]).unwrap();
+        let volume = Volume { grid, hu: Vec::new() };
+        let pitch_mm = |pose: Pose| 1e3 * place(vec![pose], &volume).unwrap()[0].c_arm.pixel_pitch_m[0];
+        let given = Pose { pixel_pitch_mm: Some(0.3), ..Pose::default() };
+        let inside = Pose { source_isocentre_mm: Some(30.0), ..Pose::default() };
+        assert!((pitch_mm(given) - 0.3).abs() < 1e-12);
+        assert!((pitch_mm(inside) - DEFAULT_PITCH_MM).abs() < 1e-12);
+    }
 }

@@ -52,7 +52,7 @@ pub fn run(arguments: &FromMarkupsArguments) -> Result<(), Failure> {
     refuse_outside(arguments, &plan, &volume)?;
     let folder = absolute(output.parent().unwrap_or(Path::new("")));
     let [plan_file, ct] = [&arguments.plan, &arguments.ct].map(|file| from(&folder, file));
-    let planned = PlannedScene {
+    let mut planned = PlannedScene {
         name,
         plan_file: &plan_file,
         plan,
@@ -63,10 +63,10 @@ pub fn run(arguments: &FromMarkupsArguments) -> Result<(), Failure> {
             .spacing_m()
             .iter()
             .fold(0.0, |most: f64, spacing_m| most.max(spacing_m * 1e3)),
+        from_flange_mm: None,
     };
     drop(volume);
-    let text = planned.text();
-    let notes = check(&text, &absolute(&output), arguments.volume_files)?;
+    let (text, notes) = checked(&mut planned, &absolute(&output), arguments.volume_files)?;
     output_file::write(&output, &text)?;
     say(arguments, &planned, &output, &notes);
     Ok(())
@@ -80,14 +80,73 @@ fn options(arguments: &FromMarkupsArguments) -> ReadOptions {
     ReadOptions { data_files: arguments.volume_files.allowed(), label, ..ReadOptions::default() }
 }
 
-/// Checks the scene as `scene check` does and returns its warnings.
-fn check(text: &str, file: &Path, volume_files: VolumeFiles) -> Result<Vec<String>, Failure> {
-    let scene = Scene::parse_with(text, file, &text_file::read).map_err(Failure::bad_input)?;
+/// Distances of the tool from the flange to try, mm, if the default one puts the arm into bone.
+const FROM_FLANGE_MM: [f64; 4] = [200.0, 300.0, 400.0, 500.0];
+
+/// Checks the scene as `scene check` does, and moves the tool away from the flange if that keeps the arm out
+/// of the bone. Returns the scene's text and its warnings.
+fn checked(
+    planned: &mut PlannedScene,
+    file: &Path,
+    volume_files: VolumeFiles,
+) -> Result<(String, Vec<String>), Failure> {
+    let parse = |text: &str| Scene::parse_with(text, file, &text_file::read).map_err(Failure::bad_input);
+    let mut text = planned.text();
+    let scene = parse(&text)?;
     let loaded = volume_source::load_with_notes(&scene, volume_files)?;
-    let mut notes = loaded.iter().flat_map(|loaded| loaded.notes.clone()).collect::<Vec<_>>();
     let volume = loaded.as_ref().map(|loaded| &loaded.ct.volume);
-    notes.extend(feasibility::check(&scene, &"the scene of this plan", volume)?);
-    Ok(notes)
+    let found = |text: &str| feasibility::check(&parse(text)?, &"the scene of this plan", volume);
+    let arm_is_in_bone =
+        |warnings: &[String]| warnings.iter().any(|warning| warning.contains("`arm.tool_position_mm`"));
+    let mut warnings = found(&text)?;
+    if arm_is_in_bone(&warnings) {
+        for distance_mm in FROM_FLANGE_MM {
+            planned.from_flange_mm = Some(distance_mm);
+            let farther = planned.text();
+            if let Ok(of_farther) = found(&farther)
+                && !arm_is_in_bone(&of_farther)
+            {
+                (text, warnings) = (farther, of_farther);
+                break;
+            }
+        }
+    }
+    let mut notes = loaded.iter().flat_map(|loaded| loaded.notes.clone()).collect::<Vec<_>>();
+    notes.extend(warnings);
+    let bone_from_hu = scene.volume.as_ref().map_or(i16::MAX, |volume| volume.bone_threshold_hu);
+    notes.extend(volume.and_then(|volume| exchanged(&planned.plan, volume, bone_from_hu)));
+    Ok((text, notes))
+}
+
+/// How far to look for bone in front of the entry and beyond the target, mm: the length of the tool's
+/// flexible part and some of its shaft.
+const SEARCH_MM: f64 = 60.0;
+/// Distance between samples, mm.
+const SAMPLE_MM: f64 = 0.5;
+
+/// Returns a warning if there is bone where the tool comes from, and less of it beyond the target: the two
+/// points are probably exchanged.
+fn exchanged(plan: &Plan, volume: &Volume, bone_from_hu: i16) -> Option<String> {
+    let [entry, target] = [plan.entry_mm(), plan.target_mm()];
+    let before = plan.bend_mm().unwrap_or(entry);
+    let along = [0, 1, 2].map(|i| target[i] - before[i]);
+    let length = along.iter().map(|x| x * x).sum::<f64>().sqrt();
+    let bone_mm = |from_mm: [f64; 3], direction: [f64; 3]| {
+        let samples = (1..=(SEARCH_MM / SAMPLE_MM) as usize).filter(|sample| {
+            let place_mm = [0, 1, 2].map(|i| from_mm[i] + *sample as f64 * SAMPLE_MM * direction[i]);
+            let hu = volume.hu_at(place_mm.map(|x| x * 1e-3));
+            hu.is_some_and(|hu| hu >= f64::from(bone_from_hu))
+        });
+        samples.count() as f64 * SAMPLE_MM
+    };
+    let in_front_mm = bone_mm(entry, plan.direction().map(|x| -x));
+    let beyond_mm = bone_mm(target, along.map(|x| x / length));
+    (in_front_mm > 1.0 && in_front_mm > 2.0 * beyond_mm).then(|| {
+        format!(
+            "warning: the tool comes through {in_front_mm:.1} mm of bone in front of the entry, and beyond the \
+             target there are {beyond_mm:.1} mm: are entry and target exchanged?"
+        )
+    })
 }
 
 /// Rejects a plan with points outside its volume: it was made on another volume, or its file names the wrong

@@ -6,6 +6,8 @@ pub(crate) mod calibrate;
 pub(crate) mod docs;
 pub(crate) mod doctor;
 pub(crate) mod drr;
+pub(crate) mod fmu;
+mod fmu_drive;
 mod from_markups;
 pub(crate) mod identify;
 pub(crate) mod log;
@@ -26,8 +28,11 @@ mod view_plan;
 mod view_run;
 pub(crate) mod volume;
 
-use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
+use std::path::PathBuf;
+
+use clap::builder::{PathBufValueParser, PossibleValue, PossibleValuesParser, TypedValueParser};
 use ipc_types::messages::TickRange;
+use recorder_proc::log_file::or_latest;
 
 use crate::failure::Failure;
 
@@ -43,6 +48,11 @@ pub fn choice<T: Clone + Send + Sync + 'static>(
         let chosen = choices.iter().find(|(name, ..)| name.eq_ignore_ascii_case(&given));
         chosen.map(|(.., value)| value.clone()).ok_or("no such value")
     })
+}
+
+/// Parses the path of a log, where `latest` is the newest run.
+pub(crate) fn log_name() -> impl TypedValueParser<Value = PathBuf> {
+    PathBufValueParser::new().map(or_latest)
 }
 
 /// Checks that `--from` is not after `--to`.

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use serde_json::json;
 
+use super::log_name;
 use crate::failure::Failure;
 use crate::feasibility;
 use crate::launcher::volume_source::VolumeFiles;
@@ -21,8 +22,8 @@ pub struct PlanArguments {
     /// Scene file with a `tolerance`.
     scene: Option<PathBuf>,
     /// Step a log's commands through the reference model and report the tip error; LOG is a run's folder or
-    /// its `run.mcap`.
-    #[arg(long, value_name = "LOG", conflicts_with_all = ["scene", "list"])]
+    /// its `run.mcap`; `latest` is the newest run in `out`.
+    #[arg(long, value_name = "LOG", value_parser = log_name(), conflicts_with_all = ["scene", "list"])]
     check: Option<PathBuf>,
     /// Print the table of errors and costs behind the choice; with a scene, the table of its tool (measured
     /// first if it is not the standard tool).

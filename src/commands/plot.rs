@@ -10,6 +10,7 @@ use run_log::columns::{Column, columns, description_of_topic, read_rows};
 use run_log::fields::Scalar;
 use run_log::{LogError, Topic};
 
+use super::log_name;
 use crate::failure::Failure;
 use crate::output::figure_place;
 use crate::report::timeline::{Extremes, Timeline};
@@ -24,7 +25,8 @@ const MAX_PANELS: usize = 8;
 /// Arguments of `plot`.
 #[derive(Debug, Args)]
 pub struct PlotArguments {
-    /// `run.mcap`, `timing.mcap` or the folder of a run.
+    /// `run.mcap`, `timing.mcap` or the folder of a run; `latest` is the newest run in `out`.
+    #[arg(value_parser = log_name())]
     log: PathBuf,
     /// Fields, such as `tendon_tension_n[0]` or `t_world_tip.position_m`; one panel each.
     #[arg(required = true)]

@@ -14,7 +14,7 @@ use serde_json::json;
 use ipc_types::messages::{Tick, TickRange};
 use ipc_types::process::EXIT_GAP;
 
-use crate::commands::in_order;
+use crate::commands::{in_order, log_name};
 use crate::failure::Failure;
 use crate::feasibility::is_program;
 use crate::launcher::volume_source::VolumeFiles;
@@ -26,7 +26,8 @@ use crate::say::{Figures, path_text};
 /// Arguments of `replay`.
 #[derive(Debug, Args)]
 pub struct ReplayArguments {
-    /// `run.mcap`, or the folder of a run.
+    /// `run.mcap`, or the folder of a run; `latest` is the newest run in `out`.
+    #[arg(value_parser = log_name())]
     log: PathBuf,
     /// Compare hash, state and removed voxels at every tick, and all keyframes; report the first difference
     /// and exit with code 1.

@@ -15,7 +15,7 @@ use voxel_grid::Ct;
 use super::{Choice, choice};
 use crate::failure::{EXIT_INTERRUPTED, Failure};
 use crate::feasibility;
-use crate::launcher::hub::View;
+use crate::launcher::hub::{Recording, View, refuse_scarce_memory, session_plan};
 use crate::launcher::interrupt::{Interrupts, remove_empty};
 use crate::launcher::part::{self, PartProcess};
 use crate::launcher::progress::{Display, ProgressStyle};
@@ -131,6 +131,12 @@ pub fn run(arguments: &RunArguments) -> Result<(), Failure> {
     }
     volume_source::refuse_missing(&source, &scene)?;
     refuse_taken_port(arguments)?;
+    // The volume's size is known only when it is loaded; the session checks again with it.
+    let recording = if arguments.no_record { Recording::Off } else { Recording::On };
+    refuse_scarce_memory(&session_plan(&scene, None, recording)).map_err(|error| match scene.volume {
+        Some(_) => Failure::bad_input(format!("{error}; its CT, which is not loaded yet, needs more")),
+        None => error.into(),
+    })?;
     let output = match arguments.no_record {
         true => None,
         false => {
@@ -165,7 +171,7 @@ pub fn run(arguments: &RunArguments) -> Result<(), Failure> {
             }
             display.show(snapshot);
         });
-        ran.map_err(Failure::failed)
+        ran.map_err(Failure::from)
     });
     display.end();
     interrupts.report_begins();

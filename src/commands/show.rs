@@ -68,9 +68,11 @@ pub fn run(arguments: &ShowArguments) -> Result<(), Failure> {
 
 fn text_of(arguments: &ShowArguments, facts: &Facts) -> String {
     let findings: String = facts.findings.iter().map(|finding| format!("{finding}\n")).collect();
+    let decimals = facts.scale.decimals();
+    let entry = facts.entry_note().map_or(String::new(), |note| format!("entry        {note}\n"));
     format!(
-        "{findings}target       {:.1} mm to the nearest bone surface, {:.1} mm of bone ahead\nwritten      \
-         {}",
+        "{findings}{entry}target       {:.decimals$} mm to the nearest bone surface, {:.decimals$} mm of bone \
+         ahead\nwritten      {}",
         facts.depth_mm,
         facts.ahead_mm,
         arguments.output.display()

@@ -16,6 +16,7 @@ use viewer_proc::server::ListeningPort;
 use viewer_proc::server::http::AllowedHost;
 use viewer_proc::{ArmMeshes, ServerOptions, ToolShape, ViewerError};
 
+use super::log_name;
 use super::view_arm::{arm_looks, arm_parts};
 use super::view_plan::OpenedScene;
 use crate::failure::{EXIT_INTERRUPTED, Failure};
@@ -28,11 +29,12 @@ const LEAVE_LIMIT: Duration = Duration::from_secs(2);
 /// Arguments of `view`.
 #[derive(Debug, Args)]
 pub struct ViewArguments {
-    /// Log to show (a run's folder or its `run.mcap`), or a scene (`.toml`) to plan and run; default: a
-    /// running session.
-    #[arg(conflicts_with = "session")]
+    /// Log to show (a run's folder, its `run.mcap`, or `latest`), or a scene (`.toml`) to plan and run;
+    /// default: a running session.
+    #[arg(conflicts_with = "session", value_parser = log_name())]
     log: Option<PathBuf>,
     /// Second log, to compare with the first.
+    #[arg(value_parser = log_name())]
     second: Option<PathBuf>,
     /// Folder of the session; default: this user's only running session.
     #[arg(long)]

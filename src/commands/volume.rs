@@ -7,6 +7,7 @@ use volume_io::{VolumeInfo, phantom, read_as, write_nifti, write_nrrd};
 use voxel_grid::{Ct, Volume};
 
 use super::log::{json, judged};
+use super::log_name;
 use crate::failure::Failure;
 use crate::launcher::volume_source::{VolumeChoice, VolumeFiles};
 use crate::output::refuse_existing;
@@ -67,9 +68,14 @@ fn probe(arguments: &ProbeArguments) -> Result<(), Failure> {
             let far = volume.grid.dims().map(|count| count as f64 - 0.5);
             let corners = [[-0.5; 3], far].map(|corner| volume.grid.world_m(corner));
             let [[a, b, c], [d, e, f]] = corners.map(|corner| corner.map(|x| x * 1e3));
+            let hint = match volume.holds([-place_m[0], -place_m[1], place_m[2]]) {
+                true if arguments.ras => "; without --ras (LPS) it lies inside",
+                true => "; with --ras it lies inside",
+                false => "",
+            };
             Failure::bad_input(format!(
                 "--at is [{x}, {y}, {z}], expected a point within the volume, from [{a:.1}, {b:.1}, {c:.1}] \
-                 to [{d:.1}, {e:.1}, {f:.1}] mm (LPS)"
+                 to [{d:.1}, {e:.1}, {f:.1}] mm (LPS){hint}"
             ))
         })?;
         let (voxel, dims) = (volume.grid.voxel_at(place_m), volume.grid.dims());
@@ -93,7 +99,8 @@ fn probe(arguments: &ProbeArguments) -> Result<(), Failure> {
 /// Arguments of `volume drilled`.
 #[derive(Debug, Args)]
 pub struct DrilledArguments {
-    /// Folder of a run, or its `run.mcap`.
+    /// Folder of a run, or its `run.mcap`; `latest` is the newest run in `out`.
+    #[arg(value_parser = log_name())]
     log: PathBuf,
     /// New file: NIfTI if it ends in `.nii` or `.nii.gz`, otherwise NRRD (gzip).
     #[arg(short, long)]

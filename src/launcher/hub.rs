@@ -21,6 +21,8 @@ use xray::message::c_arm_message;
 use zerocopy::IntoBytes;
 
 use super::part::{PartProcess, ProgramOutput};
+use crate::failure::Failure;
+use crate::machine::memory::{MemoryNeed, MemoryShortage};
 
 /// Name of this process.
 pub const LAUNCHER: &str = HubPart::Host.name();
@@ -77,6 +79,9 @@ pub enum HubError {
         /// Limit for each process.
         most: u64,
     },
+    /// The machine or one of its limits leaves too little memory.
+    #[error(transparent)]
+    Memory(#[from] MemoryShortage),
     /// A part cannot be started.
     #[error("part `{part}`: `{program}` cannot be started ({cause})")]
     Start {
@@ -87,6 +92,16 @@ pub enum HubError {
         /// The system's reason.
         cause: std::io::Error,
     },
+}
+
+impl From<HubError> for Failure {
+    fn from(error: HubError) -> Failure {
+        match error {
+            // Nothing has been started or written.
+            HubError::Memory(_) => Failure::bad_input(error),
+            _ => Failure::failed(error),
+        }
+    }
 }
 
 /// Returns how the parts wait for each other. In real time the next state is a period away, so a hybrid wait
@@ -127,21 +142,35 @@ fn own_program(part: &str) -> Result<Command, HubError> {
     std::env::current_exe().map(Command::new).map_err(cannot)
 }
 
+/// Returns the settings of a scene's session; without a volume, of one that has still to be loaded.
+pub fn session_plan(scene: &Scene, ct: Option<&Ct>, recording: Recording) -> SessionPlan {
+    SessionPlan {
+        controllers: scene.controller_names(),
+        volume_bytes: ct.map_or(0, |ct| VolumeMessage::DESCRIPTION.size + ct.volume.hu.len() * 2),
+        frame_bytes: scene.drr.as_ref().map_or(0, |drr| services::frame_bytes(drr.columns, drr.rows)),
+        sensors: !scene.sensor.is_empty(),
+        recorder: recording == Recording::On,
+        wait: wait_for_each_other(scene),
+        policy: scene.run.policy,
+    }
+}
+
+/// Refuses a session that this machine has not the memory for, before anything of it exists.
+///
+/// # Errors
+/// [`HubError::Memory`].
+pub fn refuse_scarce_memory(plan: &SessionPlan) -> Result<(), HubError> {
+    MemoryNeed::of(plan).shortage().map_or(Ok(()), |shortage| Err(shortage.into()))
+}
+
 impl Hub {
     /// Creates the session of a scene, publishes its volume, and announces the session.
     ///
     /// # Errors
     /// Any [`HubError`].
     pub fn create(scene: &Scene, ct: Option<&Ct>, recording: Recording) -> Result<Hub, HubError> {
-        let plan = SessionPlan {
-            controllers: scene.controller_names(),
-            volume_bytes: ct.map_or(0, |ct| VolumeMessage::DESCRIPTION.size + ct.volume.hu.len() * 2),
-            frame_bytes: scene.drr.as_ref().map_or(0, |drr| services::frame_bytes(drr.columns, drr.rows)),
-            sensors: !scene.sensor.is_empty(),
-            recorder: recording == Recording::On,
-            wait: wait_for_each_other(scene),
-            policy: scene.run.policy,
-        };
+        let plan = session_plan(scene, ct, recording);
+        refuse_scarce_memory(&plan)?;
         if let Some(place) = passed_over() {
             tell!("trabecula: {place}");
         }

@@ -17,6 +17,7 @@ use rustix::process::{
 };
 
 use crate::keeper::{END_AT_ONCE, StartReport};
+use crate::machine::memory::out_of_memory_kills;
 use crate::printer::ForwardedOutput;
 
 /// Number of a part's last output lines to keep.
@@ -125,6 +126,8 @@ pub struct PartProcess {
     pub memory: Memory,
     /// Processor time it has used so far.
     pub processor: Duration,
+    /// The kernel's count of processes killed because memory ran out, when the part was started.
+    memory_kills: u64,
 }
 
 /// Memory of a process in bytes.
@@ -216,6 +219,7 @@ impl PartProcess {
             status: None,
             memory: Memory::default(),
             processor: Duration::ZERO,
+            memory_kills: out_of_memory_kills(),
         };
         if let Some(output) = stdout {
             part.listeners.push(listen(output, Arc::clone(&words), shown_as.clone())?);
@@ -224,6 +228,11 @@ impl PartProcess {
             part.listeners.push(listen(output, words, shown_as)?);
         }
         Ok(part)
+    }
+
+    /// Returns whether the kernel has killed a process since the part's start because memory ran out.
+    pub fn may_have_lacked_memory(&self) -> bool {
+        out_of_memory_kills() > self.memory_kills
     }
 
     /// Process ID of the part.

@@ -69,7 +69,7 @@ impl Display {
         if let Some(waiting) = snapshot.waiting {
             tell!("{waiting}");
         }
-        if let Some(caution) = snapshot.caution {
+        for caution in snapshot.cautions {
             // Below the table, which is then drawn again below this line.
             self.end();
             self.drawn = 0;

@@ -1,5 +1,6 @@
 //! One run, from the scene to the finished logs.
 
+use std::os::unix::process::ExitStatusExt;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
@@ -11,6 +12,7 @@ use ipc_types::process::{EXIT_GAP, EndRequest, ProcessorTime};
 use ipc_types::scene::{Controller, Scene};
 use ipc_types::session::SessionError;
 use recorder_proc::process::OUTPUT_FILE;
+use rustix::process::Signal;
 use voxel_grid::Ct;
 
 use super::ending::Ending;
@@ -20,6 +22,7 @@ use super::part::{Memory, PartProcess};
 use super::replacements::Replacements;
 use super::subscriptions::Subscriptions;
 use super::volume_source::{self, VolumeFiles};
+use crate::failure::Failure;
 use crate::report::{NOT_SHARED, RunFacts};
 
 const POLL_PERIOD: Duration = Duration::from_millis(20);
@@ -125,6 +128,8 @@ pub struct RunResult {
     pub memory: Vec<(String, Memory)>,
     /// Processor time of each process from its start to its end, by name.
     pub processor: Vec<(String, Duration)>,
+    /// Distance between the volume's voxels along i, j, k; `None` without a volume.
+    pub volume_spacing_m: Option<[f64; 3]>,
     /// The viewer, if it is now showing the run's log; it ends with the page.
     pub viewer: Option<PartProcess>,
 }
@@ -151,6 +156,7 @@ impl RunResult {
                 .iter()
                 .map(|(name, time)| (name.clone(), time.as_secs_f64()))
                 .collect(),
+            volume_spacing_m: self.volume_spacing_m,
             replay_command,
         }
     }
@@ -173,6 +179,15 @@ pub enum RunError {
     Port(#[from] PortError),
 }
 
+impl From<RunError> for Failure {
+    fn from(error: RunError) -> Failure {
+        match error {
+            RunError::Hub(error) => error.into(),
+            other => Failure::failed(other),
+        }
+    }
+}
+
 /// Input of the progress display at every update.
 #[derive(Debug)]
 pub struct RunSnapshot<'a> {
@@ -190,8 +205,8 @@ pub struct RunSnapshot<'a> {
     pub frames: u64,
     /// What the run has been waiting for, reported once.
     pub waiting: Option<&'a str>,
-    /// A limit of this machine that affects the run, reported once.
-    pub caution: Option<&'a str>,
+    /// Limits of this machine that affect the run, and refused commands, each reported once.
+    pub cautions: &'a [String],
     /// Running parts, with their resource use.
     pub parts: &'a [PartProcess],
 }
@@ -219,6 +234,7 @@ pub fn run_with(
     let hub = Hub::create(&plan.scene, ct.as_ref(), recording)?;
     let mut own_memory = Memory::default();
     own_memory.measure("self");
+    let volume_spacing_m = ct.as_ref().map(|ct| ct.volume.grid.spacing_m());
     // Keep only the copy in shared memory.
     drop(ct);
     let subscriptions = Subscriptions::open(&hub.host.session)?;
@@ -272,6 +288,7 @@ pub fn run_with(
         phases,
         memory,
         processor,
+        volume_spacing_m,
         viewer,
     })
 }
@@ -408,6 +425,9 @@ pub(super) fn judge(part: &mut PartProcess, run: RunState) -> Outcome {
         return Outcome::Completed;
     }
     let how = match status {
+        Some(status) if status.signal() == Some(Signal::KILL.as_raw()) && part.may_have_lacked_memory() => {
+            format!("{status}, probably by the kernel because memory ran out")
+        }
         Some(status) if !status.success() => status.to_string(),
         _ => "ended before the run".to_owned(),
     };

@@ -16,6 +16,9 @@ use ipc_types::session::{Session, SessionError};
 use super::part::PartProcess;
 use super::run::RunSnapshot;
 
+/// Minimum time between two refused commands that are shown; the log has them all.
+const REFUSAL_PERIOD: Duration = Duration::from_secs(5);
+
 /// The launcher's subscriptions.
 pub(super) struct Subscriptions {
     states: Subscriber<State>,
@@ -29,8 +32,10 @@ pub(super) struct Subscriptions {
     frames: u64,
     /// What the run has been waiting for, if not yet shown.
     waiting: Option<String>,
-    /// A limit of this machine that the physics has reported, if not yet shown.
-    caution: Option<String>,
+    /// Limits of this machine and refused commands that the physics has reported, if not yet shown.
+    cautions: Vec<String>,
+    /// When a refused command was last shown.
+    refusal_shown: Option<Instant>,
 }
 
 impl Subscriptions {
@@ -52,7 +57,8 @@ impl Subscriptions {
             timings: Vec::new(),
             frames: 0,
             waiting: None,
-            caution: None,
+            cautions: Vec::new(),
+            refusal_shown: None,
         })
     }
 
@@ -80,10 +86,18 @@ impl Subscriptions {
             }
             let text = event.tail();
             let text = String::from_utf8_lossy(text.strip_suffix(&[0]).unwrap_or(text));
-            if message.code() == Ok(EventCode::Waiting) {
-                self.waiting = Some(foreign_line(&text).to_string());
-            } else if text.starts_with(FIFO_REFUSED) {
-                self.caution = Some(foreign_line(&text).to_string());
+            let line = foreign_line(&text).to_string();
+            match message.code() {
+                Ok(EventCode::Waiting) => self.waiting = Some(line),
+                // A run that waits for a valid command says nothing else until its time is up.
+                Ok(EventCode::CommandRefused)
+                    if self.refusal_shown.is_none_or(|shown| shown.elapsed() >= REFUSAL_PERIOD) =>
+                {
+                    self.refusal_shown = Some(Instant::now());
+                    self.cautions.push(line);
+                }
+                _ if text.starts_with(FIFO_REFUSED) => self.cautions.push(line),
+                _ => {}
             }
         }
         if let Some(frames) = &self.frame_messages {
@@ -97,7 +111,8 @@ impl Subscriptions {
     /// Forgets what the last snapshot reported once, so that the next one does not repeat it.
     pub(super) fn forget_shown(&mut self) {
         self.timings.clear();
-        (self.waiting, self.caution) = (None, None);
+        self.waiting = None;
+        self.cautions.clear();
     }
 
     pub(super) fn snapshot<'a>(
@@ -114,7 +129,7 @@ impl Subscriptions {
             timings: &self.timings,
             frames: self.frames,
             waiting: self.waiting.as_deref(),
-            caution: self.caution.as_deref(),
+            cautions: &self.cautions,
             parts,
         }
     }

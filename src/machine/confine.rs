@@ -66,8 +66,8 @@ impl Drop for Confinement {
 
 impl Group {
     fn enter(percent: u64) -> Result<Group, String> {
-        let (parent, first_version) =
-            cpu_group().ok_or("no control group with the `cpu` controller is mounted")?;
+        let ControlGroup { folder: parent, is_first_version: first_version, .. } =
+            control_group("cpu").ok_or("no control group with the `cpu` controller is mounted")?;
         let folder = parent.join(format!("trabecula-stress-{}", std::process::id()));
         let told = |path: &Path, cause: std::io::Error| format!("{}: {cause}", path.display());
         std::fs::create_dir(&folder).map_err(|cause| told(&folder, cause))?;
@@ -100,18 +100,29 @@ impl Drop for Group {
     }
 }
 
-/// Returns the folder of this process's cgroup with the `cpu` controller, and whether it is version 1.
-pub fn cpu_group() -> Option<(PathBuf, bool)> {
+/// The cgroup of this process for one controller.
+#[derive(Debug)]
+pub struct ControlGroup {
+    /// Its folder.
+    pub folder: PathBuf,
+    /// Where the hierarchy is mounted.
+    pub mount: PathBuf,
+    /// Version 1, where each controller has its own hierarchy.
+    pub is_first_version: bool,
+}
+
+/// Returns this process's cgroup with a controller, such as `cpu`; `None` if there is none.
+pub fn control_group(controller: &str) -> Option<ControlGroup> {
     let mounts = std::fs::read_to_string("/proc/self/mounts").ok()?;
     let own = std::fs::read_to_string("/proc/self/cgroup").ok()?;
-    let has_cpu = |list: &str| list.split([',', ' ', '\n']).any(|name| name == "cpu");
+    let has = |list: &str| list.split([',', ' ', '\n']).any(|name| name == controller);
     for line in mounts.lines() {
         let mut words = line.split(' ');
         let (_, point, kind, options) = (words.next()?, words.next()?, words.next()?, words.next()?);
         let point = Path::new(point);
-        let first_version = kind == "cgroup" && has_cpu(options);
+        let first_version = kind == "cgroup" && has(options);
         let controllers = || std::fs::read_to_string(point.join("cgroup.controllers")).unwrap_or_default();
-        let second_version = kind == "cgroup2" && has_cpu(&controllers());
+        let second_version = kind == "cgroup2" && has(&controllers());
         if !first_version && !second_version {
             continue;
         }
@@ -119,10 +130,14 @@ pub fn cpu_group() -> Option<(PathBuf, bool)> {
         let path = own.lines().find_map(|line| {
             let mut fields = line.splitn(3, ':');
             let (_, list, path) = (fields.next()?, fields.next()?, fields.next()?);
-            (if first_version { has_cpu(list) } else { list.is_empty() }).then_some(path)
+            (if first_version { has(list) } else { list.is_empty() }).then_some(path)
         })?;
         let folder = point.join(path.trim_start_matches('/'));
-        return Some((if folder.is_dir() { folder } else { point.to_owned() }, first_version));
+        return Some(ControlGroup {
+            folder: if folder.is_dir() { folder } else { point.to_owned() },
+            mount: point.to_owned(),
+            is_first_version: first_version,
+        });
     }
     None
 }

@@ -3,11 +3,16 @@
 use std::path::Path;
 
 use ipc_types::process::set_fifo;
+use ipc_types::session::SessionPlan;
 use rustix::mm::MlockAllFlags;
+use rustix::process::{Resource, getrlimit};
 use serde::{Deserialize, Serialize};
 
-use super::confine::{allowed, cpu_group};
+use super::confine::{ControlGroup, allowed, control_group};
+use super::memory::{MemoryNeed, MemoryPlace, free_shared_bytes, left_of_groups, left_of_machine};
 use super::watch::Machine;
+use crate::launcher::hub::{Recording, session_plan};
+use crate::scenes::BuiltIn;
 
 /// How well a requirement is met.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -73,7 +78,8 @@ pub fn facts(steal: &Machine) -> MachineFacts {
 type Answer = (Grade, String);
 
 fn findings(steal: &Machine, virtual_machine: bool, cores: usize) -> Vec<Finding> {
-    let all: [(&str, Answer, &str, &str); 10] = [
+    let need = need_of_built_in();
+    let all: [(&str, Answer, &str, &str); 12] = [
         (
             "SCHED_FIFO",
             fifo(),
@@ -89,7 +95,7 @@ fn findings(steal: &Machine, virtual_machine: bool, cores: usize) -> Vec<Finding
         ),
         (
             "mlockall",
-            memory_lock(),
+            memory_lock(need),
             "memory can be paged out; reading a page back from disk takes milliseconds",
             "`<user> - memlock unlimited` in /etc/security/limits.conf, or `ulimit -l unlimited`; in a \
              container `--ulimit memlock=-1`",
@@ -114,9 +120,21 @@ fn findings(steal: &Machine, virtual_machine: bool, cores: usize) -> Vec<Finding
         ),
         (
             "/dev/shm",
-            shared_memory(),
-            "a session stores the CT volume and frames there; too little space is an error at the start",
+            shared_memory(need),
+            "a session stores the CT volume and frames there; a run that needs more than is free is refused",
             "`mount -o remount,size=4G /dev/shm`; in a container `--shm-size 4g`",
+        ),
+        (
+            "address space",
+            address_space(need),
+            "a run whose largest process needs more is refused",
+            "`ulimit -v unlimited` and `ulimit -d unlimited`",
+        ),
+        (
+            "memory",
+            memory(need),
+            "a run that needs more is refused; near the limit, the kernel may kill a part",
+            "a higher limit of the control group (in a container `--memory`), more memory, or a coarser CT",
         ),
         (
             "clock source",
@@ -174,12 +192,55 @@ fn nice() -> Answer {
     }
 }
 
-fn memory_lock() -> Answer {
+/// What a run of the built-in scene needs, of which a fit machine has at least as much.
+fn need_of_built_in() -> MemoryNeed {
+    let plan = BuiltIn::Femur.scene().map(|scene| session_plan(&scene, None, Recording::On));
+    let plan = plan.map(|plan| SessionPlan { volume_bytes: BUILT_IN_VOLUME_BYTES, ..plan });
+    plan.map_or_else(|_| MemoryNeed::default(), |plan| MemoryNeed::of(&plan))
+}
+
+/// Size of the built-in scene's CT: `trabecula phantom femur` prints its dimensions.
+const BUILT_IN_VOLUME_BYTES: usize = 2 * 240 * 200 * 320;
+
+/// Compares what a limit leaves with what is needed; `None` if there is no limit.
+fn compared(left: Option<u64>, needed: u64, what: &str) -> Answer {
+    let mebibytes = |bytes: u64| bytes / (1 << 20);
+    let needs = format!("the built-in scene needs {} MiB", mebibytes(needed) + 1);
+    match left {
+        None => (Grade::Good, format!("{what}no limit; {needs}")),
+        Some(left) => {
+            let grade = if left < needed { Grade::Missing } else { Grade::Good };
+            (grade, format!("{what}{} MiB; {needs}", mebibytes(left)))
+        }
+    }
+}
+
+fn address_space(need: MemoryNeed) -> Answer {
+    let limit = |resource| getrlimit(resource).current;
+    let (all, data) = (limit(Resource::As), limit(Resource::Data));
+    match data.filter(|data| *data < need.data && all.is_none_or(|all| all >= need.address_space)) {
+        Some(data) => compared(Some(data), need.data, "data (`ulimit -d`) "),
+        None => compared(all, need.address_space, "`ulimit -v` "),
+    }
+}
+
+fn memory(need: MemoryNeed) -> Answer {
+    let least = left_of_groups().into_iter().chain(left_of_machine()).min_by_key(|(_, left)| *left);
+    match least {
+        Some((MemoryPlace::Group(file), left)) => {
+            compared(Some(left), need.total, &format!("the control group ({}) leaves ", file.display()))
+        }
+        least => compared(least.map(|(_, left)| left), need.total, "available with swap: "),
+    }
+}
+
+fn memory_lock(need: MemoryNeed) -> Answer {
     // The parts lock their own memory; this only tests it.
     let outcome = rustix::mm::mlockall(MlockAllFlags::CURRENT);
     let _ = rustix::mm::munlockall();
-    let limit = rustix::process::getrlimit(rustix::process::Resource::Memlock).current;
+    let limit = getrlimit(Resource::Memlock).current;
     let limit = limit.map_or("no limit".to_owned(), |bytes| format!("limit {} KiB", bytes / 1024));
+    let limit = format!("{limit}; the physics of the built-in scene locks {} MiB", need.locked >> 20);
     match outcome {
         Ok(()) => (Grade::Good, format!("permitted, {limit}")),
         Err(cause) => (Grade::Missing, format!("not permitted ({cause}), {limit}")),
@@ -198,9 +259,9 @@ fn affinity(cores: usize) -> Answer {
 }
 
 fn quota() -> Answer {
-    match cpu_group() {
-        Some((folder, first)) => {
-            let version = if first { 1 } else { 2 };
+    match control_group("cpu") {
+        Some(ControlGroup { folder, is_first_version, .. }) => {
+            let version = if is_first_version { 1 } else { 2 };
             let probe = folder.join(format!("trabecula-doctor-{}", std::process::id()));
             let made = std::fs::create_dir(&probe);
             let _ = std::fs::remove_dir(&probe);
@@ -225,14 +286,15 @@ fn huge_pages() -> Answer {
     (grade, format!("transparent: {chosen}: {granted}; {total} reserved, which the hub does not use"))
 }
 
-fn shared_memory() -> Answer {
+fn shared_memory(need: MemoryNeed) -> Answer {
     let Ok(info) = rustix::fs::statvfs("/dev/shm") else {
         return (Grade::Missing, "does not exist".to_owned());
     };
-    let mebibytes = |blocks: u64| blocks * info.f_frsize / (1 << 20);
-    let free = mebibytes(info.f_bavail);
-    let grade = if free >= 512 { Grade::Good } else { Grade::Limited };
-    (grade, format!("{} MiB, {free} MiB of it free", mebibytes(info.f_blocks)))
+    let size = info.f_blocks * info.f_frsize / (1 << 20);
+    let (grade, found) = compared(free_shared_bytes(), need.shared, &format!("{size} MiB, free "));
+    // Room for a larger CT than the built-in one.
+    let is_small = free_shared_bytes().is_some_and(|free| free < 512 << 20);
+    (if grade == Grade::Good && is_small { Grade::Limited } else { grade }, found)
 }
 
 fn clock_source() -> Answer {

@@ -3,6 +3,7 @@
 
 mod confine;
 mod facts;
+pub mod memory;
 mod watch;
 
 pub use confine::{Confinement, allowed};

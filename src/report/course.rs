@@ -16,12 +16,12 @@ pub struct Plane {
 }
 
 impl Plane {
-    /// The plane through the first state's tip, spanned by its base's +x (toward tendon 0) and +z
+    /// The plane through the first state's burr centre, spanned by its base's +x (toward tendon 0) and +z
     /// (insertion).
     pub fn of(state: &State) -> Plane {
         let q = state.t_world_base.orientation_xyzw;
         let (bend_axis, insertion_axis) = (rotate(q, [1.0, 0.0, 0.0]), rotate(q, [0.0, 0.0, 1.0]));
-        Plane { origin_m: state.t_world_tip.position_m, bend_axis, insertion_axis }
+        Plane { origin_m: state.t_world_burr.position_m, bend_axis, insertion_axis }
     }
 
     /// Coordinates of a world point along the bend and insertion axes, mm.
@@ -108,13 +108,13 @@ pub struct Course {
 }
 
 impl Course {
-    /// Creates an empty course for a scene.
-    pub fn of(scene: &Scene) -> Course {
+    /// Creates an empty course for a scene, with the voxel spacing of its volume.
+    pub fn of(scene: &Scene, spacing_m: Option<[f64; 3]>) -> Course {
         let target_mm = scene.controller.iter().find_map(|c| c.curved_drilling.as_ref()?.target_mm);
         Course {
             stop_rad: manipulator_parameters(scene).ok().map(|tool| tool.joint_limit_rad),
             target_m: target_mm.map(|target_mm| scene.in_bone_mm(target_mm).map(|x| x * 1e-3)),
-            voxel_volume_mm3: voxel_volume_mm3(scene),
+            voxel_volume_mm3: spacing_m.map(|edges_m| edges_m.iter().map(|edge_m| 1e3 * edge_m).product()),
             ..Course::default()
         }
     }
@@ -173,13 +173,6 @@ fn put(kept: &mut Option<Box<State>>, state: &State) {
     }
 }
 
-/// Returns the volume of a voxel if the scene specifies it, as for phantoms and for files resampled to cubes.
-fn voxel_volume_mm3(scene: &Scene) -> Option<f64> {
-    let volume = scene.volume.as_ref()?;
-    let edge_mm = volume.phantom.map(|_| volume.spacing_mm).or(volume.resample_mm)?;
-    Some(edge_mm * edge_mm * edge_mm)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -190,7 +183,7 @@ mod tests {
         let h = std::f64::consts::FRAC_1_SQRT_2;
         let mut state = State::zeroed();
         state.t_world_base.orientation_xyzw = [h, 0.0, h, 0.0];
-        state.t_world_tip.position_m = [0.1, 0.2, 0.3];
+        state.t_world_burr.position_m = [0.1, 0.2, 0.3];
         let [bend_mm, insertion_mm] = Plane::of(&state).project_mm([0.105, 9.0, 0.301]);
         assert!(
             (bend_mm - 1.0).abs() < 1e-9 && (insertion_mm - 5.0).abs() < 1e-9,

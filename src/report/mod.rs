@@ -6,7 +6,7 @@
 //! | file | contents |
 //! |---|---|
 //! | `drr_before.png`, `drr_half.png`, `drr_after.png` | first, middle and last frame |
-//! | `tip_path.png`, `.svg` | tip path with the manipulator's shape; tension, bend and burr force over time |
+//! | `tip_path.png`, `.svg` | path of the burr's centre with the manipulator's shape; tension, bend and burr force over time |
 //! | `timing.png`, `.svg` | step time over the run; distributions of step, lateness and round trip |
 //! | `summary.json` | [`Summary`] |
 //! | `report.html` | all of the above on one page, with warnings, scene and replay command |
@@ -77,6 +77,8 @@ pub struct RunFacts {
     pub peak_memory_bytes: BTreeMap<String, u64>,
     /// Processor time of each process, from its start, by its name, s.
     pub processor_s: BTreeMap<String, f64>,
+    /// Distance between the volume's voxels along i, j, k; `None` without a volume.
+    pub volume_spacing_m: Option<[f64; 3]>,
     /// Command line that replays the run.
     pub replay_command: String,
 }
@@ -122,7 +124,8 @@ pub fn write(folder: &Path, facts: &RunFacts) -> Result<Report, ReportError> {
     let paths = [folder.join("run.mcap"), folder.join("timing.mcap")];
     // Read the timing lane first: it gives the length of the run, which determines the middle frame.
     let timing = TimingLane::read(&paths[1])?;
-    let run = RunLane::read(&paths[0], Some(timing.end_ns).filter(|&end_ns| end_ns > 0));
+    let run =
+        RunLane::read(&paths[0], Some(timing.end_ns).filter(|&end_ns| end_ns > 0), facts.volume_spacing_m);
     let bytes = paths.map(|path| path.metadata().map_or(0, |metadata| metadata.len()));
     let frames = [("before", &run.frames.before), ("half", &run.frames.half), ("after", &run.frames.after)];
     let summary = Summary::new(&run, &timing, facts, bytes);
@@ -143,10 +146,12 @@ pub fn write(folder: &Path, facts: &RunFacts) -> Result<Report, ReportError> {
     }
     // Drawing takes most of a report's time, so each figure has its own thread.
     let (tip, over_time) = std::thread::scope(|scope| {
-        let tip = scope.spawn(|| tip_figure::draw(&run).and_then(|figure| figure.files(folder, "tip_path")));
+        let draw_tip = || tip_figure::draw(&run).and_then(|figure| figure.files(folder, "tip_path"));
+        let tip = std::thread::Builder::new().spawn_scoped(scope, draw_tip);
         let over_time =
             timing_figure::draw(&timing, run.end_ns).and_then(|figure| figure.files(folder, "timing"));
-        (tip.join(), over_time)
+        // Without a thread it is drawn here.
+        (tip.map_or_else(|_| Ok(draw_tip()), |tip| tip.join()), over_time)
     });
     let lost = || FigureError::content(&folder.join("tip_path.png"), "drawn")("its thread failed");
     for (stem, files) in [("tip_path", tip.unwrap_or_else(|_| Err(lost()))), ("timing", over_time)] {

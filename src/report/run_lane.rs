@@ -20,8 +20,8 @@ const TIME_BINS: usize = 1200;
 pub struct Curves {
     /// Bending plane of the first state.
     pub plane: Plane,
-    /// Tip position along the bend and insertion axes, mm.
-    pub tip_mm: Timeline<Option<[f64; 2]>>,
+    /// Position of the burr's centre along the bend and insertion axes, mm.
+    pub burr_mm: Timeline<Option<[f64; 2]>>,
     /// Tension of each tendon, N.
     pub tension_n: [Timeline<Extremes>; MAX_TENDONS],
     /// Bend, degrees.
@@ -35,7 +35,7 @@ impl Curves {
         let line = Timeline::new(TIME_BINS, dt_ns, Extremes::EMPTY);
         Curves {
             plane: Plane::of(first),
-            tip_mm: Timeline::new(TIME_BINS, dt_ns, None),
+            burr_mm: Timeline::new(TIME_BINS, dt_ns, None),
             tension_n: std::array::from_fn(|_| line.clone()),
             bend_deg: line.clone(),
             burr_force_n: line,
@@ -43,7 +43,7 @@ impl Curves {
     }
 
     fn add(&mut self, state: &State, time_ns: u64) {
-        *self.tip_mm.bin(time_ns) = Some(self.plane.project_mm(state.t_world_tip.position_m));
+        *self.burr_mm.bin(time_ns) = Some(self.plane.project_mm(state.t_world_burr.position_m));
         for (line, &tension_n) in self.tension_n.iter_mut().zip(&state.tendon_tension_n) {
             line.bin(time_ns).add(tension_n);
         }
@@ -110,8 +110,8 @@ const MAX_GAPS: usize = 100;
 
 impl RunLane {
     /// Reads the file once. Faults become notes. The middle frame is chosen by the simulated length of the
-    /// run, `end_ns`, or if unknown by the scene's length.
-    pub fn read(path: &Path, end_ns: Option<u64>) -> RunLane {
+    /// run, `end_ns`, or if unknown by the scene's length. `spacing_m` is that of the run's volume.
+    pub fn read(path: &Path, end_ns: Option<u64>, spacing_m: Option<[f64; 3]>) -> RunLane {
         let mut lane = RunLane::default();
         let stream = match MessageStream::open(&LogFile::at(path), ReadOptions::default()) {
             Ok(stream) => stream,
@@ -122,7 +122,7 @@ impl RunLane {
         };
         let header = stream.header().clone();
         lane.scene = Scene::parse(&header.scene_toml, Path::new("scene.toml")).ok();
-        lane.course = lane.scene.as_ref().map_or_else(Course::default, Course::of);
+        lane.course = lane.scene.as_ref().map_or_else(Course::default, |scene| Course::of(scene, spacing_m));
         let scene_end_ns = lane.scene.as_ref().map_or(0, |scene| (scene.run.duration_s * 1e9) as u64);
         let middle_ns = end_ns.unwrap_or(scene_end_ns) / 2;
         let dt_ns = header.dt_ns;

@@ -91,7 +91,7 @@ pub struct ToolSummary {
 pub struct DrillingSummary {
     /// Voxels removed since the start or the last reset.
     pub removed_voxels: u64,
-    /// Volume of the removed voxels, if the scene states the voxel size.
+    /// Volume of the removed voxels; `None` without a volume.
     pub removed_volume_mm3: Option<f64>,
     /// Energy spent on cutting since the start or the last reset.
     pub cutting_energy_j: f64,

@@ -1,4 +1,5 @@
-//! The figure of the tool's motion: tip path with the manipulator's shape, and forces over time.
+//! The figure of the tool's motion: path of the burr's centre, which the plan's target is for, with the
+//! manipulator's shape, and forces over time.
 
 use figures::{
     Axis, COLOURS, Figure, FigureError, HEAD, INK, Key, Panel, Point, RGBColor, Rect, Stroke, WIDTH, bounds,
@@ -67,8 +68,8 @@ impl PathPanel {
         };
         let centre = deepest.t_world_burr.position_m;
         let radius_mm = distance_m(centre, deepest.t_world_tip.position_m) * 1e3;
-        let middle = curves.tip_mm.iter().filter_map(|(_, tip)| *tip).map(|[x, y]| (x, y));
-        let ends = [first, last].map(|state| project(state.t_world_tip.position_m));
+        let middle = curves.burr_mm.iter().filter_map(|(_, burr)| *burr).map(|[x, y]| (x, y));
+        let ends = [first, last].map(|state| project(state.t_world_burr.position_m));
         PathPanel {
             path: std::iter::once(ends[0]).chain(middle).chain([ends[1]]).collect(),
             start: shape(plane, first),
@@ -99,7 +100,7 @@ fn shape(plane: &Plane, state: &State) -> Vec<Point> {
 }
 
 fn draw_path(figure: &mut Figure, outer: Rect, run: &RunLane) {
-    let title = "Tip path and shape in the bending plane";
+    let title = "Burr path and tool in the bending plane";
     let path_panel = match (&run.curves, &run.course.first, &run.course.last, &run.course.deepest) {
         (Some(curves), Some(first), Some(last), Some(deepest)) => {
             PathPanel::of(run, curves, first, last, deepest)
@@ -123,11 +124,15 @@ fn draw_path(figure: &mut Figure, outer: Rect, run: &RunLane) {
     for &link in path_panel.end.iter().skip(1).take(links) {
         panel.disc(link, 2.4, INK);
     }
-    panel.line(&path_panel.path, Stroke { dash: &[9.0, 3.0], ..Stroke::full(COLOURS[0], 2.0) }, "tip path");
+    panel.line(
+        &path_panel.path,
+        Stroke { dash: &[9.0, 3.0], ..Stroke::full(COLOURS[0], 2.0) },
+        "path of the burr's centre",
+    );
     if let Some(target) = path_panel.target {
         let stroke = Stroke::full(COLOURS[1], 2.2);
         panel.mark(target, Key::Cross(stroke));
-        panel.key(Key::Cross(stroke), "target of the burr centre");
+        panel.key(Key::Cross(stroke), "target of the burr's centre");
     }
     panel.finish();
 }
@@ -143,8 +148,8 @@ fn equal_axes(points: &[Point], area: Rect) -> (Axis, Axis) {
         (middle - half, middle + half)
     };
     let (x, y) = (around(x, area.width), around(y, area.height));
-    let x = Axis::linear("bend direction, from the tip's start (mm)", x.0, x.1, 6);
-    (x, Axis::linear("insertion, from the tip's start (mm)", y.0, y.1, 10))
+    let x = Axis::linear("bend direction, from the burr's start (mm)", x.0, x.1, 6);
+    (x, Axis::linear("insertion, from the burr's start (mm)", y.0, y.1, 10))
 }
 
 fn draw_over_time(

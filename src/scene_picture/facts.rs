@@ -8,13 +8,12 @@ use simulation::{CtView, Verdict, findings};
 use voxel_grid::Volume;
 
 use super::metres;
+use super::scale::Scale;
 use super::shape::{Shapes, length};
 use super::surroundings::Surroundings;
 use crate::failure::Failure;
 use crate::feasibility::is_program;
 
-/// Distance between Hounsfield samples, mm.
-const STEP_MM: f64 = 0.25;
 /// How far in front of a path that begins in bone its entry is searched, mm.
 const BEFORE_MM: f64 = 100.0;
 /// Maximum feed of the arm that is checked, and the step, mm.
@@ -36,7 +35,9 @@ pub struct Sample {
 pub struct Facts {
     /// Hounsfield units along the path.
     pub profile: Vec<Sample>,
-    /// Where the path enters bone.
+    /// Lengths that follow from the volume.
+    pub scale: Scale,
+    /// Where the path enters bone; on its straight extension if it begins inside bone.
     pub entry: Option<Sample>,
     pub start: Sample,
     /// The end of the path.
@@ -63,7 +64,8 @@ impl Facts {
     ) -> Result<Facts, Failure> {
         let threshold_hu = scene.volume.as_ref().map_or(0, |volume| volume.bone_threshold_hu);
         let is_bone = |sample: &Sample| sample.hu.is_some_and(|hu| hu >= f64::from(threshold_hu));
-        let profile = profile(volume, shapes, is_bone);
+        let scale = Scale::of(&volume.grid);
+        let profile = profile(volume, shapes, scale.step_mm, is_bone);
         let nearest = |point: &Vector3<f64>| {
             let by = |sample: &&Sample| (sample.place_mm - point).norm_squared();
             let found = profile.iter().min_by(|a, b| by(a).total_cmp(&by(b)));
@@ -75,10 +77,11 @@ impl Facts {
         let found = findings(scene, Some(CtView::from(volume)), &is_program).map_err(Failure::bad_input)?;
         let word = |verdict| if verdict == Verdict::Impossible { "error" } else { "warning" };
         Ok(Facts {
+            scale,
             entry,
             start,
             target,
-            in_bone_mm: in_bone as f64 * STEP_MM,
+            in_bone_mm: in_bone as f64 * scale.step_mm,
             depth_mm: surroundings.depth_mm(&shapes.target_mm()),
             ahead_mm: surroundings.ahead_mm(&shapes.target_mm(), &shapes.last_direction()),
             feed_mm: feed_mm(scene, shapes),
@@ -97,6 +100,19 @@ impl Facts {
         let least = values.iter().copied().fold(f64::INFINITY, f64::min);
         let most = values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
         (!values.is_empty()).then(|| [least, sum / values.len() as f64, most])
+    }
+
+    /// Says where the entry is, if it is not where the path begins.
+    pub fn entry_note(&self) -> Option<String> {
+        let (along_mm, decimals) = (self.entry?.along_mm, self.scale.decimals());
+        if along_mm < 0.0 {
+            let inside_mm = -along_mm;
+            return Some(format!(
+                "on the straight extension of the path, which begins {inside_mm:.decimals$} mm inside bone"
+            ));
+        }
+        let is_elsewhere = along_mm > self.scale.step_mm;
+        is_elsewhere.then(|| format!("{along_mm:.decimals$} mm after the first point of the path"))
     }
 
     /// Returns the measurements as JSON.
@@ -123,7 +139,7 @@ impl Facts {
 }
 
 /// Samples Hounsfield units along the path; if the path begins in bone, starts where that bone begins.
-fn profile(volume: &Volume, shapes: &Shapes, is_bone: impl Fn(&Sample) -> bool) -> Vec<Sample> {
+fn profile(volume: &Volume, shapes: &Shapes, step_mm: f64, is_bone: impl Fn(&Sample) -> bool) -> Vec<Sample> {
     let sample = |along_mm: f64, place_mm: Vector3<f64>| Sample {
         along_mm,
         place_mm,
@@ -134,7 +150,7 @@ fn profile(volume: &Volume, shapes: &Shapes, is_bone: impl Fn(&Sample) -> bool) 
     let mut far_mm = 0.0;
     let mut last = sample(0.0, begin);
     while is_bone(&last) && far_mm < BEFORE_MM {
-        far_mm += STEP_MM;
+        far_mm += step_mm;
         last = sample(-far_mm, begin - shapes.along * far_mm);
         before.push(last);
     }
@@ -144,7 +160,7 @@ fn profile(volume: &Volume, shapes: &Shapes, is_bone: impl Fn(&Sample) -> bool) 
     for piece in shapes.path_mm.windows(2) {
         let way = piece[1] - piece[0];
         let piece_mm = way.norm();
-        let count = (piece_mm / STEP_MM).round().max(1.0);
+        let count = (piece_mm / step_mm).round().max(1.0);
         before.extend((1..=count as usize).map(|step| {
             let share = step as f64 / count;
             sample(passed_mm + share * piece_mm, piece[0] + way * share)

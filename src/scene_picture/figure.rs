@@ -2,7 +2,7 @@
 
 use figures::{
     Anchor, Axis, BLACK, COLOURS, Figure, FigureError, INK, Panel, Point, RGBColor, Rect, Shape, Stroke,
-    TextSize, WHITE, WIDTH, clip, text_width,
+    TextSize, WHITE, WIDTH, bounds, clip, text_width,
 };
 use ipc_types::scene::Scene;
 use nalgebra::Vector3;
@@ -10,26 +10,33 @@ use voxel_grid::Volume;
 use voxel_grid::slice::ANATOMICAL;
 
 use super::facts::{Facts, Sample};
+use super::scale::Scale;
 use super::shape::{Shapes, length};
 use super::slice::{END, HOLE, Plane, START};
 
 const MARGIN: f64 = 10.0;
 const GAP: f64 = 8.0;
 const TEXT: TextSize = TextSize::Label;
-const LINE: f64 = 20.0;
+const LINE: f64 = 18.0;
 /// Height of the title above a slice.
 const STRIP: f64 = 24.0;
+/// Height of the title and of the legend.
+const HEAD: f64 = 68.0;
 /// Pixels of a slice per figure unit, as in the file.
 const PIXELS: f64 = 2.0;
-/// Minimum and maximum half width of the slices, mm.
-const HALF_MM: [f64; 2] = [25.0, 70.0];
-/// Margin around the path, mm.
-const AROUND_MM: f64 = 14.0;
-/// Parts of the path within this distance of a plane are drawn solid, the rest dashed, mm.
-const NEAR_MM: f64 = 1.5;
-const ALONG_HEIGHT: f64 = 300.0;
-const PROFILE_HEIGHT: f64 = 230.0;
+/// Height of a slice.
+const SLICE_HEIGHT: f64 = 210.0;
+/// Maximum half height of a slice, mm.
+const MOST_HALF_MM: f64 = 150.0;
+/// Points closer than this share their letters.
+const TOGETHER: f64 = 18.0;
+/// Width of a letter at the frame of the profile.
+const TAG: f64 = 13.0;
+/// Height of the lower row, and width of its left picture.
+const ALONG_HEIGHT: f64 = 240.0;
+const ALONG_WIDTH: f64 = 500.0;
 const PATH: RGBColor = RGBColor(204, 121, 167);
+const START_NAME: &str = "Burr start";
 
 /// Contents of a picture.
 pub struct PictureInput<'a> {
@@ -39,30 +46,22 @@ pub struct PictureInput<'a> {
     pub facts: &'a Facts,
 }
 
-/// Draws the picture.
+/// Draws the picture: anatomical slices through the entry and the target, the plane of feed and bend, the
+/// Hounsfield units along the path, and the measurements.
 pub fn draw(of: &PictureInput<'_>) -> Result<Figure, FigureError> {
-    let lines = words(of);
-    let places = places(of.facts);
-    let side = (WIDTH - 2.0 * MARGIN - 2.0 * GAP) / 3.0;
-    let head = 44.0;
-    let legend = LINE + 8.0;
-    let rows = (side + STRIP) * places.len() as f64;
-    let height =
-        head + legend + rows + STRIP + ALONG_HEIGHT + PROFILE_HEIGHT + LINE * (lines.len() as f64 + 1.0);
-    let mut figure = Figure::new(height)?;
-    figure.text(
-        (MARGIN, 22.0),
-        &format!("{}: the plan in its CT", of.scene.name),
-        TextSize::Title,
-        INK,
-        Anchor::Left,
-    );
-    draw_legend(&mut figure, head + 4.0, of.shapes.is_planned);
-    let half_mm = half_mm(of.shapes);
-    let mut top = head + legend;
-    for (name, sample) in &places {
+    let (lines, places) = (words(of), places(of.facts));
+    let in_rows: Vec<&(&str, Sample)> = places.iter().filter(|(name, _)| *name != START_NAME).collect();
+    let width = (WIDTH - 2.0 * MARGIN - 2.0 * GAP) / 3.0;
+    let rows = in_rows.len() as f64 * (STRIP + SLICE_HEIGHT);
+    let mut figure = Figure::new(HEAD + rows + STRIP + ALONG_HEIGHT + LINE * (lines.len() as f64 + 1.0))?;
+    let title = format!("{}: the plan in its CT", of.scene.name);
+    figure.text((MARGIN, 22.0), &title, TextSize::Title, INK, Anchor::Left);
+    draw_legend(&mut figure, 48.0, of.shapes.is_planned);
+    let half_mm = half_mm(of) * width / SLICE_HEIGHT;
+    let mut top = HEAD;
+    for (name, sample) in in_rows {
         for (column, view) in ANATOMICAL.iter().enumerate() {
-            let x = MARGIN + column as f64 * (side + GAP);
+            let x = MARGIN + column as f64 * (width + GAP);
             let title = format!("{name}, {}", view.name);
             figure.text((x, top + 0.5 * STRIP), &title, TEXT, INK, Anchor::Left);
             let plane = Plane {
@@ -71,53 +70,58 @@ pub fn draw(of: &PictureInput<'_>) -> Result<Figure, FigureError> {
                 down: Vector3::from(view.down),
                 half_mm: [half_mm; 2],
             };
-            let area = Rect { x, y: top + STRIP, width: side, height: side - 4.0 };
-            let slice = Slice { of, plane, area };
-            slice.draw(&mut figure, &places, Some(&view.letters));
+            let area = Rect { x, y: top + STRIP, width, height: SLICE_HEIGHT - 4.0 };
+            Slice { of, plane, area }.draw(&mut figure, &places, Some(&view.letters));
         }
-        top += side + STRIP;
+        top += STRIP + SLICE_HEIGHT;
     }
     let title = "along the path: feed to the right, bend upward";
     figure.text((MARGIN, top + 0.5 * STRIP), title, TEXT, INK, Anchor::Left);
-    let area = Rect { x: MARGIN, y: top + STRIP, width: WIDTH - 2.0 * MARGIN, height: ALONG_HEIGHT - 8.0 };
-    Slice { of, plane: along_plane(of.shapes, &area), area }.draw(&mut figure, &places, None);
+    let area = Rect { x: MARGIN, y: top + STRIP, width: ALONG_WIDTH, height: ALONG_HEIGHT - 8.0 };
+    Slice { of, plane: along_plane(of, &area), area }.draw(&mut figure, &places, None);
+    let (x, height) = (MARGIN + ALONG_WIDTH + GAP, STRIP + ALONG_HEIGHT);
+    draw_profile(&mut figure, Rect { x, y: top, width: WIDTH - x, height }, of, &places);
     top += STRIP + ALONG_HEIGHT;
-    draw_profile(&mut figure, Rect { x: 0.0, y: top, width: WIDTH, height: PROFILE_HEIGHT }, of, &places);
-    top += PROFILE_HEIGHT;
     for (row, line) in lines.iter().enumerate() {
         figure.text((MARGIN, top + LINE * (row as f64 + 0.5)), line, TEXT, INK, Anchor::Left);
     }
     Ok(figure)
 }
 
-/// Returns the named points through which slices are taken.
+/// Returns the named points; the burr's start is marked, but has no slices of its own.
 fn places(facts: &Facts) -> Vec<(&'static str, Sample)> {
     let entry = facts.entry.map(|entry| ("Entry", entry));
-    let end = ("Target", facts.target);
-    entry.into_iter().chain([("Burr start", facts.start), end]).collect()
+    entry.into_iter().chain([(START_NAME, facts.start), ("Target", facts.target)]).collect()
 }
 
-/// Returns the half width that contains the path, within the bounds.
-fn half_mm(shapes: &Shapes) -> f64 {
-    let middle = 0.5 * (shapes.path_mm.first().copied().unwrap_or(shapes.start_mm) + shapes.target_mm());
-    let far = |point: &Vector3<f64>| (point - middle).amax();
-    let most = shapes.path_mm.iter().map(far).fold(0.0, f64::max);
-    (most + AROUND_MM).clamp(HALF_MM[0], HALF_MM[1])
+/// Returns the points of the path to show: those in the volume, or all if none is.
+fn shown_mm(of: &PictureInput<'_>) -> Vec<Vector3<f64>> {
+    let inside = of.facts.profile.iter().filter(|sample| sample.hu.is_some());
+    let points: Vec<Vector3<f64>> = inside.map(|sample| sample.place_mm).collect();
+    if points.is_empty() { of.shapes.path_mm.clone() } else { points }
+}
+
+/// Returns the half height that contains the path, within the bounds.
+fn half_mm(of: &PictureInput<'_>) -> f64 {
+    let (points, scale) = (shown_mm(of), &of.facts.scale);
+    let extent = |axis: usize| bounds(points.iter().map(|point| point[axis])).map_or(0.0, |(a, b)| b - a);
+    let most_mm = 0.5 * (0..3).map(extent).fold(0.0, f64::max);
+    (most_mm + scale.margin_mm).clamp(scale.least_half_mm, MOST_HALF_MM)
 }
 
 /// Returns the plane of feed and bend around the path and the bending part of the tool.
-fn along_plane(shapes: &Shapes, area: &Rect) -> Plane {
+fn along_plane(of: &PictureInput<'_>, area: &Rect) -> Plane {
+    let (shapes, scale) = (of.shapes, &of.facts.scale);
     let side = shapes.along.cross(&shapes.toward);
     let from_start = |point: &Vector3<f64>| {
         let away = point - shapes.start_mm;
         [away.dot(&shapes.along), away.dot(&shapes.toward)]
     };
-    let mut points: Vec<[f64; 2]> = shapes.path_mm.iter().map(from_start).collect();
-    points.push([-AROUND_MM, 0.0]);
+    let mut points: Vec<[f64; 2]> = shown_mm(of).iter().map(from_start).collect();
+    points.push([-scale.margin_mm, 0.0]);
     let range = |axis: usize| {
-        let values = points.iter().map(|point| point[axis]);
-        let (low, high) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), v| (a.min(v), b.max(v)));
-        [low - AROUND_MM, high + AROUND_MM]
+        let (low, high) = bounds(points.iter().map(|point| point[axis])).unwrap_or_default();
+        [low - scale.margin_mm, high + scale.margin_mm]
     };
     let (ahead, beside) = (range(0), range(1));
     let half = |[low, high]: [f64; 2]| 0.5 * (high - low);
@@ -156,9 +160,7 @@ impl Slice<'_> {
         let rgb = plane.pixels(self.of.volume, self.of.shapes, columns, rows);
         figure.add(Shape::Picture { corner: (x, y), width, height, columns, rows, rgb });
         self.draw_path(figure);
-        for (name, sample) in places {
-            self.draw_mark(figure, name, &sample.place_mm);
-        }
+        self.draw_marks(figure, places);
         if let Some([left, right, upper, lower]) = letters {
             let (middle_x, middle_y) = (x + 0.5 * width, y + 0.5 * height);
             chip(figure, (x + 10.0, middle_y), left);
@@ -167,6 +169,11 @@ impl Slice<'_> {
             chip(figure, (middle_x, y + height - 11.0), lower);
         }
         self.draw_scale_bar(figure);
+    }
+
+    /// Returns the distance from the plane within which points are in the picture, mm.
+    fn near_mm(&self) -> f64 {
+        Scale::near_mm(self.plane.half_mm[0].min(self.plane.half_mm[1]))
     }
 
     /// Returns figure units per millimetre.
@@ -186,7 +193,7 @@ impl Slice<'_> {
             self.of.shapes.path_mm.iter().map(|point| self.place(point)).collect();
         let mut from = 0;
         while from + 1 < placed.len() {
-            let is_near = |index: usize| placed[index].1.abs() <= NEAR_MM;
+            let is_near = |index: usize| placed[index].1.abs() <= self.near_mm();
             let kind = is_near(from + 1);
             let mut to = from + 1;
             while to + 1 < placed.len() && is_near(to + 1) == kind {
@@ -202,34 +209,47 @@ impl Slice<'_> {
         }
     }
 
-    /// Draws a cross with a letter if the point is in the picture.
-    fn draw_mark(&self, figure: &mut Figure, name: &str, place_mm: &Vector3<f64>) {
+    /// Returns where a point is in the picture, if it is.
+    fn visible(&self, place_mm: &Vector3<f64>) -> Option<Point> {
         let ((x, y), before) = self.place(place_mm);
         let Rect { x: left, y: top, width, height } = self.area;
-        if before.abs() > NEAR_MM
-            || x < left + 8.0
-            || x > left + width - 22.0
-            || y < top + 22.0
-            || y > top + height - 8.0
-        {
-            return;
+        let is_across = x >= left + 8.0 && x <= left + width - 22.0;
+        let is_down = y >= top + 22.0 && y <= top + height - 8.0;
+        (before.abs() <= self.near_mm() && is_across && is_down).then_some((x, y))
+    }
+
+    /// Draws a cross for each point in the picture; points that lie together share their letters.
+    fn draw_marks(&self, figure: &mut Figure, places: &[(&str, Sample)]) {
+        let mut letters: Vec<(Point, String)> = Vec::new();
+        for (name, sample) in places {
+            let Some((x, y)) = self.visible(&sample.place_mm) else { continue };
+            for (colour, size) in [(BLACK, 4.0), (WHITE, 2.0)] {
+                let stroke = Stroke::full(colour, size);
+                figure.line([(x - 6.0, y), (x + 6.0, y)], stroke);
+                figure.line([(x, y - 6.0), (x, y + 6.0)], stroke);
+            }
+            let is_near = |((a, b), _): &&mut (Point, String)| (x - *a).hypot(y - *b) < TOGETHER;
+            match letters.iter_mut().find(is_near) {
+                Some((_, text)) => *text = format!("{text} {}", letter(name)),
+                None => letters.push(((x, y), letter(name).to_owned())),
+            }
         }
-        for (colour, size) in [(BLACK, 4.0), (WHITE, 2.0)] {
-            let stroke = Stroke::full(colour, size);
-            figure.line([(x - 6.0, y), (x + 6.0, y)], stroke);
-            figure.line([(x, y - 6.0), (x, y + 6.0)], stroke);
+        for ((x, y), text) in letters {
+            chip(figure, (x + 10.0 + 0.5 * text_width(&text, TEXT), y - 13.0), &text);
         }
-        chip(figure, (x + 13.0, y - 13.0), letter(name));
     }
 
     fn draw_scale_bar(&self, figure: &mut Figure) {
-        let length = 10.0 * self.scale();
+        let bar_mm = Scale::bar_mm(self.plane.half_mm[0]);
+        let length = bar_mm * self.scale();
         let Rect { x, y, width, height } = self.area;
         let (right, foot) = (x + width - 8.0, y + height - 8.0);
         for (colour, size) in [(BLACK, 5.0), (WHITE, 3.0)] {
             figure.line([(right - length, foot), (right, foot)], Stroke::full(colour, size));
         }
-        chip(figure, (right - 0.5 * length, foot - 14.0), "10 mm");
+        let text = format!("{bar_mm} mm");
+        let half = 0.5 * length.max(text_width(&text, TEXT) + 6.0);
+        chip(figure, (right - half, foot - 14.0), &text);
     }
 }
 
@@ -277,14 +297,23 @@ fn draw_profile(figure: &mut Figure, outer: Rect, of: &PictureInput<'_>, places:
         profile.iter().filter_map(|sample| Some((sample.along_mm, sample.hu?))).collect();
     let low = values.first().map_or(0.0, |first| first.0);
     let high = values.last().map_or(1.0, |last| last.0);
-    let x = Axis::linear("distance along the path (mm)", low, high, 8);
-    let y = Axis::around("HU", values.iter().map(|value| value.1), 5);
-    let mut panel = Panel::new(figure, outer, "Hounsfield units of the CT along the path", x, y);
+    // Room for the letter of the target.
+    let x = Axis::linear("distance along the path (mm)", low, high + 0.06 * (high - low), 5);
+    // Room for the letters above the curve.
+    let top = bounds(values.iter().map(|value| value.1)).map(|(low, high)| high + 0.12 * (high - low));
+    let y = Axis::around("HU", values.iter().map(|value| value.1).chain(top), 5);
+    let mut panel = Panel::new(figure, outer, "HU along the path", x, y);
     let threshold_hu = of.scene.volume.as_ref().map_or(0, |volume| volume.bone_threshold_hu);
-    for (name, sample) in places {
+    let mut marks: Vec<(f64, &str)> =
+        places.iter().map(|(name, sample)| (sample.along_mm, letter(name))).collect();
+    marks.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let mut free_mm = f64::NEG_INFINITY;
+    for (along_mm, letter) in marks {
         let stroke = Stroke { colour: INK, width: 1.2, dash: &[2.0, 3.0] };
-        panel.upright(sample.along_mm, stroke);
-        panel.tag(sample.along_mm, letter(name));
+        panel.upright(along_mm, stroke);
+        let tag_mm = along_mm.max(free_mm);
+        panel.tag(tag_mm, letter);
+        free_mm = tag_mm + TAG / panel.scale();
     }
     let limit = f64::from(threshold_hu);
     let stroke = Stroke { colour: COLOURS[1], width: 1.6, dash: &[7.0, 3.0] };
@@ -296,14 +325,18 @@ fn draw_profile(figure: &mut Figure, outer: Rect, of: &PictureInput<'_>, places:
 /// Formats the measurements in lines that fit the picture.
 fn words(of: &PictureInput<'_>) -> Vec<String> {
     let (shapes, facts) = (of.shapes, of.facts);
+    let decimals = facts.scale.decimals();
     let place = |sample: &Sample| {
         let [x, y, z] = [sample.place_mm.x, sample.place_mm.y, sample.place_mm.z];
         let hu = sample.hu.map_or("outside the CT".to_owned(), |hu| format!("{hu:.0} HU"));
-        format!("({x:.1}, {y:.1}, {z:.1}) mm, {hu}")
+        format!("({x:.decimals$}, {y:.decimals$}, {z:.decimals$}) mm, {hu}")
     };
     let mut lines = vec!["Points are in the patient frame (LPS: +x left, +y posterior, +z head).".to_owned()];
     match &facts.entry {
-        Some(entry) => lines.push(format!("E  entry: {}", place(entry))),
+        Some(entry) => {
+            let note = facts.entry_note().map_or(String::new(), |note| format!("; {note}"));
+            lines.push(format!("E  entry into bone: {}{note}", place(entry)));
+        }
         None => lines.push("The path meets no bone.".to_owned()),
     }
     lines.push(format!("S  burr at the start: {}", place(&facts.start)));
@@ -313,7 +346,7 @@ fn words(of: &PictureInput<'_>) -> Vec<String> {
         place(&facts.target)
     ));
     lines.push(format!(
-        "Path {:.1} mm, of which {:.1} mm drilled by the tool; {:.1} mm in bone.",
+        "Path {:.decimals$} mm, of which {:.decimals$} mm drilled by the tool; {:.decimals$} mm in bone.",
         length(&shapes.path_mm),
         shapes.insertion_mm,
         facts.in_bone_mm
@@ -322,13 +355,14 @@ fn words(of: &PictureInput<'_>) -> Vec<String> {
         lines.push(format!("From entry to target: {least:.0} to {most:.0} HU, mean {mean:.0} HU."));
     }
     lines.push(format!(
-        "Bone around the target: {:.1} mm to the nearest surface, {:.1} mm straight ahead.",
+        "Bone around the target: {:.decimals$} mm to the nearest surface, {:.decimals$} mm straight ahead.",
         facts.depth_mm, facts.ahead_mm
     ));
+    let needed = shapes.insertion_mm;
     let wanted = if facts.feed_mm >= shapes.insertion_mm { "enough" } else { "TOO SHORT" };
     lines.push(format!(
-        "The arm can feed at least {:.0} mm from the start; the path needs {:.1} mm: {wanted}.",
-        facts.feed_mm, shapes.insertion_mm
+        "The arm can feed at least {:.0} mm from the start; the path needs {needed:.decimals$} mm: {wanted}.",
+        facts.feed_mm
     ));
     match facts.findings.is_empty() {
         true => lines.push("`scene check`: no warnings.".to_owned()),

@@ -9,8 +9,10 @@ use crate::failure::Failure;
 
 /// Length of the line ahead that is used if no controller drills, mm.
 const AHEAD_MM: f64 = 30.0;
-/// Distance between points of a tool's centre line, mm.
-const STEP_MM: f64 = 1.0;
+/// Distance between points of a tool's centre line, in its radii.
+const STEP_RADII: f64 = 1.0 / 3.0;
+/// Its lower bound, as a share of the tool's length.
+const STEP_SHARE: f64 = 1.0 / 300.0;
 
 /// A capsule: all points within a radius of a polyline.
 #[derive(Debug, Clone, PartialEq)]
@@ -144,6 +146,7 @@ impl Shapes {
         let ahead = path_behind(&path_mm, &start_mm);
         let insertion_mm = length(&ahead);
         let base_mm = start_mm - along * tool_mm;
+        let step_mm = (1e3 * tool.tube_radii_m[0] * STEP_RADII).max(tool_mm * STEP_SHARE);
         let shape = |line_mm: Vec<Vector3<f64>>| ToolShape::of(&tool, line_mm, (&base_mm, &along));
         // From the base of the tool at the start through the burr, then along the path.
         let mut way = vec![base_mm];
@@ -155,7 +158,7 @@ impl Shapes {
             along,
             toward,
             at_start: shape(vec![base_mm, start_mm]),
-            at_end: shape(last_of(&way, tool_mm)),
+            at_end: shape(last_of(&way, tool_mm, step_mm)),
             path_mm,
             insertion_mm,
             tool_mm,
@@ -192,8 +195,8 @@ pub fn length(line: &[Vector3<f64>]) -> f64 {
     line.windows(2).map(|piece| (piece[1] - piece[0]).norm()).sum()
 }
 
-/// Returns the last part of a polyline with this length, resampled every [`STEP_MM`].
-fn last_of(line: &[Vector3<f64>], wanted_mm: f64) -> Vec<Vector3<f64>> {
+/// Returns the last part of a polyline with this length, resampled at this step.
+fn last_of(line: &[Vector3<f64>], wanted_mm: f64, step_mm: f64) -> Vec<Vector3<f64>> {
     let mut points: Vec<Vector3<f64>> = Vec::new();
     let (mut left_mm, mut due_mm) = (wanted_mm, 0.0);
     for piece in line.windows(2).rev() {
@@ -202,7 +205,7 @@ fn last_of(line: &[Vector3<f64>], wanted_mm: f64) -> Vec<Vector3<f64>> {
         let mut at_mm = due_mm;
         while at_mm <= piece_mm.min(left_mm) {
             points.push(to + way * (at_mm / piece_mm.max(f64::MIN_POSITIVE)));
-            at_mm += STEP_MM;
+            at_mm += step_mm;
         }
         due_mm = at_mm - piece_mm;
         if left_mm <= piece_mm {
@@ -222,12 +225,12 @@ mod tests {
     #[test]
     fn the_last_part_of_a_line_has_its_length_round_every_corner() {
         let line = [[0.0, 0.0, 0.0], [10.3, 0.0, 0.0], [10.3, 5.2, 0.0]].map(Vector3::from);
-        let part = last_of(&line, 8.0);
+        let part = last_of(&line, 8.0, 1.0);
         assert!((part.last().unwrap() - line[2]).norm() < 1e-12);
         assert!((part[0] - Vector3::new(7.5, 0.0, 0.0)).norm() < 1e-9, "{}", part[0]);
         // A corner is cut by less than a step.
-        assert!((length(&part) - 8.0).abs() < STEP_MM, "{}", length(&part));
-        assert!(last_of(&line, 100.0).len() > 15, "a line that is too short is taken whole");
+        assert!((length(&part) - 8.0).abs() < 1.0, "{}", length(&part));
+        assert!(last_of(&line, 100.0, 1.0).len() > 15, "a line that is too short is taken whole");
     }
 
     #[test]

@@ -4,11 +4,10 @@ use nalgebra::Vector3;
 use voxel_grid::Volume;
 
 use super::metres;
+use super::scale::Scale;
 
 /// Maximum number of cells of the map; a larger volume is mapped with every second or third voxel.
 const MOST_CELLS: usize = 16 << 20;
-/// Step of a ray, mm.
-const RAY_STEP_MM: f64 = 0.25;
 
 /// The outside of the bone: cells below the threshold that are connected to the volume's border by such
 /// cells. Marrow and pores of cancellous bone, enclosed by the cortex, are inside.
@@ -132,7 +131,8 @@ impl<'a> Surroundings<'a> {
 
     /// Returns how far bone extends from a point in a direction, mm.
     pub fn ahead_mm(&self, from_mm: &Vector3<f64>, direction: &Vector3<f64>) -> f64 {
-        let places = (0..).map(|step| f64::from(step) * RAY_STEP_MM);
+        let step_mm = Scale::of(&self.volume.grid).step_mm;
+        let places = (0..).map(|step| f64::from(step) * step_mm);
         let mut places = places.skip_while(|far_mm| !self.is_outside(&(from_mm + direction * *far_mm)));
         places.next().unwrap_or(0.0)
     }

@@ -33,7 +33,7 @@ pub fn run(
     recorded: Option<PathBuf>,
     is_to_end: &dyn Fn() -> bool,
 ) -> Result<PointOutcome, Failure> {
-    let mut course = Course::of(shared.scene());
+    let mut course = Course::of(shared.scene(), shared.volume().map(|volume| volume.spacing_m));
     match follow(shared, &mut course, recorded, is_to_end) {
         Ok(true) => row.outcome = Ending::Completed,
         Ok(false) => return Ok(PointOutcome::Interrupted),

@@ -134,7 +134,7 @@ impl Pose {
             source_detector_mm: self.source_detector_mm.unwrap_or(1000.0),
             columns: self.columns.unwrap_or(512),
             rows: self.rows.unwrap_or(512),
-            pixel_pitch_mm: self.pixel_pitch_mm.unwrap_or(0.6),
+            pixel_pitch_mm: self.pixel_pitch_mm.unwrap_or(DEFAULT_PITCH_MM),
             energy_kev: 60.0,
             photons_per_pixel: 0.0,
             blur_pixels: 0.0,
@@ -165,7 +165,7 @@ impl Pose {
             ("secondary angle (`--secondary-deg`, `secondary_angle_deg`)", secondary, "degrees", turn),
             ("`source_isocentre_mm`", self.source_isocentre_mm, "mm", (1.0, 1e4)),
             ("`source_detector_mm`", self.source_detector_mm, "mm", (isocentre_detector_mm, 1e4)),
-            ("`pixel_pitch_mm`", self.pixel_pitch_mm, "mm", (1e-3, 100.0)),
+            ("`pixel_pitch_mm`", self.pixel_pitch_mm, "mm", (1e-3, LARGEST_PITCH_MM)),
         ];
         let points = [
             ("`isocentre_mm`", self.isocentre_mm),
@@ -194,6 +194,10 @@ impl Pose {
     }
 }
 
+/// Pixel pitch of a pose that has none and does not frame the volume.
+pub const DEFAULT_PITCH_MM: f64 = 0.6;
+/// Largest pixel pitch.
+pub const LARGEST_PITCH_MM: f64 = 100.0;
 /// Default distance from source to isocentre.
 const SOURCE_ISOCENTRE_MM: f64 = 700.0;
 /// Largest coordinate.

@@ -91,8 +91,8 @@ class Page:
             time.sleep(0.05)
 
     def picture(self, place: str) -> Image.Image:
-        """Returns an element's picture, without the legend and the tools over the 3D view."""
-        overlays = "for (const e of document.querySelectorAll('.legend, .scene-tools, #gizmo, #scale-bar')) e.hidden = {}"
+        """Returns an element's picture, without the tools over the 3D view."""
+        overlays = "for (const e of document.querySelectorAll('.scene-tools, #gizmo, #scale-bar')) e.hidden = {}"
         self.page.evaluate(overlays.format("true"))
         try:
             return self._picture(place)

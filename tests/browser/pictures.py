@@ -36,7 +36,8 @@ def said(program: subprocess.Popen, what: str, pattern: str) -> str:
 def picture(url: str) -> Image.Image:
     """Takes a picture of the page when the simulation has reached the moment to show."""
     with page.browser(ROOT / "target/tmp") as browser:
-        shown = page.Page(browser, url, SIZE)
+        # Software rendering, of the surface that a graphics card would show.
+        shown = page.Page(browser, f"{url}&surface=fine", SIZE)
         shown.until("the moment to show", lambda: shown.number("time") >= SHOWN_AT_S, 600.0)
         shown.page.click("#pause")
         shown.until("it pauses", lambda: shown.text("phase") == "Paused")

@@ -12,7 +12,7 @@ use crate::common::scenes;
 use crate::scarce::{MEMORY, memory_left, start_in};
 
 /// Regression: the transport wrote to a segment before it was reserved, which was a SIGBUS. With less than a
-/// session's first port needs, the error names the place and the bytes, and no signal ends the program.
+/// session needs, the run is refused with the place and the size, and no signal ends the program.
 #[test]
 fn a_full_shared_memory_is_an_error_and_no_sigbus() {
     let space = match NameSpace::with_tmpfs(Path::new(MEMORY), 64 << 10) {
@@ -21,9 +21,8 @@ fn a_full_shared_memory_is_an_error_and_no_sigbus() {
     };
     let place = Place::new();
     let ended = start_in(&space, &place, &place.path("out"), &scenes::hold("lockstep", 0.02)).end();
-    assert_eq!(ended.code, Some(1), "a signal has no exit code: {}", ended.err);
-    let words =
-        ["/dev/shm: ", "bytes of shared memory for service", "cannot be reserved", "enlarge /dev/shm"];
+    assert_eq!(ended.code, Some(2), "a signal has no exit code: {}", ended.err);
+    let words = ["/dev/shm: ", "MiB of shared memory", "0 MiB are free", "enlarge /dev/shm"];
     assert!(words.iter().all(|word| ended.err.contains(word)), "{}", ended.err);
     assert_eq!(memory_left(&space), Vec::<String>::new());
 }

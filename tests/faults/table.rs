@@ -41,26 +41,43 @@ struct Row {
     lost_counted: u64,
 }
 
+impl Row {
+    fn add(&mut self, other: &Row) {
+        self.trials += other.trials;
+        self.skipped += other.skipped;
+        self.went_on += other.went_on;
+        self.named += other.named;
+        self.slowest_name_looks = self.slowest_name_looks.max(other.slowest_name_looks);
+        self.slowest_name_ms = self.slowest_name_ms.max(other.slowest_name_ms);
+        self.slowest_end_ms = self.slowest_end_ms.max(other.slowest_end_ms);
+        self.ticks += other.ticks;
+        self.lost_before = self.lost_before.max(other.lost_before);
+        self.lost_counted += other.lost_counted;
+    }
+}
+
 /// Rows by fault, in the order of their first trial.
 #[derive(Debug, Default)]
 pub struct Table(BTreeMap<String, Row>);
 
 impl Table {
     pub fn add(&mut self, fault: Fault, outcome: Outcome) {
-        let row = self.0.entry(fault.name()).or_default();
-        row.trials += 1;
-        if outcome.skipped {
-            row.skipped += 1;
-            return;
-        }
-        row.went_on += u64::from(outcome.went_on);
-        row.named += u64::from(!outcome.went_on);
-        row.slowest_name_looks = row.slowest_name_looks.max(outcome.named_after_looks.unwrap_or(0));
-        row.slowest_name_ms = row.slowest_name_ms.max(outcome.named_after_ms.unwrap_or(0));
-        row.slowest_end_ms = row.slowest_end_ms.max(outcome.over_after_ms.unwrap_or(0));
-        row.ticks += outcome.ticks;
-        row.lost_before = row.lost_before.max(outcome.lost_before);
-        row.lost_counted += outcome.lost_counted;
+        let of_one = match outcome.skipped {
+            true => Row { trials: 1, skipped: 1, ..Row::default() },
+            false => Row {
+                trials: 1,
+                skipped: 0,
+                went_on: u64::from(outcome.went_on),
+                named: u64::from(!outcome.went_on),
+                slowest_name_looks: outcome.named_after_looks.unwrap_or(0),
+                slowest_name_ms: outcome.named_after_ms.unwrap_or(0),
+                slowest_end_ms: outcome.over_after_ms.unwrap_or(0),
+                ticks: outcome.ticks,
+                lost_before: outcome.lost_before,
+                lost_counted: outcome.lost_counted,
+            },
+        };
+        self.0.entry(fault.name()).or_default().add(&of_one);
     }
 
     pub fn text(&self) -> String {
@@ -71,16 +88,7 @@ impl Table {
         let mut sum = Row::default();
         for (name, row) in &self.0 {
             write_row(&mut text, name, row);
-            sum.trials += row.trials;
-            sum.skipped += row.skipped;
-            sum.went_on += row.went_on;
-            sum.named += row.named;
-            sum.slowest_name_looks = sum.slowest_name_looks.max(row.slowest_name_looks);
-            sum.slowest_name_ms = sum.slowest_name_ms.max(row.slowest_name_ms);
-            sum.slowest_end_ms = sum.slowest_end_ms.max(row.slowest_end_ms);
-            sum.ticks += row.ticks;
-            sum.lost_before = sum.lost_before.max(row.lost_before);
-            sum.lost_counted += row.lost_counted;
+            sum.add(row);
         }
         write_row(&mut text, "all", &sum);
         text

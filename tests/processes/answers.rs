@@ -6,7 +6,7 @@ use std::process::{Command, Output, Stdio};
 
 use test_support::limited::limited_output_of;
 
-use crate::common::program::{LIMIT, Place, trabecula};
+use crate::common::program::{LIMIT, Place, succeed};
 use crate::common::scenes;
 
 /// How a command of the program's command table is called here.
@@ -119,12 +119,11 @@ fn an_answer_that_cannot_be_written_ends_with_1_whatever_the_command() {
     let folder = place.complete(&scenes::drill("lockstep", 0.2)).folder;
     fs::rename(folder, place.path("log")).unwrap();
     let (log, ball, two) = (place.path("log"), place.path("ball.nrrd"), place.path("two.mcap"));
-    assert_eq!(trabecula(&[&"phantom", &"sphere", &"-o", &ball, &"--spacing-mm", &"2"]).code, Some(0));
+    succeed(&[&"phantom", &"sphere", &"-o", &ball, &"--spacing-mm", &"2"]);
     let (plan, planned) = (place.path("plan.fcsv"), place.path("ball.toml"));
     fs::write(&plan, scenes::PLAN_OF_THE_BALL).unwrap();
-    let made = trabecula(&[&"scene", &"from-markups", &plan, &"--ct", &ball, &"-o", &planned]);
-    assert_eq!(made.code, Some(0), "{}", made.err);
-    assert_eq!(trabecula(&[&"log", &"cat-files", &log, &log, &"-o", &two]).code, Some(0));
+    succeed(&[&"scene", &"from-markups", &plan, &"--ct", &ball, &"-o", &planned]);
+    succeed(&[&"log", &"cat-files", &log, &log, &"-o", &two]);
     let here = place.path("");
     let here = here.to_str().unwrap();
     let mut number = 0;
@@ -143,8 +142,7 @@ fn an_answer_that_cannot_be_written_ends_with_1_whatever_the_command() {
     }
     lines.push("run @scene.toml --output @out --json");
     for line in lines {
-        let words = |line: &[String]| -> Vec<String> { line.to_vec() };
-        let told = words(&fresh(line));
+        let told = fresh(line);
         let told: Vec<&str> = told.iter().map(String::as_str).collect();
         assert_told(&told);
         let (heard, unheard) = (fresh(line), fresh(line));

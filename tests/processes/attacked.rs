@@ -10,7 +10,7 @@ use rustix::process::Signal;
 
 use crate::common::client::Client;
 use crate::common::logs::{assert_replays, read, recorded};
-use crate::common::program::{Place, assert_nothing_left, signal, trabecula, wait_for};
+use crate::common::program::{Place, assert_nothing_left, signal, succeed, trabecula, wait_for};
 use crate::common::scenes;
 
 /// Regression: the comparison stopped at the first difference, and reported the unread rest as "not ended".
@@ -33,10 +33,9 @@ fn a_whole_log_is_not_called_unfinished_beside_a_cut_one() {
 fn a_signal_of_somebody_else_to_the_recorder_blames_nobody() {
     let place = Place::new();
     let run = place.start(&scenes::hold("realtime", 1.5));
-    Client::join(&run.session()).wait_for_state(|state| state.tick >= 100);
+    Client::at(&run, 100);
     signal(run.part("recorder"), Signal::TERM);
-    let ended = run.end();
-    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    let ended = run.end_well();
     assert_nothing_left(ended.pid);
     let log = read(&ended.folder);
     assert_eq!((log.marker.unwrap().reason, log.ticks.len()), (EndReason::Completed, 1500));
@@ -51,10 +50,8 @@ fn a_folder_in_place_of_a_file_of_several_runs_is_split() {
     let run = recorded(&place, &scenes::hold("lockstep", 0.1));
     let (both, parts) = (place.path("both"), place.path("parts"));
     fs::create_dir(&both).unwrap();
-    let joined = trabecula(&[&"log", &"cat-files", &run, &run, &"-o", &both.join("run.mcap")]);
-    assert_eq!(joined.code, Some(0), "{}", joined.err);
-    let split = trabecula(&[&"log", &"split", &both, &"-o", &parts]);
-    assert_eq!(split.code, Some(0), "{}", split.err);
+    succeed(&[&"log", &"cat-files", &run, &run, &"-o", &both.join("run.mcap")]);
+    succeed(&[&"log", &"split", &both, &"-o", &parts]);
     assert_replays(&parts.join("run2.mcap"));
 }
 
@@ -120,7 +117,7 @@ fn a_run_folder_that_is_moved_during_the_run_blames_no_part() {
     for whole_folder in [true, false] {
         let place = Place::new();
         let run = place.start(&scenes::hold("realtime", 3600.0));
-        Client::join(&run.session()).wait_for_state(|state| state.tick >= 200);
+        Client::at(&run, 200);
         let log = wait_for("the log", || run.log());
         let (from, to) = match whole_folder {
             true => (log.parent().unwrap(), place.path("moved")),
@@ -145,8 +142,7 @@ fn what_others_put_into_a_runs_folder_stays_and_costs_nothing_else() {
     const MINE: &str = "a user's own work";
     let place = Place::new();
     let run = place.start(&scenes::drill("realtime", 60.0));
-    let client = Client::join(&run.session());
-    client.wait_for_state(|state| state.tick >= 200);
+    let client = Client::at(&run, 200);
     let folder = wait_for("the log", || run.log()).parent().unwrap().to_owned();
     // A file, a folder, a link to another file, and names that the run uses while it ends.
     let elsewhere = place.path("elsewhere");
@@ -187,8 +183,7 @@ fn what_others_put_into_a_runs_folder_stays_and_costs_nothing_else() {
 fn a_summary_that_cannot_be_written_costs_no_picture_and_no_table() {
     let place = Place::new();
     let run = place.start(&scenes::drill("realtime", 60.0));
-    let client = Client::join(&run.session());
-    client.wait_for_state(|state| state.tick >= 200);
+    let client = Client::at(&run, 200);
     let folder = wait_for("the log", || run.log()).parent().unwrap().to_owned();
     fs::write(folder.join("summary.json"), "mine").unwrap();
     client.ask(CONTROL_STOP, 0);

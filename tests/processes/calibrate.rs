@@ -4,7 +4,7 @@ use std::fs;
 
 use controllers::Calibration;
 
-use crate::common::program::{Place, trabecula};
+use crate::common::program::{Place, succeed};
 use crate::common::scenes;
 
 const SWEEP: &str = "tension_sweep = { most_n = 4.0, step_n = 1.0, settle_s = 0.1 }";
@@ -14,8 +14,7 @@ fn a_sweep_is_written_as_a_table_that_controllers_read_and_as_a_picture() {
     let place = Place::new();
     let scene = place.scene(&scenes::hold("lockstep", 60.0).replace("hold = { tension_n = 2.0 }", SWEEP));
     let folder = place.path("made/anew");
-    let done = trabecula(&[&"calibrate", &scene, &"-o", &folder]);
-    assert_eq!(done.code, Some(0), "{}", done.err);
+    let done = succeed(&[&"calibrate", &scene, &"-o", &folder]);
     // Up in steps of 1 N to 4 N, and down again.
     let calibration =
         Calibration::load(&folder.join("calibration.csv"), &ipc_types::text_file::read).unwrap();

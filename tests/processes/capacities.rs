@@ -1,9 +1,6 @@
 //! A capacity that is reached during a run is reported: as an event, in the final table, in `summary.json`.
 
-use std::fs;
-
 use ipc_types::messages::EventCode;
-use serde_json::Value;
 
 use crate::common::logs::{assert_replays, events};
 use crate::common::program::Place;
@@ -70,8 +67,7 @@ fn a_capacity_that_is_reached_is_an_event_a_warning_and_a_count() {
     let events = ended.out.lines().find(|line| line.starts_with("events")).unwrap_or_default();
     assert!(events.contains("1 capacity_reached"), "{}", ended.out);
 
-    let summary = fs::read_to_string(ended.folder.join("summary.json")).unwrap();
-    let summary: Value = serde_json::from_str(&summary).unwrap();
+    let summary = ended.summary();
     assert_eq!(summary["events"]["capacity_reached"], 1);
     assert!(summary["warnings"].to_string().contains(words), "{summary}");
     assert_replays(&ended.folder);

@@ -33,8 +33,7 @@ fn flown(place: &Place, disturb: impl FnOnce(&mut Pilot, State) -> State) -> End
     pilot.answer(&state, steered(&state));
     pilot.drive_to(TICKS, steered);
     drop(pilot);
-    let ended = run.end();
-    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    let ended = run.end_well();
     assert_nothing_left(ended.pid);
     assert_replays(&ended.folder);
     ended

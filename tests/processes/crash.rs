@@ -7,7 +7,7 @@ use std::os::unix::fs::{MetadataExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
-use ipc_types::messages::{CONTROL_PAUSE, CONTROL_STOP};
+use ipc_types::messages::CONTROL_PAUSE;
 use rustix::process::Signal;
 
 use test_support::limited::Limited;
@@ -112,8 +112,7 @@ fn a_completed_run_survives_a_crash_of_the_machine() {
     let run = Run::start(&scene, disk.folder().join("out"), &[]);
     wait_for("the summary", || run.shown().contains("completed").then_some(()));
     let first = disk.after_a_crash(&disk.copy(), "first");
-    let ended = run.end();
-    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    run.end_well();
     std::thread::sleep(std::time::Duration::from_millis(150));
     let second = disk.after_a_crash(&disk.copy(), "second");
     let whole = files(&disk.folder().join("out"));
@@ -161,10 +160,7 @@ fn a_run_under_way_survives_a_crash_of_the_machine() {
     wait_for("the last ticks on the disk", || {
         ticks_after_a_crash().is_some_and(|tick| tick + 100 >= published).then_some(())
     });
-    client.ask(CONTROL_STOP, 0);
-    drop(client);
-    let ended = run.end();
-    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    let ended = client.stop(run);
     assert_nothing_left(ended.pid);
 }
 
@@ -172,7 +168,7 @@ fn a_run_under_way_survives_a_crash_of_the_machine() {
 /// summary is shown.
 #[test]
 fn all_files_and_folders_are_brought_to_the_disk_before_the_summary_is_shown() {
-    let library = preload::library("processes/sync_order.c").unwrap();
+    let library = preload::library("processes/sync_order.c");
     let place = Place::new();
     let scene = place.scene(&scenes::drill("lockstep", 0.4));
     let (order, output) = (place.path("order"), place.path("new/out"));
@@ -215,8 +211,7 @@ fn files_of_a_run_have_the_mode_that_the_umask_leaves() {
         command.arg("-c").arg(format!("umask {umask}; exec \"$@\"")).arg("sh");
         command.arg(env!("CARGO_BIN_EXE_trabecula")).arg("run").arg(&scene);
         command.arg("--output").arg(&output).arg("--quiet");
-        let ended = Run::of(command, output).end();
-        assert_eq!(ended.code, Some(0), "{}", ended.err);
+        let ended = Run::of(command, output).end_well();
         let mode = |path: &Path| fs::metadata(path).unwrap().permissions().mode() & 0o777;
         assert_eq!(mode(&ended.folder), of_folder);
         for file in fs::read_dir(&ended.folder).unwrap().flatten() {

@@ -3,7 +3,7 @@
 
 use std::fs;
 
-use crate::common::program::{Place, trabecula};
+use crate::common::program::{Place, as_words, trabecula};
 use crate::common::scenes;
 
 /// A recorded run of the block in `run`.
@@ -19,10 +19,12 @@ fn a_data_set_takes_an_empty_folder_and_a_threshold_and_refuses_what_it_cannot_m
     let place = recorded();
     let (log, output) = (place.path("run"), place.path("set"));
     fs::create_dir(&output).unwrap();
+    let export = |more: &[&str]| {
+        let export: [&dyn AsRef<std::ffi::OsStr>; 5] = [&"log", &"export", &log, &"-o", &output];
+        trabecula(&[&export[..], &as_words(more)].concat())
+    };
     let refused = |words: &[&str], expected: &str| {
-        let mut all: Vec<&dyn AsRef<std::ffi::OsStr>> = vec![&"log", &"export", &log, &"-o", &output];
-        all.extend(words.iter().map(|word| word as &dyn AsRef<std::ffi::OsStr>));
-        let done = trabecula(&all);
+        let done = export(words);
         assert!(
             done.code == Some(2) && done.err.contains(expected),
             "{words:?}: {:?} {}",
@@ -42,18 +44,15 @@ fn a_data_set_takes_an_empty_folder_and_a_threshold_and_refuses_what_it_cannot_m
     refused(&["--frames", "--split", "train=1"], "cannot be used with");
     refused(&["--dataset", "npz", "--seed", "1"], "--split <NAME=SHARE,...>");
     refused(&["--frames", "another"], "another: expected a single log; only --dataset accepts several");
-    let npz = |more: &[&str]| {
-        let mut all: Vec<&dyn AsRef<std::ffi::OsStr>> =
-            vec![&"log", &"export", &log, &"-o", &output, &"--dataset", &"npz"];
-        all.extend(more.iter().map(|word| word as &dyn AsRef<std::ffi::OsStr>));
-        trabecula(&all)
-    };
+    let npz = |more: &[&str]| export(&[&["--dataset", "npz"], more].concat());
     let done = npz(&["--bone-from-hu", "-200", "--to", "100"]);
     assert_eq!(done.code, Some(0), "{}", done.err);
     let about: serde_json::Value =
         serde_json::from_slice(&fs::read(output.join("dataset.json")).unwrap()).unwrap();
     assert_eq!(about["bone_from_hu"], -200);
-    assert!(about["frames"].as_array().unwrap().iter().all(|frame| frame["tick"].as_u64().unwrap() <= 100));
+    // 10 Hz.
+    let frames = about["frames"].as_array().unwrap().iter().map(|frame| frame["tick"].as_u64().unwrap());
+    assert_eq!(frames.collect::<Vec<_>>(), [0, 100]);
     let done = npz(&[]);
     assert!(done.code == Some(2) && done.err.contains("already exists"), "{}", done.err);
 }
@@ -71,10 +70,8 @@ fn a_data_set_of_several_runs_is_split_by_run() {
     let export = |names: &str, set: &str, more: &[&str]| {
         let logs: Vec<_> = names.chars().map(|name| place.path(&name.to_string())).collect();
         let output = place.path(set);
-        let mut all: Vec<&dyn AsRef<std::ffi::OsStr>> = vec![&"log", &"export", &"-o", &output];
-        all.extend(logs.iter().map(|log| log as &dyn AsRef<std::ffi::OsStr>));
-        all.extend(more.iter().map(|word| word as &dyn AsRef<std::ffi::OsStr>));
-        let done = trabecula(&all);
+        let export: [&dyn AsRef<std::ffi::OsStr>; 4] = [&"log", &"export", &"-o", &output];
+        let done = trabecula(&[&export[..], &as_words(&logs), &as_words(more)].concat());
         assert_eq!(done.code, Some(0), "{}{}", done.out, done.err);
         output
     };
@@ -115,14 +112,17 @@ fn a_data_set_of_several_runs_is_split_by_run() {
     assert!(holds(b"bone_m.npy") && !holds(b"tunnel_m.npy"));
     // One file per part; COCO's numbers restart in each.
     let coco = export("ab", "coco", &[&["--dataset", "coco"], &split[..]].concat());
+    let mut images = 0;
     for name in ["train", "val"] {
         let text = bytes(&coco, &format!("annotations_{name}.json"));
         let about: serde_json::Value = serde_json::from_slice(&text).unwrap();
         for (index, image) in about["images"].as_array().unwrap().iter().enumerate() {
             assert_eq!(image["id"], index + 1);
             assert!(coco.join("images").join(image["file_name"].as_str().unwrap()).is_file());
+            images += 1;
         }
     }
+    assert_eq!(images, 8, "two runs of four frames");
     let yolo = export("ab", "yolo", &[&["--dataset", "yolo-segment"], &split[..]].concat());
     let about = String::from_utf8(bytes(&yolo, "data.yaml")).unwrap();
     assert!(

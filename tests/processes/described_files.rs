@@ -50,8 +50,7 @@ fn the_log_of_a_scene_with_a_tool_file_and_a_urdf_file_replays_without_them() {
     let more = "[manipulator]\nfile = \"drill.toml\"\n[arm]\nurdf = \"arm.urdf\"\ninitial_joints_deg = [5.0, 45.0, 20.0, 10.0, 50.0, 5.0]\n";
     let scene = scenes::drill_unseen("lockstep", 0.6).replace("tension_n = 6.0", "tension_n = 0.0");
     let run = place.start(&format!("{scene}{more}"));
-    let ended = run.end();
-    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    let ended = run.end_well();
     for (name, _) in &files {
         std::fs::remove_file(place.path(name)).unwrap();
     }
@@ -80,8 +79,7 @@ fn x_ray_frames_show_the_arm_of_the_run_or_none() {
     let drr = "[drr]\nrate_hz = 10.0\nisocentre_mm = [0.0, 0.0, -120.0]\ncolumns = 96\nrows = 96\npixel_pitch_mm = 2.0\nthreads = 1\n";
     let shown = |density: &str| {
         let scene = example.replace("[arm]\n", &format!("[arm]\n{density}\n")) + drr;
-        let ended = place.start(&scene).end();
-        assert_eq!(ended.code, Some(0), "{}", ended.err);
+        let ended = place.start(&scene).end_well();
         let frames = frames_of(&ended);
         assert!(frames.len() >= 4, "{} frames", frames.len());
         (frames.iter().map(|frame| frame.frame.pixel_hash).collect::<Vec<_>>(), ended.folder)

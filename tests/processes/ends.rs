@@ -13,7 +13,7 @@ use crate::common::scenes;
 fn ctrl_c_ends_all_cleanly_with_a_valid_log() {
     let place = Place::new();
     let run = place.start(&scenes::drill("realtime", 60.0));
-    Client::join(&run.session()).wait_for_state(|state| state.tick >= 300);
+    Client::at(&run, 300);
     signal(run.pid(), Signal::INT);
     let ended = run.end();
     assert_eq!(ended.code, Some(130), "{}", ended.err);
@@ -35,8 +35,7 @@ fn ctrl_c_ends_all_cleanly_with_a_valid_log() {
 fn a_drr_process_killed_in_lockstep_does_not_hang_the_run() {
     let place = Place::new();
     let run = place.start(&scenes::drill("lockstep", 600.0));
-    let client = Client::join(&run.session());
-    client.wait_for_state(|state| state.tick >= 300);
+    let client = Client::at(&run, 300);
     drop(client);
     signal(run.part("drr"), Signal::KILL);
     let ended = run.end();

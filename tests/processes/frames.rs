@@ -15,7 +15,7 @@ use xray::{DrrRenderer, VolumeView};
 use zerocopy::{FromBytes, IntoBytes};
 
 use crate::common::logs::{Whole, read};
-use crate::common::program::{Ended, LIMIT, Place, trabecula};
+use crate::common::program::{Ended, LIMIT, Place, succeed, trabecula};
 use crate::common::scenes;
 use crate::languages::clients;
 use crate::strays::{answer_here, joined, stopped};
@@ -63,7 +63,7 @@ fn removed_until(log: &Whole, tick: u64) -> Vec<u32> {
 fn drilled_voxels_are_gone_in_the_frames() {
     let place = Place::new();
     let file = place.path("block.nrrd");
-    assert_eq!(trabecula(&[&"phantom", &"block", &"-o", &file, &"--spacing-mm", &"0.5"]).code, Some(0));
+    succeed(&[&"phantom", &"block", &"-o", &file, &"--spacing-mm", &"0.5"]);
     // The block of the file begins at z = -12.25 mm; the burr is 0.75 mm in front of it.
     let text = scenes::drill_in_file("lockstep", 1.2, "block.nrrd")
         .replace("[0.0, 0.0, -34.0]", "[0.0, 0.0, -16.25]")

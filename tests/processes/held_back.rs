@@ -6,7 +6,6 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Duration;
 
-use ipc_types::messages::CONTROL_STOP;
 use rustix::process::Signal;
 use serde_json::Value;
 
@@ -18,18 +17,13 @@ const HELD: Duration = Duration::from_millis(600);
 
 /// Disturbs a running run, and returns the misses of its summary.
 fn misses(run: Run, disturb: impl FnOnce(&Run, &Client)) -> Value {
-    let client = Client::join(&run.session());
-    client.wait_for_state(|state| state.tick >= 300);
+    let client = Client::at(&run, 300);
     disturb(&run, &client);
     let now = client.wait_for_state(|_| true).tick;
     client.wait_for_state(|state| state.tick >= now + 200);
-    client.ask(CONTROL_STOP, 0);
-    drop(client);
-    let ended = run.end();
-    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    let ended = client.stop(run);
     assert!(ended.out.contains("% confirmed)"), "the table says how much is confirmed: {}", ended.out);
-    let text = fs::read_to_string(ended.folder.join("summary.json")).unwrap();
-    serde_json::from_str::<Value>(&text).unwrap()["timing"]["misses"].clone()
+    ended.summary()["timing"]["misses"].clone()
 }
 
 fn lost_ms(misses: &Value, cause: &str) -> f64 {
@@ -58,7 +52,7 @@ fn a_stopped_physics_is_called_stopped_and_not_stolen() {
 }
 
 /// A control group created by a test, empty when dropped.
-struct Group(PathBuf);
+pub(crate) struct Group(pub(crate) PathBuf);
 
 impl Group {
     /// Creates a group below a mounted hierarchy whose groups have a file of this name.
@@ -85,12 +79,12 @@ impl Group {
         Err(format!("no group with `{needed}`: {}", causes.join(", ")))
     }
 
-    fn write(&self, name: &str, text: &str) {
+    pub(crate) fn write(&self, name: &str, text: &str) {
         fs::write(self.0.join(name), text).unwrap();
     }
 
     /// Returns a command that runs in the group.
-    fn command(&self, program: &str) -> Command {
+    pub(crate) fn command(&self, program: &str) -> Command {
         let mut command = Command::new("sh");
         let enter = format!("echo $$ > {}/cgroup.procs && exec \"$@\"", self.0.display());
         command.args(["-c", &enter, "sh", program]);
@@ -118,7 +112,7 @@ impl Drop for Group {
     }
 }
 
-fn group(needed: &str) -> Option<Group> {
+pub(crate) fn group(needed: &str) -> Option<Group> {
     Group::make(needed).inspect_err(|cause| eprintln!("SKIPPED: {cause}")).ok()
 }
 

@@ -1,14 +1,18 @@
-//! State that a run inherits from its parent: ignored and blocked signals, low limits.
+//! State that a run inherits from its parent: signals, timers, umask, priority, cores, low limits,
+//! non-blocking streams.
 
+use std::io::Read;
 use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
-use std::process::Command;
+use std::process::{Command, Stdio};
+use std::time::Duration;
 
+use rustix::fs::OFlags;
 use rustix::process::Signal;
 use test_support::limited::Limited;
 use test_support::name_space::NameSpace;
 
-use crate::common::program::{Place, Run, assert_nothing_left, signal};
+use crate::common::program::{Place, Run, assert_nothing_left, segments_of, signal, wait_for};
 use crate::common::scenes;
 
 const PROGRAM: &str = env!("CARGO_BIN_EXE_trabecula");
@@ -68,8 +72,7 @@ fn a_run_without_the_permission_for_fifo_says_so() {
     let words = [without, &["prlimit", "--rtprio=0:0"]].concat();
     let place = Place::new();
     let scene = scenes::hold("realtime", 0.2).replace("seed = 7", "seed = 7\npolicy = \"fifo\"");
-    let ended = started_by(&words, &place, &scene).end();
-    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    let ended = started_by(&words, &place, &scene).end_well();
     let caution = "SCHED_FIFO is not permitted; the physics runs with nice ";
     assert!(ended.err.contains(&format!("caution: {caution}")), "{}", ended.err);
     let summary = std::fs::read_to_string(ended.folder.join("summary.json")).unwrap();
@@ -136,4 +139,90 @@ fn a_run_with_too_few_processes_is_refused_without_a_panic() {
         assert!(!said.contains("panicked"), "{most} processes: {said}");
         assert!(matches!(output.status.code(), Some(0 | 1)), "{most} processes: {:?} {said}", output.status);
     }
+}
+
+/// Regression: a timer that the parent had set killed the launcher, and so the run.
+#[test]
+fn a_timer_of_the_parent_does_not_end_a_run() {
+    for timer in ["REAL", "VIRTUAL", "PROF"] {
+        let script = format!(
+            "import os, signal, sys; signal.setitimer(signal.ITIMER_{timer}, 0.05); os.execvp(sys.argv[1], sys.argv[1:])"
+        );
+        let place = Place::new();
+        let ended = started_by(&["python3", "-c", &script], &place, &scenes::hold("realtime", 0.5)).end();
+        assert_eq!(ended.code, Some(0), "{timer}: {}", ended.err);
+        assert_nothing_left(ended.pid);
+    }
+}
+
+/// A umask of 0 opens no file of the session to others, and one of 777 takes none from the user.
+#[test]
+fn a_sessions_files_have_their_modes_whatever_the_umask() {
+    for umask in ["0000", "0777", "0277"] {
+        let place = Place::new();
+        let script = format!("umask {umask}; exec \"$@\"");
+        let run = started_by(&["sh", "-c", &script, "sh"], &place, &scenes::hold("realtime", 600.0));
+        let session = run.session();
+        let log = wait_for("a log", || run.log());
+        let mode = |path: &Path| path.metadata().map_or(0, |found| found.permissions().mode() & 0o7777);
+        assert_eq!(mode(&session), 0o700, "umask {umask}");
+        let mut checked = 0;
+        for name in segments_of(&session) {
+            let mode = mode(&Path::new("/dev/shm").join(&name));
+            // 0: a segment that has gone meanwhile.
+            assert!(
+                mode == 0 || (mode & 0o077 == 0 && mode & 0o600 == 0o600),
+                "umask {umask}: {name}: {mode:o}"
+            );
+            checked += u32::from(mode != 0);
+        }
+        assert!(checked > 5, "umask {umask}: {checked} segments");
+        assert_eq!(mode(&log) & 0o600, 0o600, "umask {umask}: the user cannot read {}", log.display());
+        signal(run.pid(), Signal::TERM);
+        let ended = run.end();
+        assert_eq!(ended.code, Some(130), "umask {umask}: {}", ended.err);
+        assert_nothing_left(ended.pid);
+    }
+}
+
+/// Priority, cores and OOM score are the user's wish: a run keeps them and completes.
+#[test]
+fn a_run_keeps_the_cores_and_the_score_that_it_was_given() {
+    let place = Place::new();
+    let words = ["nice", "-n", "15", "taskset", "-c", "0", "choom", "-n", "300", "--"];
+    let run = started_by(&words, &place, &scenes::hold("realtime", 600.0));
+    for part in ["physics", "recorder"] {
+        let of = |name: &str| std::fs::read_to_string(format!("/proc/{}/{name}", run.part(part))).unwrap();
+        assert_eq!(of("oom_score_adj").trim(), "300", "{part}");
+        assert!(of("status").contains("Cpus_allowed_list:\t0\n"), "{part}: {}", of("status"));
+    }
+    signal(run.pid(), Signal::TERM);
+    let ended = run.end();
+    assert_eq!(ended.code, Some(130), "{}", ended.err);
+    assert_nothing_left(ended.pid);
+}
+
+/// Regression: a command whose standard output was non-blocking lost what did not fit the pipe.
+#[test]
+fn a_non_blocking_stream_gets_the_whole_output() {
+    let output = |is_blocking: bool| {
+        let (mut reader, writer) = std::io::pipe().unwrap();
+        if !is_blocking {
+            rustix::fs::fcntl_setfl(&writer, OFlags::NONBLOCK).unwrap();
+        }
+        let mut command = Command::new(PROGRAM);
+        command.args(["scene", "schema"]).stdin(Stdio::null()).stdout(writer).stderr(Stdio::piped());
+        let child = command.spawn().unwrap();
+        drop(command);
+        // More than a pipe holds waits for this reader.
+        std::thread::sleep(Duration::from_millis(200));
+        let mut text = Vec::new();
+        reader.read_to_end(&mut text).unwrap();
+        let ended = child.wait_with_output().unwrap();
+        assert!(ended.status.success(), "{}", String::from_utf8_lossy(&ended.stderr));
+        text
+    };
+    let expected = output(true);
+    assert!(expected.len() > 1 << 16, "{} bytes fit a pipe", expected.len());
+    assert!(output(false) == expected, "the output is not whole");
 }

@@ -114,7 +114,7 @@ fn a_signal_at_any_moment_of_the_start_is_answered_and_obeyed() {
 
 /// Waits until a run has completed some ticks.
 fn under_way(run: &Run) {
-    Client::join(&run.session()).wait_for_state(|state| state.tick >= 100);
+    Client::at(run, 100);
 }
 
 #[test]

@@ -141,8 +141,7 @@ fn run_example(command: &mut Command, scene: &str, place: &Place) -> (String, [u
     let output = place.path(&format!("out_{}", fs::read_dir(place.path("")).unwrap().count()));
     let run = Run::start(&clients().join("scenes").join(scene), output, &[]);
     let printed = output_of(command.env(SESSION_VARIABLE, run.session()));
-    let ended = run.end();
-    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    let ended = run.end_well();
     assert_nothing_left(ended.pid);
     let log = read(&ended.folder);
     let last = log.ticks.last().unwrap().state;

@@ -18,8 +18,7 @@ fn a_silent_controller_in_lockstep_ends_the_run_and_is_named() {
     let scene =
         scenes::drill("lockstep", 600.0).replace("seed = 7", "seed = 7\ncontroller_limit_ms = 2000.0");
     let run = place.start(&scene);
-    let client = Client::join(&run.session());
-    client.wait_for_state(|state| state.tick >= 100);
+    let client = Client::at(&run, 100);
     drop(client);
     signal(run.part("controller"), Signal::STOP);
     let ended = run.end();
@@ -61,6 +60,10 @@ fn a_controller_whose_first_command_is_refused_is_told_why_when_its_time_is_up()
         };
         let why = format!("refused: command {number}: `tendon_force_n[0]` is 61; allowed: 0 to 60");
         assert!(ended.err.contains(missed) && ended.err.contains(&why), "{}", ended.err);
+        // Regression: nothing was said until then.
+        let caution = format!("caution: controller `pilot`: command {number}: `tendon_force_n[0]` is 61");
+        let (at_once, end) = (ended.err.find(&caution), ended.err.find(missed));
+        assert!(at_once.is_some() && at_once < end, "{}", ended.err);
         assert!(ended.out.contains("controller_late: controller `pilot`"), "{}", ended.out);
         assert!(!ended.err.contains("it is external"), "{}", ended.err);
         assert_nothing_left(ended.pid);

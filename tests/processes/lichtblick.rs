@@ -1,12 +1,13 @@
 //! The viewer as seen by Lichtblick: a WebSocket client in Python, Foxglove's published schema, and the
 //! shipped layout.
 
-use std::path::Path;
+use std::ffi::OsStr;
+use std::path::{Path, PathBuf};
 use std::process::Command;
-use test_support::limited::Limited;
 
-use crate::common::program::{Place, trabecula};
+use crate::common::program::{Place, succeed, trabecula};
 use crate::common::scenes;
+use crate::languages::output_of;
 use crate::view::View;
 use test_support::python::or_skip;
 
@@ -18,25 +19,28 @@ const PACKAGES: [&str; 5] = [
     "websockets==17.4",
 ];
 
+fn python() -> Option<PathBuf> {
+    or_skip("lichtblick-1", &PACKAGES, "foxglove_schemas_protobuf, mcap_ros2, websockets")
+}
+
+/// Runs a script with what it looks at and the shipped layout; it must succeed and print these words.
+fn assert_said(python: &Path, script: &str, seen: &OsStr, more: &[&str], words: &str) {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let mut command = Command::new(python);
+    command.arg("-B").arg(root.join("tests/lichtblick").join(script)).arg(seen);
+    command.arg(root.join("crates/viewer_proc/lichtblick-layout.json")).args(more);
+    let said = output_of(&mut command);
+    assert!(said.contains(words), "{said}");
+}
+
 #[test]
 fn the_layout_shows_what_is_advertised_and_the_scene_has_foxgloves_schema() {
-    let modules = "foxglove_schemas_protobuf, mcap_ros2, websockets";
-    let Some(python) = or_skip("lichtblick-1", &PACKAGES, modules) else { return };
+    let Some(python) = python() else { return };
     let place = Place::new();
     let ended = place.complete(&scenes::drill("lockstep", 0.5));
     let view = View::start(&[&ended.folder], None);
-    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let output = Command::new(python)
-        .arg("-B")
-        .arg(root.join("tests/lichtblick/client.py"))
-        .arg(format!("ws://{}/ws?token={}", view.address, view.token))
-        .arg(root.join("crates/viewer_proc/lichtblick-layout.json"))
-        .arg(&view.token)
-        .limited_output()
-        .unwrap();
-    let said = String::from_utf8_lossy(&output.stdout).into_owned();
-    assert!(output.status.success(), "{said}{}", String::from_utf8_lossy(&output.stderr));
-    assert!(said.contains("ok "), "{said}");
+    let url = format!("ws://{}/ws?token={}", view.address, view.token);
+    assert_said(&python, "client.py", url.as_ref(), &[&view.token], "ok ");
     view.stop();
 }
 
@@ -44,24 +48,12 @@ fn the_layout_shows_what_is_advertised_and_the_scene_has_foxgloves_schema() {
 /// 3D panel knows.
 #[test]
 fn an_exported_file_fills_the_layouts_panels_and_its_poses_are_the_states() {
-    let modules = "foxglove_schemas_protobuf, mcap_ros2, websockets";
-    let Some(python) = or_skip("lichtblick-1", &PACKAGES, modules) else { return };
+    let Some(python) = python() else { return };
     let place = Place::new();
     let ended = place.complete(&scenes::drill("lockstep", 1.0));
     let file = place.path("view.mcap");
-    let done = trabecula(&[&"log", &"export", &ended.folder, &"-o", &file, &"--foxglove", &"--rate", &"50"]);
-    assert_eq!(done.code, Some(0), "{}", done.err);
-    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let output = Command::new(python)
-        .arg("-B")
-        .arg(root.join("tests/lichtblick/file.py"))
-        .arg(&file)
-        .arg(root.join("crates/viewer_proc/lichtblick-layout.json"))
-        .limited_output()
-        .unwrap();
-    let said = String::from_utf8_lossy(&output.stdout).into_owned();
-    assert!(output.status.success(), "{said}{}", String::from_utf8_lossy(&output.stderr));
-    assert!(said.contains("ok 51 states"), "{said}");
+    succeed(&[&"log", &"export", &ended.folder, &"-o", &file, &"--foxglove", &"--rate", &"50"]);
+    assert_said(&python, "file.py", file.as_ref(), &[], "ok 51 states");
     // It is not the log of a run, and no command mistakes it for one.
     let info = trabecula(&[&"log", &"info", &file]);
     assert!(info.code != Some(0) && info.err.contains("view.mcap"), "{}{}", info.out, info.err);

@@ -1,10 +1,7 @@
 //! A model that becomes invalid during a run is reported once: as an event, in the final table, in
 //! `summary.json`.
 
-use std::fs;
-
 use ipc_types::messages::EventCode;
-use serde_json::Value;
 
 use crate::common::logs::{assert_replays, events, read};
 use crate::common::program::Place;
@@ -43,9 +40,7 @@ fn modes_on_stops_are_one_event_a_warning_and_a_count() {
 
     let last = ended.out.lines().find(|line| line.starts_with("last warning")).unwrap_or_default();
     assert!(last.contains(&format!("tick {tick}, physics: the model modal is not valid")), "{}", ended.out);
-    let summary = fs::read_to_string(ended.folder.join("summary.json")).unwrap();
-    let summary: Value = serde_json::from_str(&summary).unwrap();
-    assert_eq!(summary["events"]["model_not_valid"], 1);
+    assert_eq!(ended.summary()["events"]["model_not_valid"], 1);
     assert_replays(&ended.folder);
 
     // Within its stops it is valid.

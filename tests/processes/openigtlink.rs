@@ -1,6 +1,6 @@
 //! `trabecula bridge igtl`, with independent peers.
 
-use std::io::{BufRead, BufReader, Read, Write};
+use std::io::{Read, Write};
 use std::net::TcpStream;
 use std::path::Path;
 use std::process::{Command, Stdio};
@@ -10,11 +10,10 @@ use recorder_proc::log_file::LogFile;
 use run_log::{FrameRecord, ReadOptions, frames};
 use serde_json::Value;
 use test_support::debian::library_or_skip;
-use test_support::limited::{COMMAND_LIMIT, Watchdog};
 use test_support::python::or_skip;
 
 use crate::common::logs::{assert_replays, counts, read};
-use crate::common::program::{Guarded, LIMIT, Place, assert_nothing_left, wait_for};
+use crate::common::program::{Guarded, LIMIT, Place, assert_nothing_left, first_line, wait_for};
 use crate::common::scenes;
 use crate::languages::{output_of, output_within_limit};
 use crate::strays::{joined, stopped};
@@ -41,10 +40,7 @@ impl Bridge {
         let mut command = Command::new(env!("CARGO_BIN_EXE_trabecula"));
         command.args(["bridge", "igtl", "--port", "0", "--session"]).arg(session).args(more);
         let mut process = Guarded(command.stdin(Stdio::null()).stdout(Stdio::piped()).spawn().unwrap());
-        let watchdog = Watchdog::over(&process.0, COMMAND_LIMIT);
-        let mut line = String::new();
-        BufReader::new(process.0.stdout.as_mut().unwrap()).read_line(&mut line).unwrap();
-        drop(watchdog);
+        let line = first_line(&mut process.0);
         let port =
             line.trim().strip_prefix("OpenIGTLink at 127.0.0.1:").unwrap_or_else(|| panic!("{line:?}"));
         Bridge { port: port.parse().unwrap(), process }
@@ -95,8 +91,7 @@ fn a_slicer_program_plans_drills_looks_pauses_and_stops_and_the_log_replays() {
     peer.args([bridge.port.to_string().as_str(), TOKEN]).args(target_mm);
     let seen: Value = serde_json::from_str(&output_within_limit(&mut peer)).unwrap();
     assert_eq!(bridge.end(), Some(0));
-    let ended = run.end();
-    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    let ended = run.end_well();
     assert_nothing_left(ended.pid);
 
     assert_eq!(seen["points"][0], "BurrStart");
@@ -181,8 +176,7 @@ fn the_projects_own_cpp_library_reads_every_message_and_is_obeyed() {
     let (code, said) = bridge.end_and_words();
     assert_eq!(code, Some(0));
     assert!(said.contains("2 incoming messages rejected"), "one without the token, one unknown: {said}");
-    let ended = run.end();
-    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    let ended = run.end_well();
 
     assert!(seen["good"].as_u64() > Some(100) && seen["bad"] == 0 && seen["other"] == 0, "CRCs: {seen}");
     let poses: Vec<&str> = seen["poses"].as_array().unwrap().iter().filter_map(Value::as_str).collect();
@@ -250,8 +244,7 @@ fn what_a_peer_must_not_do_is_refused_and_counted_and_the_run_goes_on() {
     let mut heard = Vec::new();
     let _ = watcher.read_to_end(&mut heard);
 
-    let ended = run.end();
-    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    let ended = run.end_well();
     assert_eq!(read(&ended.folder).ticks.len(), 8000, "a peer without permission stopped the run");
     let (code, said) = bridge.end_and_words();
     assert_eq!(code, Some(0));
@@ -319,8 +312,7 @@ fn values_out_of_range_are_answered_and_a_paused_run_shows_its_pose_to_a_new_pee
     read_until(&mut watcher, "BurrToRAS");
     say(&mut watcher, "Command", "stop");
     assert_eq!(bridge.end(), Some(0));
-    let ended = run.end();
-    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    let ended = run.end_well();
     assert_nothing_left(ended.pid);
 }
 

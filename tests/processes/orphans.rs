@@ -12,22 +12,14 @@ use test_support::limited::{COMMAND_LIMIT, limited_output_of};
 
 use crate::common::client::Client;
 use crate::common::logs::{assert_replays, read};
-use crate::common::program::{Place, parts_of, session_folder, shared_memory_of, signal, wait_for};
+use crate::common::program::{
+    Place, Run, parts_of, processes_with, session_folder, shared_memory_of, signal, wait_for,
+};
 use crate::common::scenes;
 
 /// Returns a number of seconds that no other process sleeps.
 fn unmistakable(kind: u32) -> String {
     format!("8{kind}{:05}.{:03}", std::process::id() % 100_000, fastrand::u32(..1000))
-}
-
-/// Returns the processes that have one of these words in their command line.
-fn processes_with(words: &[String]) -> Vec<String> {
-    let line = |entry: std::fs::DirEntry| {
-        let line = std::fs::read(entry.path().join("cmdline")).ok()?;
-        let line = String::from_utf8_lossy(&line).replace('\0', " ");
-        words.iter().any(|word| line.contains(word.as_str())).then_some(line)
-    };
-    std::fs::read_dir("/proc").unwrap().flatten().filter_map(line).collect()
 }
 
 /// A program that starts others in every way that leaves its group, its session, its parent or its
@@ -43,18 +35,25 @@ fn with_descendants(mode: &str, times: &[String; 4]) -> String {
     scenes::hold(mode, 600.0) + &program
 }
 
-/// Regression: a parent-death signal reaches one generation; a controller's own children stayed.
-fn descendants_end(end: impl Fn(&crate::common::program::Run)) {
-    let times = [0, 1, 2, 3].map(unmistakable);
-    let place = Place::new();
-    let run = place.start(&with_descendants("realtime", &times));
-    Client::join(&run.session()).wait_for_state(|state| state.tick >= 100);
-    for time in &times {
+/// Starts a run with such a program, and waits for all that it starts.
+fn started(place: &Place, times: &[String; 4]) -> (Run, Client) {
+    let run = place.start(&with_descendants("realtime", times));
+    let client = Client::at(&run, 100);
+    for time in times {
         wait_for("what the program starts", || {
             let sleeps = processes_with(&[format!("sleep {time} ")]);
-            sleeps.iter().any(|line| line.starts_with("sleep")).then_some(())
+            sleeps.iter().any(|(_, line)| line.starts_with("sleep")).then_some(())
         });
     }
+    (run, client)
+}
+
+/// Regression: a parent-death signal reaches one generation; a controller's own children stayed.
+fn descendants_end(end: impl Fn(&Run)) {
+    let times = [0, 1, 2, 3].map(unmistakable);
+    let place = Place::new();
+    let (run, client) = started(&place, &times);
+    drop(client);
     end(&run);
     let session = session_folder(run.pid());
     run.end();
@@ -78,33 +77,19 @@ fn a_grandchild_ends_with_an_interrupted_run() {
 fn a_grandchild_ends_with_a_killed_keeper_and_the_run_goes_on() {
     let times = [0, 1, 2, 3].map(unmistakable);
     let place = Place::new();
-    let run = place.start(&with_descendants("realtime", &times));
-    let client = Client::join(&run.session());
-    client.wait_for_state(|state| state.tick >= 100);
-    for time in &times {
-        wait_for("what the program starts", || {
-            let sleeps = processes_with(&[format!("sleep {time} ")]);
-            sleeps.iter().any(|line| line.starts_with("sleep")).then_some(())
-        });
-    }
-    let pids_with = |words: &str| -> Vec<u32> {
-        let pids = std::fs::read_dir("/proc").unwrap().flatten();
-        let pids = pids.filter_map(|entry| entry.file_name().to_str()?.parse().ok());
-        let line = |pid: u32| std::fs::read(format!("/proc/{pid}/cmdline")).unwrap_or_default();
-        pids.filter(|pid| String::from_utf8_lossy(&line(*pid)).replace('\0', " ").contains(words)).collect()
-    };
-    let all = || times.iter().flat_map(|time| pids_with(time)).collect::<Vec<u32>>();
-    let keeper = all().into_iter().find(|pid| pids_with(" proc keep ").contains(pid)).unwrap();
+    let (run, client) = started(&place, &times);
+    let all = processes_with(&times);
+    let (keeper, _) = all.into_iter().find(|(_, line)| line.contains(" proc keep ")).unwrap();
     signal(keeper, Signal::KILL);
     for _ in 0..4000 {
         std::thread::sleep(Duration::from_millis(5));
-        if all().is_empty() {
+        if processes_with(&times).is_empty() {
             break;
         }
     }
-    let left = all();
+    let left = processes_with(&times);
     // A failing test leaves nothing, either.
-    left.iter().for_each(|pid| signal(*pid, Signal::KILL));
+    left.iter().for_each(|(pid, _)| signal(*pid, Signal::KILL));
     assert!(left.is_empty(), "{left:?} of the keeper {keeper}");
     let tick = client.wait_for_state(|_| true).tick;
     client.wait_for_state(|state| state.tick >= tick + 100);
@@ -119,17 +104,10 @@ fn a_grandchild_ends_with_a_killed_keeper_and_the_run_goes_on() {
 fn a_grandchild_ends_with_its_program_and_the_run_goes_on() {
     let times = [0, 1, 2, 3].map(unmistakable);
     let place = Place::new();
-    let run = place.start(&with_descendants("realtime", &times));
-    let client = Client::join(&run.session());
-    client.wait_for_state(|state| state.tick >= 100);
-    let program = wait_for("the program", || {
-        let name = |pid: u32| std::fs::read_to_string(format!("/proc/{pid}/comm")).unwrap_or_default();
-        let line = |pid: u32| std::fs::read(format!("/proc/{pid}/cmdline")).unwrap_or_default();
-        let all = std::fs::read_dir("/proc").unwrap().flatten();
-        let mut pids = all.filter_map(|entry| entry.file_name().to_str()?.parse::<u32>().ok());
-        pids.find(|pid| name(*pid) == "sh\n" && String::from_utf8_lossy(&line(*pid)).contains(&times[3]))
-    });
-    wait_for("a daemon", || (!processes_with(&[times[2].clone()]).is_empty()).then_some(()));
+    let (_run, client) = started(&place, &times);
+    let is_shell =
+        |pid: u32| std::fs::read_to_string(format!("/proc/{pid}/comm")).is_ok_and(|it| it == "sh\n");
+    let (program, _) = processes_with(&times[3..]).into_iter().find(|(pid, _)| is_shell(*pid)).unwrap();
     signal(program, Signal::KILL);
     wait_for("the end of what it started", || processes_with(&times).is_empty().then_some(()));
     let tick = client.wait_for_state(|_| true).tick;

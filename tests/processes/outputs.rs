@@ -3,31 +3,16 @@
 use std::ffi::OsStr;
 use std::fs;
 use std::os::unix::ffi::OsStrExt;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::Command;
 
 use test_support::limited::Limited;
 
-use crate::common::program::{Place, trabecula};
+use crate::common::program::{Place, call, files_below, succeed, trabecula};
 use crate::common::scenes;
 
 /// Content of a file before a command.
 const MINE: &[u8] = b"a user's own work";
-
-/// Returns names and contents of everything below a folder.
-fn contents(folder: &Path) -> Vec<(PathBuf, Vec<u8>)> {
-    let (mut found, mut folders) = (Vec::new(), vec![folder.to_owned()]);
-    while let Some(folder) = folders.pop() {
-        for entry in fs::read_dir(folder).unwrap().flatten() {
-            match entry.path().is_dir() {
-                true => folders.push(entry.path()),
-                false => found.push((entry.path(), fs::read(entry.path()).unwrap_or_default())),
-            }
-        }
-    }
-    found.sort();
-    found
-}
 
 struct Row {
     words: Vec<String>,
@@ -36,9 +21,7 @@ struct Row {
 }
 
 fn row(place: &Place, words: &str, files: &'static [&'static str]) -> Row {
-    let here = place.path("");
-    let words = words.split(' ').map(|word| word.replace('@', here.to_str().unwrap())).collect();
-    Row { words, files }
+    Row { words: place.words(words), files }
 }
 
 /// Every command with an output; `src/output.rs` compares this list with the existing commands.
@@ -102,7 +85,7 @@ fn with_inputs() -> Place {
     fs::remove_dir(place.path("out")).unwrap();
     fs::write(place.path("plan.fcsv"), scenes::PLAN_OF_THE_BALL).unwrap();
     for words in ["phantom sphere -o @ball.nrrd --spacing-mm 2", "log cat-files @log @log -o @two.mcap"] {
-        let done = run(&row(&place, words, &[]).words);
+        let done = call(&place.words(words));
         assert_eq!(done.code, Some(0), "{}", done.err);
     }
     let study = "scene = \"scene.toml\"\ndesign = \"csv\"\npoints = \"points.csv\"\nset = [\"run.duration_s=0.01\"]\n";
@@ -115,14 +98,9 @@ fn with_inputs() -> Place {
         noise = 0.1\nrate_hz = 200\n";
     fs::write(place.path("fit.toml"), fit).unwrap();
     fs::write(place.path("bend.csv"), "t,bend\n0.004,0.1\n0.008,0.2\n").unwrap();
-    let done = run(&row(&place, "sweep run @study.toml -o @swept --quiet", &[]).words);
+    let done = call(&place.words("sweep run @study.toml -o @swept --quiet"));
     assert_eq!(done.code, Some(0), "{}", done.err);
     place
-}
-
-fn run(words: &[String]) -> crate::common::program::Done {
-    let words: Vec<&dyn AsRef<OsStr>> = words.iter().map(|word| word as &dyn AsRef<OsStr>).collect();
-    trabecula(&words)
 }
 
 /// Regression: `drr` overwrote everything, including its own CT; `calibrate` overwrote its own earlier
@@ -130,7 +108,7 @@ fn run(words: &[String]) -> crate::common::program::Done {
 #[test]
 fn no_command_writes_over_a_file_that_is_there() {
     let place = with_inputs();
-    let before = contents(&place.path(""));
+    let before = files_below(&place.path(""));
     for row in table(&place) {
         for file in row.files {
             let file = place.path(file);
@@ -141,7 +119,7 @@ fn no_command_writes_over_a_file_that_is_there() {
                     false => fs::write(&file, MINE).unwrap(),
                     true => std::os::unix::fs::symlink(place.path("nowhere"), &file).unwrap(),
                 }
-                let done = run(&row.words);
+                let done = call(&row.words);
                 assert_eq!(done.code, Some(2), "{:?}: {}{}", row.words, done.out, done.err);
                 let name = file.file_name().unwrap().to_str().unwrap();
                 assert!(
@@ -152,7 +130,7 @@ fn no_command_writes_over_a_file_that_is_there() {
                 );
                 assert!(is_link || fs::read(&file).unwrap() == MINE, "{:?}", row.words);
                 fs::remove_file(&file).unwrap();
-                assert!(contents(&place.path("")) == before, "{:?} has written something", row.words);
+                assert!(files_below(&place.path("")) == before, "{:?} has written something", row.words);
             }
         }
     }
@@ -167,7 +145,7 @@ fn every_result_in_json_can_name_a_path_that_is_not_utf8() {
     let of_runs = ["run @scene.toml -o @runs", "sweep run @study.toml --quiet -o @sweep"];
     let rows = table(&place).into_iter().map(|row| row.words);
     let mut with_the_path = 0;
-    for words in rows.chain(of_runs.iter().map(|words| row(&place, words, &[]).words)) {
+    for words in rows.chain(of_runs.iter().map(|words| place.words(words))) {
         let mut command = Command::new(env!("CARGO_BIN_EXE_trabecula"));
         for (i, word) in words.iter().enumerate() {
             match i > 0 && matches!(&*words[i - 1], "-o" | "--output") {
@@ -199,7 +177,7 @@ fn every_result_in_json_can_name_a_path_that_is_not_utf8() {
 fn no_command_writes_over_its_own_input() {
     let place = Place::new();
     let ball = place.path("ball.nrrd");
-    assert_eq!(trabecula(&[&"phantom", &"sphere", &"-o", &ball, &"--spacing-mm", &"2"]).code, Some(0));
+    succeed(&[&"phantom", &"sphere", &"-o", &ball, &"--spacing-mm", &"2"]);
     let before = fs::read(&ball).unwrap();
     let done = trabecula(&[&"drr", &ball, &"-o", &ball]);
     assert!(done.code == Some(2) && done.err.contains("already exists"), "{}", done.err);
@@ -225,12 +203,12 @@ fn exported_pictures_replace_none_and_leave_none_of_a_refused_export() {
     let pictures = place.path("pictures");
     let export = || trabecula(&[&"log", &"export", &log, &"--frames", &"-o", &pictures]);
     assert_eq!(export().code, Some(0));
-    let all = contents(&pictures);
+    let all = files_below(&pictures);
     assert!(all.len() > 2, "{}", all.len());
     let (last, others) = all.split_last().unwrap();
-    others.iter().for_each(|(path, _)| fs::remove_file(path).unwrap());
-    fs::write(&last.0, MINE).unwrap();
+    others.iter().for_each(|(name, _)| fs::remove_file(pictures.join(name)).unwrap());
+    fs::write(pictures.join(&last.0), MINE).unwrap();
     let done = export();
     assert!(done.code == Some(2) && done.err.contains("already exists"), "{}", done.err);
-    assert!(contents(&pictures) == [(last.0.clone(), MINE.to_vec())]);
+    assert!(files_below(&pictures) == [(last.0.clone(), MINE.to_vec())]);
 }

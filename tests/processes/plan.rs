@@ -7,7 +7,7 @@ use run_log::LogReader;
 use test_support::limited::limited_output_of;
 
 use crate::common::logs::{assert_replays, rewrite_as};
-use crate::common::program::{LIMIT, Place, trabecula};
+use crate::common::program::{LIMIT, Place, succeed, trabecula};
 use crate::common::scenes;
 
 fn with_tolerance(scene: &str, tolerance: &str) -> String {
@@ -18,8 +18,7 @@ fn with_tolerance(scene: &str, tolerance: &str) -> String {
 fn a_run_within_a_tolerance_is_recorded_as_resolved_and_its_error_is_checked() {
     let place = Place::new();
     let scene = with_tolerance(&scenes::hold("lockstep", 0.5), "tip_mm = 0.5\npath_mm = 2.5");
-    let planned = trabecula(&[&"plan", &place.scene(&scene)]);
-    assert_eq!(planned.code, Some(0), "{}", planned.err);
+    let planned = succeed(&[&"plan", &place.scene(&scene)]);
     assert!(planned.out.contains("tip error") && planned.out.contains("cost"), "{}", planned.out);
     let run = place.complete(&scene);
     let recorded =
@@ -39,8 +38,7 @@ fn scripts_read_json_whatever_was_chosen() {
     let place = Place::new();
     let scene = place.scene(&with_tolerance(&scenes::hold("lockstep", 0.1), "tip_mm = 0.5"));
     let output = place.path("out");
-    let done = trabecula(&[&"run", &scene, &"--output", &output, &"--json"]);
-    assert_eq!(done.code, Some(0), "{}", done.err);
+    let done = succeed(&[&"run", &scene, &"--output", &output, &"--json"]);
     assert!(done.out.lines().count() > 0, "nothing was said");
     for line in done.out.lines() {
         serde_json::from_str::<serde_json::Value>(line).unwrap_or_else(|cause| panic!("{line}: {cause}"));

@@ -8,7 +8,7 @@ use serde_json::Value;
 use test_support::python::or_skip;
 
 use crate::common::logs::{assert_replays, read};
-use crate::common::program::{Ended, Place, Run, trabecula};
+use crate::common::program::{Ended, Place, Run, succeed, trabecula};
 use crate::languages::output_within_limit;
 
 /// Largest distance from its target at which a planned drilling may end, mm, as the issue requires.
@@ -28,8 +28,7 @@ fn peer(python: &Path, words: &[&dyn AsRef<std::ffi::OsStr>]) -> Value {
 
 fn pelvis(place: &Place) -> PathBuf {
     let ct = place.path("pelvis.nrrd");
-    let done = trabecula(&[&"phantom", &"pelvis", &"-o", &ct]);
-    assert_eq!(done.code, Some(0), "{}", done.err);
+    succeed(&[&"phantom", &"pelvis", &"-o", &ct]);
     ct
 }
 
@@ -50,10 +49,8 @@ fn drilled(place: &Place, plan: &str, ct: &Path, target_mm: [f64; 3]) -> (Ended,
     let said: Value = serde_json::from_str(&done.out).unwrap();
     // Sums of a few numbers of three digits round by less than a nanometre.
     assert!(apart(three(&said["target_mm"]), target_mm) < 1e-9, "{said}");
-    let checked = trabecula(&[&"scene", &"check", &scene]);
-    assert_eq!(checked.code, Some(0), "{}", checked.err);
-    let ended = Run::start(&scene, place.path("out"), &[]).end();
-    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    succeed(&[&"scene", &"check", &scene]);
+    let ended = Run::start(&scene, place.path("out"), &[]).end_well();
     let last = read(&ended.folder).ticks.last().unwrap().state;
     assert!(last.removed_total > 100, "{} voxels drilled", last.removed_total);
     let burr_mm = last.t_world_burr.position_m.map(|x| 1e3 * x);
@@ -80,6 +77,42 @@ fn a_plan_of_slicer_is_drilled_to_its_target_and_what_was_made_opens_there() {
         println!("{name} on the phantom: {off_mm:.3} mm off");
         assert!(off_mm < WITHIN_MM, "{name}: {off_mm} mm off the target");
     }
+}
+
+/// Regression: a plan with entry and target exchanged was accepted, and the scene of a plan whose arm would
+/// be in bone got a warning that named the value that cures it.
+#[test]
+fn exchanged_points_are_reported_and_the_arm_is_kept_out_of_bone() {
+    let place = Place::new();
+    let ct = place.path("pelvis.nrrd");
+    let done = trabecula(&[&"phantom", &"pelvis", &"-o", &ct, &"--spacing-mm", &"2"]);
+    assert_eq!(done.code, Some(0), "{}", done.err);
+    // The line of `plans.py`, from the lateral cortex through the neck of the femur.
+    let [outside, inside] = [[-150.2, -135.1, 101.5], [-112.3, -141.4, 112.7]];
+    let made = |name: &str, entry: [f64; 3], target: [f64; 3]| {
+        let point =
+            |number, [x, y, z]: [f64; 3], name| format!("{number},{x},{y},{z},0,0,0,1,1,1,0,{name},,\n");
+        let lines = [point(1, entry, "entry"), point(2, target, "target")].concat();
+        let (plan, scene) = (place.path(&format!("{name}.fcsv")), place.path(&format!("{name}.toml")));
+        std::fs::write(&plan, format!("# CoordinateSystem = LPS\n{lines}")).unwrap();
+        let done = trabecula(&[&"scene", &"from-markups", &plan, &"--ct", &ct, &"-o", &scene]);
+        assert_eq!(done.code, Some(0), "{name}: {}", done.err);
+        (done.out + &done.err, std::fs::read_to_string(&scene).unwrap(), scene)
+    };
+    let (said, text, _) = made("usual", outside, inside);
+    assert!(!said.contains("exchanged") && !text.contains("[arm]"), "{said}\n{text}");
+    let (said, ..) = made("exchanged", inside, outside);
+    assert!(said.contains("are entry and target exchanged?"), "{said}");
+    // From below, where the arm's wrist would be in the femur.
+    let (said, text, scene) = made("below", [-99.0, -143.0, 70.0], [-99.0, -143.0, 110.0]);
+    assert!(!said.contains("arm.tool_position_mm"), "{said}");
+    let line = text.lines().find(|line| line.starts_with("tool_position_mm = ")).expect("the arm is moved");
+    std::fs::write(&scene, text.replace(line, "")).unwrap();
+    let checked = trabecula(&[&"scene", &"check", &scene]);
+    assert!(
+        (checked.out + &checked.err).contains("`arm.tool_position_mm` is [0, 0, 0]"),
+        "without it: {text}"
+    );
 }
 
 /// Uses the position of the CT of `configs/pelvis_ct.toml`.
@@ -125,8 +158,7 @@ fn assert_exports(python: &Path, place: &Place, log: &Path, target_mm: [f64; 3],
     }
     let deviation = export("deviation", "deviation.parquet");
     for name in ["drilled.nrrd", "drilled.nii.gz"] {
-        let done = trabecula(&[&"volume", &"drilled", &log, &"-o", &folder.join(name)]);
-        assert_eq!(done.code, Some(0), "{}", done.err);
+        succeed(&[&"volume", &"drilled", &log, &"-o", &folder.join(name)]);
     }
     let seen = peer(python, &[&"read", &folder]);
     println!("{tunnel}\n{deviation}\n{seen}");
@@ -169,7 +201,7 @@ fn a_segment_of_slicer_is_bone_by_its_name() {
     let Some(python) = slicer() else { return };
     let place = Place::new();
     let (ct, bones) = (place.path("ct.nrrd"), place.path("bones.seg.nrrd"));
-    assert_eq!(trabecula(&[&"phantom", &"pelvis", &"-o", &ct, &"--spacing-mm", &"2"]).code, Some(0));
+    succeed(&[&"phantom", &"pelvis", &"-o", &ct, &"--spacing-mm", &"2"]);
     assert_eq!(peer(&python, &[&"segment", &ct, &bones])["segments"], serde_json::json!(["hip bone"]));
     peer(&python, &[&"plan", &place.path(""), &"LPS"]);
     let (plan, scene) = (place.path("curve.mrk.json"), place.path("seg.toml"));
@@ -186,11 +218,9 @@ fn a_segment_of_slicer_is_bone_by_its_name() {
         text.contains("path = \"bones.seg.nrrd\"") && text.contains("plan = \"curve.mrk.json\""),
         "{text}"
     );
-    let checked = trabecula(&[&"scene", &"check", &scene]);
-    assert_eq!(checked.code, Some(0), "{}", checked.err);
+    succeed(&[&"scene", &"check", &scene]);
     // Drilled, too: bone of the segment is removed, and the log replays from the same file.
-    let ended = Run::start(&scene, place.path("out"), &["--set", "run.duration_s=3.0"]).end();
-    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    let ended = Run::start(&scene, place.path("out"), &["--set", "run.duration_s=3.0"]).end_well();
     assert!(read(&ended.folder).ticks.last().unwrap().state.removed_total > 0, "nothing was drilled");
     assert_replays(&ended.folder);
 }

@@ -120,8 +120,7 @@ fn replies_in(folder: &Path) -> Option<usize> {
 fn what_is_done_in_a_pause_is_in_the_file() {
     let place = Place::new();
     let run = place.start(&scenes::hold("realtime", 60.0));
-    let client = Client::join(&run.session());
-    client.wait_for_state(|state| state.tick >= 50);
+    let client = Client::at(&run, 50);
     client.ask(ipc_types::messages::CONTROL_PAUSE, 0);
     let folder = std::fs::read_dir(place.path("out")).unwrap().next().unwrap().unwrap().path();
     wait_for("the reply in timing.mcap", || replies_in(&folder));

@@ -7,7 +7,7 @@ use ipc_types::messages::SOURCE_HELD;
 use serde_json::{Value, json};
 
 use crate::common::logs::{assert_replays, read, recorded, rewrite, verify};
-use crate::common::program::{Place, trabecula};
+use crate::common::program::{Place, succeed, trabecula};
 use crate::common::scenes;
 
 fn drilled(place: &Place) -> PathBuf {
@@ -27,8 +27,7 @@ fn assert_differs(log: &Path, words: &[&str]) {
 #[test]
 fn figures_of_a_replay_are_one_document() {
     let figures = |words: &[&dyn AsRef<std::ffi::OsStr>]| -> Value {
-        let done = trabecula(&[&[&"replay" as &dyn AsRef<std::ffi::OsStr>], words, &[&"--json"]].concat());
-        assert_eq!(done.code, Some(0), "{}", done.err);
+        let done = succeed(&[&[&"replay" as &dyn AsRef<std::ffi::OsStr>], words, &[&"--json"]].concat());
         serde_json::from_str(&done.out).unwrap_or_else(|cause| panic!("{}: {cause}", done.out))
     };
     let place = Place::new();
@@ -212,8 +211,7 @@ fn a_recorded_replay_that_differs_leaves_no_file() {
     assert!(done.code == Some(1) && done.err.contains("tick 70"), "{}", done.err);
     assert!(!again.join("run.mcap").exists());
     // So that the same name can be used again, with a correct log.
-    let done = trabecula(&[&"replay", &original, &"--output", &again]);
-    assert_eq!(done.code, Some(0), "{}", done.err);
+    succeed(&[&"replay", &original, &"--output", &again]);
 }
 
 #[test]

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use ipc_types::messages::{CONTROL_STOP, EVENT_RUN};
+use ipc_types::messages::EVENT_RUN;
 use ipc_types::session::CONTROLLER_VARIABLE;
 use rustix::process::Signal;
 use trabecula_client::{Client as Controller, ClientError, Connection};
@@ -55,10 +55,7 @@ fn a_controller_program_that_dies_is_started_again_and_the_run_goes_on() {
         said.iter().any(|text| text.contains("restarting (2 of 1000)")).then_some(())
     });
     assert!(said.iter().any(|text| text.contains("`short_lived` ended (exit status: 7)")), "{said:?}");
-    client.ask(CONTROL_STOP, 0);
-    drop(client);
-    let ended = run.end();
-    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    let ended = client.stop(run);
     assert_nothing_left(ended.pid);
     assert_replays(&ended.folder);
 }
@@ -85,10 +82,7 @@ fn an_optional_controller_program_may_end_and_the_run_goes_on() {
     assert!(text.contains("ended (exit status: 3); the run continues without it"), "{text}");
     let tick = client.wait_for_state(|_| true).tick;
     client.wait_for_state(|state| state.tick >= tick + 100);
-    client.ask(CONTROL_STOP, 0);
-    drop(client);
-    let ended = run.end();
-    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    client.stop(run);
 }
 
 /// Regression: how such a program ends after all ticks are done must not matter; one that failed at that
@@ -103,8 +97,7 @@ fn a_dispensable_controller_program_that_fails_after_the_last_tick_fails_no_run(
         over.display()
     );
     let run = place.start(&scene(1.0, &format!("[\"sh\", \"-c\", {script:?}]"), "optional = true"));
-    let client = Client::join(&run.session());
-    client.wait_for_state(|state| state.tick >= 100);
+    let client = Client::at(&run, 100);
     let program = wait_for("the program's start", || std::fs::read_to_string(&number).ok())
         .trim()
         .parse::<u32>()
@@ -119,7 +112,6 @@ fn a_dispensable_controller_program_that_fails_after_the_last_tick_fails_no_run(
     });
     signal(recorder, Signal::CONT);
     drop(client);
-    let ended = run.end();
-    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    let ended = run.end_well();
     assert_eq!(read(&ended.folder).ticks.len(), 1000);
 }

@@ -4,19 +4,18 @@
 //! other's messages.
 
 use std::fs::File;
-use std::io::{BufRead, BufReader, Read};
+use std::io::Read;
 use std::net::UdpSocket;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use ipc_types::messages::{ControlAction, State};
 use serde_json::Value;
-use test_support::limited::{COMMAND_LIMIT, Watchdog};
 use test_support::python::or_skip;
 
 use crate::common::client::Client;
 use crate::common::logs::{assert_replays, counts, read};
-use crate::common::program::{Guarded, LIMIT, Place, assert_nothing_left, wait_for};
+use crate::common::program::{Guarded, LIMIT, Place, assert_nothing_left, first_line, wait_for};
 use crate::common::scenes;
 use crate::languages::output_within_limit;
 use crate::strays::{joined, stopped};
@@ -78,10 +77,7 @@ impl Bridge {
         let mut command = Command::new(env!("CARGO_BIN_EXE_trabecula"));
         command.args(["bridge", "ros2", "--domain-id", domain, "--session"]).arg(session).args(more);
         let mut process = Guarded(command.stdin(Stdio::null()).stdout(Stdio::piped()).spawn().unwrap());
-        let watchdog = Watchdog::over(&process.0, COMMAND_LIMIT);
-        let mut said = String::new();
-        BufReader::new(process.0.stdout.as_mut().unwrap()).read_line(&mut said).unwrap();
-        drop(watchdog);
+        let said = first_line(&mut process.0);
         assert!(said.starts_with(&format!("ROS 2 domain {domain}, ")), "{said:?}");
         Bridge { process, said }
     }
@@ -115,9 +111,7 @@ fn a_crtk_program_that_knows_nothing_of_us_drills_the_default_scene_and_the_log_
     let mut drilling = peer(&python, "crtk_drilling.py", &domain.number);
     let seen: Value =
         serde_json::from_str(&output_within_limit(drilling.args(["0.028", "0.003", "8"]))).unwrap();
-    client.ask(ControlAction::Stop.code(), 0);
-    let ended = run.end();
-    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    let ended = client.stop(run);
     assert_eq!(bridge.end(), Some(0));
     assert_nothing_left(ended.pid);
 
@@ -147,9 +141,7 @@ fn a_cyclone_dds_program_pulls_the_tendon_pauses_and_resumes_and_what_is_wrong_i
     let seen: Value =
         serde_json::from_str(&output_within_limit(peer(&python, "cyclone.py", &domain.number).arg("4")))
             .unwrap();
-    client.ask(ControlAction::Stop.code(), 0);
-    let ended = run.end();
-    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    let ended = client.stop(run);
     assert_eq!(bridge.end(), Some(0));
     assert_nothing_left(ended.pid);
 
@@ -192,11 +184,7 @@ fn a_killed_commanding_program_leaves_arm_and_burr_standing_and_the_tension_as_i
     let bridge = Bridge::start(&run.session(), &domain.number, &["--controller", "pilot"]);
     let mut peer = peer(&python, "drive_on.py", &domain.number);
     let mut driving = Guarded(peer.arg("4").stdout(Stdio::piped()).spawn().unwrap());
-    let watchdog = Watchdog::over(&driving.0, COMMAND_LIMIT);
-    let mut said = String::new();
-    BufReader::new(driving.0.stdout.as_mut().unwrap()).read_line(&mut said).unwrap();
-    drop(watchdog);
-    assert_eq!(said, "moving\n");
+    assert_eq!(first_line(&mut driving.0), "moving\n");
     let client = Client::join(&run.session());
     let moving = client.wait_for_state(|state| state.burr_speed_rad_per_s > 100.0);
     driving.0.kill().unwrap();
@@ -271,9 +259,7 @@ fn a_datagram_that_claims_gigabytes_ends_the_bridge_at_worst_and_not_the_run() {
     command.args(["bridge", "ros2", "--domain-id", &domain.number, "--session"]).arg(run.session());
     command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
     let mut bridge = Guarded(command.spawn().unwrap());
-    let watchdog = Watchdog::over(&bridge.0, COMMAND_LIMIT);
-    let mut line = String::new();
-    BufReader::new(bridge.0.stdout.as_mut().unwrap()).read_line(&mut line).unwrap();
+    let line = first_line(&mut bridge.0);
     assert!(line.contains("ROS 2 domain"), "{line:?}");
     let limits = std::fs::read_to_string(format!("/proc/{}/limits", bridge.0.id())).unwrap();
     let data = limits.lines().find(|line| line.starts_with("Max data size")).unwrap();
@@ -285,7 +271,6 @@ fn a_datagram_that_claims_gigabytes_ends_the_bridge_at_worst_and_not_the_run() {
         let _ = socket.send_to(&fragment_of_a_huge_message(), ("127.0.0.1", port));
     }
     let status = wait_for("the bridge's end", || bridge.0.try_wait().unwrap());
-    drop(watchdog);
     let mut said = String::new();
     bridge.0.stderr.take().unwrap().read_to_string(&mut said).unwrap();
     assert!(!status.success() && said.contains("memory allocation of 4294967280 bytes failed"), "{said}");

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use test_support::limited::Limited;
 
 use crate::common::logs::{assert_replays, counts, read};
-use crate::common::program::{BusyLoops, Place, Run, assert_nothing_left, trabecula};
+use crate::common::program::{BusyLoops, Place, Run, assert_nothing_left, succeed, trabecula};
 use crate::common::scenes;
 
 fn configs() -> PathBuf {
@@ -32,8 +32,7 @@ fn the_default_scene_in_lockstep_records_and_replays_identically() {
     let place = Place::new();
     let scene = configs().join("femur_curved_drilling.toml");
     let run = Run::start(&scene, place.path("out"), &["--mode", "lockstep", "--duration-s", "2"]);
-    let ended = run.end();
-    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    let ended = run.end_well();
     assert_nothing_left(ended.pid);
     let said = assert_replays(&ended.folder);
     assert!(said.contains("replayed 2000 ticks") && said.contains("end marker: completed"), "{said}");
@@ -111,8 +110,7 @@ fn two_hubs_at_once_do_not_meet() {
     let sessions = runs.each_ref().map(Run::session);
     assert_ne!(sessions[0], sessions[1]);
     let hashes = runs.map(|run| {
-        let ended = run.end();
-        assert_eq!(ended.code, Some(0), "{}", ended.err);
+        let ended = run.end_well();
         assert_nothing_left(ended.pid);
         assert_replays(&ended.folder);
         read(&ended.folder).marker.unwrap()
@@ -126,8 +124,7 @@ fn two_hubs_at_once_do_not_meet() {
 #[test]
 fn a_scene_with_its_volume_beside_it_replays_from_anywhere() {
     let place = Place::new();
-    let made = trabecula(&[&"phantom", &"block", &"-o", &place.path("block.nrrd"), &"--spacing-mm", &"1"]);
-    assert_eq!(made.code, Some(0), "{}", made.err);
+    succeed(&[&"phantom", &"block", &"-o", &place.path("block.nrrd"), &"--spacing-mm", &"1"]);
     let scene = scenes::drill_in_file("lockstep", 0.3, "block.nrrd");
     place.scene(&scene);
     // As a user does: from the folder, with a relative path.

@@ -7,11 +7,9 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use test_support::limited::Limited;
 
-use ipc_types::messages::CONTROL_STOP;
-
 use crate::common::client::Client;
 use crate::common::logs::{rename_attachments, rewrite_as, verify};
-use crate::common::program::{Place, Run, assert_nothing_left, segments_of, trabecula};
+use crate::common::program::{Place, Run, assert_nothing_left, call, segments_of};
 use crate::common::scenes;
 
 /// A user other than the one that runs the session.
@@ -47,8 +45,7 @@ fn nobody_can(script: &str, file: &Path) -> bool {
 fn another_user_can_neither_read_nor_write_a_session() {
     let place = Place::new();
     let run = place.start(&scenes::drill("realtime", 60.0));
-    let client = Client::join(&run.session());
-    client.wait_for_state(|state| state.tick >= 50);
+    let client = Client::at(&run, 50);
     let files = files_of(&run);
     for file in &files {
         // A file may be deeper than others can look.
@@ -74,10 +71,7 @@ fn another_user_can_neither_read_nor_write_a_session() {
             files.len()
         );
     }
-    client.ask(CONTROL_STOP, 0);
-    drop(client);
-    let ended = run.end();
-    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    let ended = client.stop(run);
     assert_nothing_left(ended.pid);
 }
 
@@ -137,9 +131,7 @@ fn read_by_every_command(place: &Place, log: &Path, inside: &Path) -> Vec<i32> {
         alone(&["replay"], &["--verify", "--frames"]),
     ];
     let codes = all.iter().map(|arguments| {
-        let words: Vec<&dyn AsRef<std::ffi::OsStr>> =
-            arguments.iter().map(|word| word as &dyn AsRef<std::ffi::OsStr>).collect();
-        let done = trabecula(&words);
+        let done = call(arguments);
         done.code.filter(|code| *code <= 2).unwrap_or_else(|| panic!("{arguments:?}: {}", done.err))
     });
     let codes = codes.collect();

@@ -13,7 +13,7 @@ use rustix::process::Signal;
 use test_support::limited::Limited;
 
 use crate::common::program::{
-    Ended, LIMIT, Place, Run, assert_nothing_left, session_below, signal, trabecula, wait_for,
+    Ended, LIMIT, Place, Run, assert_nothing_left, call, session_below, signal, trabecula, wait_for,
 };
 use crate::common::scenes;
 use crate::strays::joined;
@@ -24,12 +24,8 @@ fn name_of(session: &Path) -> String {
 
 /// Runs a `session` command, which must succeed; returns its output.
 fn told(words: &[&str], session: &str) -> String {
-    let mut all: Vec<&dyn AsRef<std::ffi::OsStr>> = vec![&"session"];
-    all.extend(words.iter().map(|word| word as &dyn AsRef<std::ffi::OsStr>));
-    if words != ["list"] {
-        all.push(&session);
-    }
-    let done = trabecula(&all);
+    let session: &[&str] = if words == ["list"] { &[] } else { &[session] };
+    let done = call(&[&["session"][..], words, session].concat());
     assert_eq!(done.code, Some(0), "{words:?}: {}", done.err);
     done.out
 }
@@ -82,8 +78,7 @@ fn a_run_is_listed_paused_resumed_and_stopped_from_the_command_line() {
     wait_for("the end of the pause", || (!paused(&mut watcher)).then_some(()));
     assert!(told(&["stop"], &name).contains(": stop at tick "));
     drop(watcher);
-    let ended = run.end();
-    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    let ended = run.end_well();
     assert!(ended.out.contains("stopped"), "{}", ended.out);
     assert_nothing_left(ended.pid);
     let gone = trabecula(&[&"session", &"stop", &name]);
@@ -145,16 +140,14 @@ fn a_script_learns_session_outcome_and_figures() {
     let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_trabecula"));
     let output = place.path("out");
     command.arg("run").arg(&scene).arg("--output").arg(&output).arg("--json");
-    let ended = Run::of(command, output).end();
-    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    let ended = Run::of(command, output).end_well();
     let lines = lines(&ended);
     let (first, last) = (&lines[0], lines.last().unwrap());
     assert_eq!((&first["phase"], &last["phase"]), (&"announced".into(), &"ended".into()));
     assert!(first["session"].as_str().is_some_and(|session| session.starts_with('/')), "{first}");
     assert_eq!((&last["session"], &last["outcome"]), (&first["session"], &"completed".into()));
     assert_eq!(last["summary"]["ticks"], 300);
-    let written = std::fs::read_to_string(ended.folder.join("summary.json")).unwrap();
-    assert_eq!(last["summary"], serde_json::from_str::<Value>(&written).unwrap());
+    assert_eq!(last["summary"], ended.summary());
     assert_eq!(read(&ended.folder).ticks.len(), 300);
     // And as text.
     let quiet = place.start(&scenes::hold("lockstep", 0.3)).end();

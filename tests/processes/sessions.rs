@@ -229,15 +229,13 @@ fn two_hubs_in_two_pid_namespaces_do_not_meet() {
         assert!(announced(session).contains("\"pid\": 1,"), "each is the first process of its namespace");
     }
     assert_ne!(long_session.file_name(), short_session.file_name());
-    let ended = short.end();
-    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    short.end_well();
     assert!(memory(&long_session) > 10 && memory(&short_session) == 0);
     // A third one starts, whose search for dead sessions finds the first one alive.
     let third = start(1, 0.2).end();
     assert_eq!(third.code, Some(0), "{}", third.err);
     assert!(memory(&long_session) > 10);
-    let ended = long.end();
-    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    let ended = long.end_well();
     assert!(read(&ended.folder).marker.unwrap().lost.is_empty());
     assert_eq!(memory(&long_session), 0);
     assert_replays(&ended.folder);
@@ -271,8 +269,7 @@ fn a_run_whose_session_folder_is_removed_goes_on_with_its_clients() {
     assert!(words.iter().all(|word| refusal.contains(word)), "{refusal}");
     client.run_control(CONTROL_STOP, 0, LIMIT).unwrap();
     drop(client);
-    let ended = run.end();
-    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    let ended = run.end_well();
     assert_eq!(
         ended.err.matches("the session's folder was removed; the run continues").count(),
         1,

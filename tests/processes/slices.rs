@@ -2,7 +2,7 @@
 
 use serde_json::{Value, json};
 
-use crate::common::program::{Place, trabecula, wait_for};
+use crate::common::program::{Place, succeed, trabecula, wait_for};
 use crate::common::scenes;
 use crate::view::{View, notices};
 
@@ -103,8 +103,7 @@ fn a_log_whose_volume_is_another_now_is_not_sliced() {
     let place = Place::new();
     let [ball, pelvis] = ["ball.nrrd", "block.nrrd"].map(|name| place.path(name));
     for (kind, file) in [("sphere", &ball), ("block", &pelvis)] {
-        let made = trabecula(&[&"phantom", &kind, &"-o", &file]);
-        assert_eq!(made.code, Some(0), "{}", made.err);
+        succeed(&[&"phantom", &kind, &"-o", &file]);
     }
     let scene = scenes::drill("lockstep", 0.05).replace(
         "phantom = \"block\"\nspacing_mm = 1.0",
@@ -128,8 +127,7 @@ fn a_scene_is_shown_before_its_run() {
     let text = scenes::drill("lockstep", 3.0)
         .replace("burr_start_mm = [0.0, 0.0, -34.0]", "burr_start_mm = [0.0, 0.0, -20.0]");
     std::fs::write(&file, format!("{text}{hole}")).unwrap();
-    let shown = trabecula(&[&"scene", &"show", &file, &"-o", &place.path("plan.png"), &"--json"]);
-    assert_eq!(shown.code, Some(0), "{}", shown.err);
+    let shown = succeed(&[&"scene", &"show", &file, &"-o", &place.path("plan.png"), &"--json"]);
     let figures: Value = serde_json::from_str(&shown.out).unwrap();
 
     let mut view = View::start(&[&file], None);

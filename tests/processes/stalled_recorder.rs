@@ -23,8 +23,7 @@ fn with_a_stopped_recorder(
     meanwhile: impl FnOnce(&Client, u64),
 ) -> (Ended, Vec<String>) {
     let run = place.start(scene);
-    let client = Client::join(&run.session());
-    client.wait_for_state(|state| state.tick >= 100);
+    let client = Client::at(&run, 100);
     let recorder = run.part("recorder");
     signal(recorder, Signal::STOP);
     let stopped_at = client.wait_for_state(|_| true).tick;
@@ -43,11 +42,6 @@ fn with_a_stopped_recorder(
     (run.end(), told)
 }
 
-fn summary(ended: &Ended) -> Value {
-    let text = std::fs::read_to_string(ended.folder.join("summary.json")).unwrap();
-    serde_json::from_str(&text).unwrap()
-}
-
 /// Regression: a stop of 5.5 s cost the rest of the log, with exit code 0 and "completed".
 #[test]
 fn a_recorder_held_up_beyond_its_queue_says_which_ticks_are_missing_and_ends_with_3() {
@@ -64,7 +58,7 @@ fn a_recorder_held_up_beyond_its_queue_says_which_ticks_are_missing_and_ends_wit
         "{}",
         ended.err
     );
-    let summary = summary(&ended);
+    let summary = ended.summary();
     assert_eq!(summary["outcome"], "stopped, with a gap in the log");
     let gap = &summary["logs"]["missing_ticks"][0];
     let (first, last) = (gap[0].as_u64().unwrap(), gap[1].as_u64().unwrap());
@@ -102,7 +96,7 @@ fn a_physics_that_may_wait_for_the_recorder_loses_nothing() {
     assert_eq!(ended.code, Some(0), "{}{}", ended.out, ended.err);
     assert!(read(&ended.folder).marker.unwrap().lost.is_empty());
     assert_replays(&ended.folder);
-    let summary = summary(&ended);
+    let summary = ended.summary();
     assert_eq!(summary["logs"]["missing_ticks"], Value::Array(Vec::new()));
     // The wait is a miss with its cause.
     assert!(summary["timing"]["misses"]["by_cause"]["recorder"].as_u64() >= Some(1), "{summary:#}");

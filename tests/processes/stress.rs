@@ -11,7 +11,7 @@ use serde_json::Value;
 
 use crate::common::client::Client;
 use crate::common::logs::assert_replays;
-use crate::common::program::{Done, LIMIT, Place, signal, trabecula, wait_for};
+use crate::common::program::{Done, LIMIT, Place, processes_with, signal, succeed, trabecula, wait_for};
 use crate::common::scenes;
 
 /// Returns the report folders of a place, in the order of their names.
@@ -91,13 +91,6 @@ fn a_stress_test_measures_replays_reports_and_compares() {
     assert_eq!(fs::read_dir(&folder).unwrap().count(), 6, "page, JSON, CSV, map, two figures, and no logs");
 }
 
-/// Returns the number of processes whose command line contains a word.
-fn processes_with(word: &str) -> usize {
-    let lines = fs::read_dir("/proc").unwrap().flatten();
-    let lines = lines.filter_map(|entry| fs::read(entry.path().join("cmdline")).ok());
-    lines.filter(|line| String::from_utf8_lossy(line).contains(word)).count()
-}
-
 #[test]
 fn an_interrupted_stress_test_keeps_what_is_done_and_leaves_no_neighbour() {
     let place = Place::new();
@@ -127,7 +120,7 @@ fn an_interrupted_stress_test_keeps_what_is_done_and_leaves_no_neighbour() {
     done.iter().for_each(|tested| assert_eq!(tested["measured"]["replays"], true, "{tested:#}"));
     let page = fs::read_to_string(report.join("index.html")).unwrap();
     assert!(page.contains(&format!("{} of 8 combinations (interrupted)", done.len())));
-    assert_eq!(processes_with(report.to_str().unwrap()), 0);
+    assert_eq!(processes_with(&[report.to_str().unwrap()]).len(), 0);
 }
 
 /// Returns a number in a file of `/proc/PID`, after a name.
@@ -174,10 +167,10 @@ fn a_killed_stress_test_leaves_no_neighbour() {
     let folder = wait_for("the report's folder", || reports(&place).into_iter().next());
     let word = folder.to_str().unwrap().to_owned();
     // Two neighbours and a launcher with its parts.
-    wait_for("its processes", || (processes_with(&word) >= 3).then_some(()));
+    wait_for("its processes", || (processes_with(&[&word]).len() >= 3).then_some(()));
     child.kill().unwrap();
     end_within(&mut child, LIMIT, "the stress test");
-    wait_for("the end of them all", || (processes_with(&word) == 0).then_some(()));
+    wait_for("the end of them all", || (processes_with(&[&word]).is_empty()).then_some(()));
 }
 
 #[test]
@@ -220,8 +213,7 @@ fn bad_stress_arguments_are_refused_with_what_is_allowed() {
 fn parts_in_real_time_have_priorities_in_their_order_and_misses_have_causes() {
     let place = Place::new();
     let run = place.start(&scenes::drill("realtime", 60.0));
-    let client = Client::join(&run.session());
-    client.wait_for_state(|state| state.tick >= 50);
+    let client = Client::at(&run, 50);
     let nice = |pid: u32| getpriority_process(Pid::from_raw(pid as i32)).unwrap();
     let parts = ["physics", "controller", "recorder", "drr"].map(|name| nice(run.part(name)));
     let launcher = nice(run.pid());
@@ -245,15 +237,13 @@ fn parts_in_real_time_have_priorities_in_their_order_and_misses_have_causes() {
     assert_replays(&ended.folder);
     let info = trabecula(&[&"log", &"info", &ended.folder]);
     assert!(info.out.contains("late ticks  ") && info.out.contains(" missed ("), "{}", info.out);
-    let summary = fs::read_to_string(ended.folder.join("summary.json")).unwrap();
-    let timing = serde_json::from_str::<Value>(&summary).unwrap()["timing"].clone();
+    let timing = &ended.summary()["timing"];
     assert_eq!(sum(&timing["misses"]["by_cause"]), timing["missed_ticks"].as_f64().unwrap(), "{timing:#}");
 }
 
 #[test]
 fn the_doctor_says_what_each_thing_costs_and_what_grants_it() {
-    let done = trabecula(&[&"doctor", &"--json", &"--seconds", &"0.05"]);
-    assert_eq!(done.code, Some(0), "{}", done.err);
+    let done = succeed(&[&"doctor", &"--json", &"--seconds", &"0.05"]);
     let facts: Value = serde_json::from_str(&done.out).unwrap();
     let findings = facts["findings"].as_array().unwrap();
     let names: Vec<&str> = findings.iter().map(|finding| finding["name"].as_str().unwrap()).collect();
@@ -265,6 +255,8 @@ fn the_doctor_says_what_each_thing_costs_and_what_grants_it() {
         "control groups",
         "huge pages",
         "/dev/shm",
+        "address space",
+        "memory",
         "clock source",
         "preemption model",
         "steal",

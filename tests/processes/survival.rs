@@ -39,18 +39,14 @@ fn paused(place: &Place, scene: &str, disturb: impl FnOnce(&Run)) -> (u64, Ended
 fn a_recorder_that_is_stopped_for_a_second_loses_nothing() {
     let place = Place::new();
     let run = place.start(&scenes::hold("realtime", 60.0));
-    let client = Client::join(&run.session());
-    client.wait_for_state(|state| state.tick >= 100);
+    let client = Client::at(&run, 100);
     let recorder = run.part("recorder");
     signal(recorder, Signal::STOP);
     // More ticks than the 1024 that it once considered a loss.
     let tick = client.wait_for_state(|_| true).tick;
     client.wait_for_state(|state| state.tick >= tick + 1500);
     signal(recorder, Signal::CONT);
-    client.ask(CONTROL_STOP, 0);
-    drop(client);
-    let ended = run.end();
-    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    let ended = client.stop(run);
     let log = read(&ended.folder);
     assert!(log.ticks.len() as u64 >= tick + 1500, "{} ticks", log.ticks.len());
     assert!(log.marker.unwrap().lost.is_empty());
@@ -140,7 +136,7 @@ fn a_log_removed_during_a_run_with_or_without_its_folder_ends_it_at_once_and_is_
     for with_folder in [true, false] {
         let place = Place::new();
         let run = place.start(&scenes::hold("realtime", 3600.0));
-        Client::join(&run.session()).wait_for_state(|state| state.tick >= 200);
+        Client::at(&run, 200);
         let log = wait_for("the log", || run.log());
         let folder = log.parent().unwrap();
         if with_folder {

@@ -18,8 +18,7 @@ const BETWEEN: Duration = Duration::from_millis(30);
 /// Stops processes in the middle of a run, resumes them, and waits for the run's end.
 fn suspended(place: &Place, scene: &str, how: Signal) -> Ended {
     let run: Run = place.start(scene);
-    let client = Client::join(&run.session());
-    client.wait_for_state(|state| state.tick >= 100);
+    let client = Client::at(&run, 100);
     let mut all: Vec<u32> = parts_of(&run.session()).into_iter().map(|(_, pid)| pid).collect();
     all.insert(0, run.pid());
     // The controller, which was started last, is stopped first and resumed last, so that the physics waits
@@ -36,8 +35,7 @@ fn suspended(place: &Place, scene: &str, how: Signal) -> Ended {
     }
     client.wait_for_state(|state| state.tick >= stood + 200);
     drop(client);
-    let ended = run.end();
-    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    let ended = run.end_well();
     assert_nothing_left(ended.pid);
     let log = read(&ended.folder);
     assert!(log.marker.unwrap().lost.is_empty());
@@ -46,9 +44,7 @@ fn suspended(place: &Place, scene: &str, how: Signal) -> Ended {
 }
 
 fn missed(ended: &Ended) -> u64 {
-    let summary = std::fs::read_to_string(ended.folder.join("summary.json")).unwrap();
-    let summary: serde_json::Value = serde_json::from_str(&summary).unwrap();
-    summary["timing"]["missed_ticks"].as_u64().unwrap()
+    ended.summary()["timing"]["missed_ticks"].as_u64().unwrap()
 }
 
 #[test]

@@ -10,7 +10,10 @@ use serde_json::Value;
 use test_support::limited::{Limited, limited_output_of};
 use test_support::python::or_skip;
 
-use crate::common::program::{Done, Guarded, LIMIT, Place, only_entry, signal, trabecula, wait_for};
+use crate::common::program::{
+    Done, Guarded, LIMIT, Place, as_words, call, only_entry, processes_with, signal, succeed, trabecula,
+    wait_for,
+};
 use crate::python::python;
 
 /// A tool held by its tendon in a block of bone, for a short time.
@@ -35,8 +38,7 @@ fn sweep(words: &[&dyn AsRef<std::ffi::OsStr>]) -> Done {
 }
 
 fn run(study: &Path, folder: &Path, more: &[&str]) -> Done {
-    let more: Vec<&dyn AsRef<std::ffi::OsStr>> =
-        more.iter().map(|word| word as &dyn AsRef<std::ffi::OsStr>).collect();
+    let more = as_words(more);
     sweep(&[&[&"run" as &dyn AsRef<std::ffi::OsStr>, &study, &"-o", &folder, &"--quiet"], &more[..]].concat())
 }
 
@@ -80,8 +82,7 @@ fn a_row_has_the_hash_of_its_own_command_and_what_its_summary_says() {
         assert_eq!((&row["outcome"], &row["ticks"]), (&"completed".into(), &200.into()), "{row}");
         let out = place.path(&format!("out{}", row["point"]));
         let words: Vec<String> = [words_of(row), vec!["-o".to_owned(), out.display().to_string()]].concat();
-        let done =
-            trabecula(&words.iter().map(|word| word as &dyn AsRef<std::ffi::OsStr>).collect::<Vec<_>>());
+        let done = call(&words);
         assert_eq!(done.code, Some(0), "{}", done.err);
         let summary: Value =
             serde_json::from_slice(&fs::read(only_entry(&out).join("summary.json")).unwrap()).unwrap();
@@ -89,8 +90,7 @@ fn a_row_has_the_hash_of_its_own_command_and_what_its_summary_says() {
             assert_eq!(row[field], summary[field], "{field}");
         }
         let log = folder.join(row["log"].as_str().unwrap());
-        let verified = trabecula(&[&"replay", &log, &"--verify"]);
-        assert_eq!(verified.code, Some(0), "{}", verified.err);
+        succeed(&[&"replay", &log, &"--verify"]);
     }
 }
 
@@ -187,6 +187,7 @@ fn controllers_that_are_programs_run_as_sessions_and_others_started_elsewhere_ar
     let folder = place.path("swept");
     complete(&study, &folder, &[]);
     let found = rows(&folder);
+    assert_eq!(found.len(), 2);
     assert!(
         found.iter().all(|(_, row)| row["outcome"] == "failed" && row["reason"].is_string()),
         "{found:?}"
@@ -218,11 +219,7 @@ fn the_runs_of_a_killed_sweep_end_with_it() {
     let sweep = start(&study, &folder);
     // The launcher of a run and its recorder name the folder of the run.
     let runs = format!("{}/runs/", folder.display());
-    let of_runs = || {
-        let entries = fs::read_dir("/proc").unwrap().flatten();
-        let lines = entries.filter_map(|entry| fs::read(entry.path().join("cmdline")).ok());
-        lines.filter(|line| String::from_utf8_lossy(line).contains(&runs)).count()
-    };
+    let of_runs = || processes_with(std::slice::from_ref(&runs)).len();
     wait_for("a run with its recorder", || (of_runs() >= 2).then_some(()));
     drop(sweep);
     wait_for("the end of the runs", || (of_runs() == 0).then_some(()));

@@ -9,19 +9,8 @@ use std::process::Command;
 use serde_json::Value;
 use test_support::limited::Limited;
 
-use crate::common::program::{Place, Run, trabecula};
+use crate::common::program::{Place, Run, call, trabecula};
 use crate::common::scenes;
-
-fn words(line: &str, place: &Place) -> Vec<String> {
-    let here = place.path("");
-    line.split(' ').map(|word| word.replace('@', here.to_str().unwrap())).collect()
-}
-
-fn call(line: &str, place: &Place) -> crate::common::program::Done {
-    let words = words(line, place);
-    let words: Vec<&dyn AsRef<OsStr>> = words.iter().map(|word| word as &dyn AsRef<OsStr>).collect();
-    trabecula(&words)
-}
 
 #[test]
 fn every_command_with_figures_prints_them_as_one_json_object() {
@@ -49,13 +38,13 @@ fn every_command_with_figures_prints_them_as_one_json_object() {
         ("plan --list --json", "/table_csv"),
         ("doctor --json --seconds 0", "/cores"),
     ] {
-        let done = call(line, &place);
+        let done = call(&place.words(line));
         assert_eq!(done.code, Some(0), "{line}: {}", done.err);
         let answer: Value =
             serde_json::from_str(&done.out).unwrap_or_else(|cause| panic!("{line}: {cause}: {}", done.out));
         assert!(answer.pointer(path).is_some_and(|value| !value.is_null()), "{line}: {path}: {answer}");
     }
-    let states = |line: &str| serde_json::from_str::<Value>(&call(line, &place).out).unwrap();
+    let states = |line: &str| serde_json::from_str::<Value>(&call(&place.words(line)).out).unwrap();
     assert_eq!(states("log info @log --json")["run"]["topics"]["/state"]["messages"], 301);
     assert_eq!(states("replay @log --verify --json")["ticks"], 300);
 }
@@ -63,7 +52,7 @@ fn every_command_with_figures_prints_them_as_one_json_object() {
 #[test]
 fn completions_and_man_pages_are_written_where_a_system_looks_for_them() {
     let place = Place::new();
-    let done = call("docs install -o @usr", &place);
+    let done = call(&place.words("docs install -o @usr"));
     assert_eq!(done.code, Some(0), "{}", done.err);
     let bash = place.path("usr/share/bash-completion/completions/trabecula");
     let script = format!("source {}; complete -p trabecula", bash.display());
@@ -96,15 +85,13 @@ fn a_scene_whose_ct_is_not_there_says_where_one_is_to_be_had_and_runs_on_the_syn
     assert!(!place.path("out").exists());
 
     let pelvis = place.path("pelvis.nrrd");
-    let made = call("phantom pelvis -o @pelvis.nrrd --spacing-mm 2", &place);
+    let made = call(&place.words("phantom pelvis -o @pelvis.nrrd --spacing-mm 2"));
     assert_eq!(made.code, Some(0), "{}", made.err);
     let path = format!("volume.path={:?}", pelvis.to_str().unwrap());
     // In such coarse voxels the tool sticks in its hole at first.
     let settings = ["--set", &path, "--set", "volume.resample_mm=1.5", "--set", "run.duration_s=3.0"];
-    let ended = Run::start(&scene, place.path("out"), &settings).end();
-    assert_eq!(ended.code, Some(0), "{}", ended.err);
-    let summary = fs::read_to_string(ended.folder.join("summary.json")).unwrap();
-    let summary: Value = serde_json::from_str(&summary).unwrap();
+    let ended = Run::start(&scene, place.path("out"), &settings).end_well();
+    let summary = ended.summary();
     assert!(summary["drilling"]["removed_voxels"].as_u64().unwrap() > 0, "{summary}");
     let page = fs::read_to_string(ended.folder.join("report.html")).unwrap();
     assert!(page.contains("pelvis_ct") && page.matches("src=\"data:image/").count() == 5, "{page:.600}");

@@ -16,7 +16,8 @@ fn end(settings: &[&str]) -> ([f64; 3], f64) {
     let scene = Path::new(env!("CARGO_MANIFEST_DIR")).join("configs/examples/truth.toml");
     let settings: Vec<String> = settings.iter().map(|setting| (*setting).to_owned()).collect();
     let shared = SharedScene::load(Some(&scene), &settings, None).unwrap();
-    let (mut sim, mut course) = (Sim::new(&shared, &Drive::Nothing).unwrap(), Course::of(shared.scene()));
+    let (mut sim, mut course) =
+        (Sim::new(&shared, &Drive::Nothing).unwrap(), Course::of(shared.scene(), None));
     course.add(sim.state());
     for _ in 0..shared.scene().tick_count() {
         sim.step(&[], 1).unwrap();

@@ -10,7 +10,7 @@ use output_file::DRAFT_PREFIX;
 use rustix::process::Signal;
 use test_support::limited::{Limited, end_within, limited_output_of};
 
-use crate::common::program::{LIMIT, Place, signal, trabecula, wait_for};
+use crate::common::program::{LIMIT, Place, files_below, signal, succeed, wait_for};
 use crate::common::scenes;
 
 /// Content of a file that exists before a command or appears meanwhile.
@@ -28,8 +28,8 @@ impl Inputs {
         let folder = place.complete(&scenes::drill("lockstep", duration_s)).folder;
         fs::rename(folder, place.path("log")).unwrap();
         let (log, ball, two) = (place.path("log"), place.path("ball.nrrd"), place.path("two.mcap"));
-        assert_eq!(trabecula(&[&"phantom", &"sphere", &"-o", &ball, &"--spacing-mm", &"2"]).code, Some(0));
-        assert_eq!(trabecula(&[&"log", &"cat-files", &log, &log, &"-o", &two]).code, Some(0));
+        succeed(&[&"phantom", &"sphere", &"-o", &ball, &"--spacing-mm", &"2"]);
+        succeed(&[&"log", &"cat-files", &log, &log, &"-o", &two]);
         Inputs(place)
     }
 
@@ -65,23 +65,6 @@ const COMMANDS: [(&str, &str); 18] = [
     ("calibrate @sweep.toml -o #cal", "calibration.csv"),
 ];
 
-/// Returns names and contents of all files below a folder.
-fn files(folder: &Path) -> Vec<(PathBuf, Vec<u8>)> {
-    let (mut found, mut folders) = (Vec::new(), vec![folder.to_owned()]);
-    while let Some(below) = folders.pop() {
-        for path in fs::read_dir(below).unwrap().flatten().map(|entry| entry.path()) {
-            match path.is_dir() {
-                true => folders.push(path),
-                false => {
-                    found.push((path.strip_prefix(folder).unwrap().to_owned(), fs::read(&path).unwrap()))
-                }
-            }
-        }
-    }
-    found.sort();
-    found
-}
-
 fn is_draft(path: &Path) -> bool {
     path.file_name().unwrap().to_str().unwrap().starts_with(DRAFT_PREFIX)
 }
@@ -109,7 +92,7 @@ fn a_killed_command_leaves_no_half_file_under_its_name() {
         let mut child = start(&inputs.command(words, &whole.path("")));
         assert!(end_within(&mut child, LIMIT, words).success(), "{words}");
         let took = began.elapsed();
-        let whole = files(&whole.path(""));
+        let whole = files_below(&whole.path(""));
         assert!(!whole.is_empty() && whole.iter().all(|(_, bytes)| !bytes.is_empty()), "{words}");
         for kill in 0..KILLS {
             let place = Place::new();
@@ -119,7 +102,7 @@ fn a_killed_command_leaves_no_half_file_under_its_name() {
             std::thread::sleep(took.mul_f64(0.2 + 0.8 * share));
             let _ = child.kill();
             killed += usize::from(!end_within(&mut child, LIMIT, words).success());
-            for (path, bytes) in files(&place.path("")) {
+            for (path, bytes) in files_below(&place.path("")) {
                 if is_draft(&path) {
                     drafts += 1;
                     continue;
@@ -139,13 +122,13 @@ fn a_killed_command_leaves_no_half_file_under_its_name() {
 
 /// Asserts the error for outputs on a full disk, or in a process whose files are limited to half a kilobyte.
 fn assert_told(inputs: &Inputs, outputs: &Path, mut command: impl FnMut() -> Command, cause: &str) {
-    let before = files(outputs);
+    let before = files_below(outputs);
     for (words, name) in COMMANDS {
         let output = command().args(inputs.command(words, outputs)).limited_output().unwrap();
         let err = String::from_utf8_lossy(&output.stderr);
         assert_eq!(output.status.code(), Some(1), "{words}: {:?} {err}", output.status);
         assert!(err.contains(name) && err.contains(cause) && !err.contains(DRAFT_PREFIX), "{words}: {err}");
-        let left: Vec<PathBuf> = files(outputs).into_iter().map(|(path, _)| path).collect();
+        let left: Vec<PathBuf> = files_below(outputs).into_iter().map(|(path, _)| path).collect();
         assert_eq!(left.len(), before.len(), "{words} leaves {left:?}");
     }
 }
@@ -256,7 +239,7 @@ fn what_another_program_puts_there_meanwhile_stays() {
             if is_in_time {
                 assert_eq!(output.status.code(), Some(2), "{words}: {err}");
                 assert!(err.contains(&format!("{name}: already exists")), "{words}: {err}");
-                assert_eq!(files(&folder), [(PathBuf::from(name), MINE.to_vec())], "{words}");
+                assert_eq!(files_below(&folder), [(PathBuf::from(name), MINE.to_vec())], "{words}");
             }
             is_in_time
         });

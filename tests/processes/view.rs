@@ -1,6 +1,6 @@
 //! The viewer next to a run, and on logs.
 
-use std::io::{BufRead, BufReader, Write};
+use std::io::Write;
 use std::net::TcpStream;
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
@@ -15,7 +15,9 @@ use zerocopy::FromBytes;
 
 use crate::common::client::Client;
 use crate::common::logs::{assert_replays, recorded, rewrite};
-use crate::common::program::{LIMIT, Place, assert_nothing_left, signal, trabecula, wait_for};
+use crate::common::program::{
+    LIMIT, Place, assert_nothing_left, first_line, signal, succeed, trabecula, wait_for,
+};
 use crate::common::scenes;
 
 /// A viewer process and a client of it.
@@ -35,8 +37,7 @@ impl View {
             command.arg("--session").arg(session);
         }
         let mut child = command.stdin(Stdio::null()).stdout(Stdio::piped()).spawn().unwrap();
-        let mut line = String::new();
-        BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
+        let line = first_line(&mut child);
         let (address, token) = line.trim().strip_prefix("http://").unwrap().split_once("/#token=").unwrap();
         let (socket, channels) = connect(address, token);
         View { child, address: address.to_owned(), token: token.to_owned(), socket, channels }
@@ -247,8 +248,7 @@ fn hostile_clients_and_a_viewer_that_dies_leave_the_run_alone() {
     while large.send(Message::text("x".repeat(100_000))).is_ok() {}
     TcpStream::connect(&view.address).unwrap().write_all(b"\xff\0 nonsense\r\n\r\n").unwrap();
     signal(view.child.id(), Signal::KILL);
-    let ended = run.end();
-    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    let ended = run.end_well();
     assert_replays(&ended.folder);
     assert_eq!(view.end(), None);
 }
@@ -383,8 +383,7 @@ fn fields_are_plotted_and_completions_and_the_man_page_are_made() {
     let run = recorded(&place, &scenes::hold("lockstep", 0.2));
     let figure = place.path("figure");
     let fields = ["tendon_tension_n[0]", "t_world_tip.position_m"];
-    let done = trabecula(&[&"plot", &run, &fields[0], &fields[1], &"--output", &figure]);
-    assert_eq!(done.code, Some(0), "{}", done.err);
+    succeed(&[&"plot", &run, &fields[0], &fields[1], &"--output", &figure]);
     // No figure is overwritten, not even partly.
     std::fs::remove_file(figure.with_extension("png")).unwrap();
     let before = std::fs::read(figure.with_extension("svg")).unwrap();
@@ -393,15 +392,13 @@ fn fields_are_plotted_and_completions_and_the_man_page_are_made() {
     assert!(!figure.with_extension("png").exists());
     assert!(std::fs::read(figure.with_extension("svg")).unwrap() == before);
     std::fs::remove_file(figure.with_extension("svg")).unwrap();
-    let done = trabecula(&[&"plot", &run, &fields[0], &fields[1], &"--output", &figure]);
-    assert_eq!(done.code, Some(0), "{}", done.err);
+    succeed(&[&"plot", &run, &fields[0], &fields[1], &"--output", &figure]);
     let png = std::fs::read(figure.with_extension("png")).unwrap();
     assert!(png.starts_with(b"\x89PNG"));
     let svg = std::fs::read_to_string(figure.with_extension("svg")).unwrap();
     assert!(fields.iter().all(|field| svg.contains(field)));
     // Regression: it was `named.svg.svg`.
-    let named = trabecula(&[&"plot", &run, &fields[0], &"--output", &place.path("named.svg")]);
-    assert_eq!(named.code, Some(0), "{}", named.err);
+    succeed(&[&"plot", &run, &fields[0], &"--output", &place.path("named.svg")]);
     assert!(place.path("named.svg").exists() && place.path("named.png").exists());
     let none = trabecula(&[&"plot", &run, &"no_such_field", &"--output", &place.path("none")]);
     assert_eq!(none.code, Some(2), "{}", none.err);
@@ -437,8 +434,7 @@ fn the_token_is_in_no_process_list_and_the_opener_is_reaped() {
     command.arg("view").arg(&run).args(["--port", "0"]).env("PATH", path).env("DISPLAY", ":99");
     command.env("XDG_RUNTIME_DIR", &runtime).stdin(Stdio::null()).stdout(Stdio::piped());
     let mut child = command.spawn().unwrap();
-    let mut line = String::new();
-    BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
+    let line = first_line(&mut child);
     let url = line.trim();
     let token = url.split_once("#token=").unwrap().1;
     let given = wait_for("the opener's note", || std::fs::read_to_string(place.path("given")).ok());

@@ -1,11 +1,10 @@
 //! The source distribution, as built without a git checkout.
 
 use std::collections::BTreeSet;
-use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use crate::common::program::Place;
+use crate::common::program::{Place, files_below};
 use crate::languages::output_of;
 
 /// Creates the source distribution of some sources with their backend, and unpacks it in a folder.
@@ -20,20 +19,9 @@ print(name.removesuffix('.tar.gz'))";
     folder.join(output_of(command.env("PYTHONDONTWRITEBYTECODE", "1")).trim())
 }
 
-/// Returns every file below a folder.
+/// Returns the names of all files below a folder.
 fn files(folder: &Path) -> BTreeSet<PathBuf> {
-    let (mut found, mut folders) = (BTreeSet::new(), vec![folder.to_owned()]);
-    while let Some(next) = folders.pop() {
-        for entry in fs::read_dir(next).unwrap() {
-            let path = entry.unwrap().path();
-            if path.is_dir() {
-                folders.push(path);
-            } else {
-                found.insert(path.strip_prefix(folder).unwrap().to_owned());
-            }
-        }
-    }
-    found
+    files_below(folder).into_iter().map(|(name, _)| name).collect()
 }
 
 #[test]

@@ -1,5 +1,5 @@
 /* A call from a signal handler in the middle of a wait is refused, and the wait continues. Run by a test in
- * tests/processes/lifetimes.rs as the controller of a lockstep run. */
+ * tests/processes/forks.rs as the controller of a lockstep run. */
 #include <signal.h>
 #include <sys/time.h>
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import importlib.metadata
 import os
+import re
 import select
 import shutil
 import subprocess
@@ -62,6 +63,34 @@ def test_notices_of_what_is_linked_in_are_there() -> None:
         and "Permission is hereby granted" in notices
     )
     assert "\ntrabecula " not in notices and "\nwinapi " not in notices
+
+
+def printed(*words: str) -> Path:
+    line = [sys.executable, "-m", "trabecula", *words]
+    return Path(subprocess.run(line, capture_output=True, text=True, check=True, timeout=LIMIT_S).stdout.strip())
+
+
+def test_scenes_examples_headers_and_documentation_are_there_under_the_paths_of_a_checkout() -> None:
+    """Regression: the wheel had none of them, and the README's commands failed."""
+    files = printed()
+    shutil.copytree(files, "files")
+    said("scene", "check", "files/configs/free_space.toml")
+    readme = Path("files/README.md").read_text()
+    links = {link for link in re.findall(r"\]\(([^)#]+)", readme) if not link.startswith("https:")}
+    # The Rust client and what only developers need are in the sources.
+    left_out = {"clients/rust/README.md", "ARCHITECTURE.md", ".github/CONTRIBUTING.md"}
+    missing = {link for link in links if not Path("files", link).exists()}
+    assert len(links) > 20 and missing <= left_out, missing - left_out
+    assert "stress" in said("stress", "--help")
+    include, library = Path("files/clients/c/include"), printed("library")
+    compiler = shutil.which("cc", path="/usr/bin:/usr/local/bin")
+    if compiler is None:
+        support.missing("no C compiler")
+        return
+    source = "files/clients/c/examples/01_hold_tension.c"
+    link = ["-L", str(library), "-ltrabecula_client", "-lm"]
+    line = [compiler, "-I", str(include), source, "-o", "hold", *link]
+    subprocess.run(line, check=True, timeout=LIMIT_S, env={"PATH": "/usr/bin:/bin"})
 
 
 def the_default_scene_runs_and_replays() -> Path:

@@ -6,6 +6,7 @@ import json
 import os
 import shutil
 import subprocess
+import sys
 import threading
 import time
 from contextlib import contextmanager, suppress
@@ -157,6 +158,9 @@ class _Started:
 
     def _listen(self, words: IO[str]) -> None:
         for line in words:
+            # What the run waits for, and what it refuses, while it goes on.
+            if line.startswith(("caution: ", "waiting for ")):
+                print(line, end="", file=sys.stderr, flush=True)
             with self._heard:
                 self._said = [*self._said[-19:], line.rstrip()]
                 self._heard.notify_all()

@@ -31,10 +31,11 @@ from ._calls import whole
 from ._errors import ArgumentError
 from ._native import native
 from ._labels import Labels, Mask
+from ._linear import LinearModel, signals
 from ._results import Ct, Image, Reading
 from ._run import settings
 
-__all__ = ["Batch", "Labels", "Mask", "Sim", "Snapshot", "identify"]
+__all__ = ["Batch", "Labels", "LinearModel", "Mask", "Sim", "Snapshot", "identify"]
 
 #: A file, or None for the built-in femur.
 SceneFile = Union[str, "os.PathLike[str]", None]
@@ -62,6 +63,11 @@ class Snapshot:
     def state(self) -> g.State:
         """The state at its tick."""
         return g.State(self._native.state())
+
+    @property
+    def vector(self) -> npt.NDArray[np.float64]:
+        """The values of `Sim.state_names`, read-only."""
+        return np.frombuffer(self._native.vector(), "<f8")
 
     def __repr__(self) -> str:
         return f"Snapshot(tick={self.state.tick}, hash={_digits(self.state)})"
@@ -248,6 +254,60 @@ class Sim:
             Error: A recording is open.
         """
         self._native.restore(_taken(snapshot))
+
+    @property
+    def state_names(self) -> list[str]:
+        """Names of the entries of a state vector, which depend on the scene alone."""
+        return [name for name, _ in self._native.state_entries()]
+
+    @property
+    def state_units(self) -> list[str]:
+        """Unit of each entry; `1` for a plain number, `sqrt(J)` for the amplitude of a moment mode."""
+        return [unit for _, unit in self._native.state_entries()]
+
+    def restore_vector(self, snapshot: Snapshot, vector: npt.ArrayLike) -> None:
+        """Moves to the state of a snapshot, but with these values of `state_names`. What a vector does not
+        hold (bone, free bodies, motions in progress, sensors' delays, controllers) is the snapshot's.
+
+        The hash becomes one that no run has, unless the vector is the snapshot's own.
+
+        Raises:
+            ArgumentError: As in `restore`; or the vector has the wrong length, a value is out of range, or
+                joints of the arm differ although it follows a path.
+            Error: A recording is open.
+        """
+        values = np.ascontiguousarray(vector, "<f8")
+        if values.ndim != 1:
+            raise ArgumentError(f"`vector` has shape {values.shape}, expected one dimension")
+        self._native.restore_vector(_taken(snapshot), values.tobytes())
+
+    def linearize(
+        self,
+        command: Commands = None,
+        *,
+        inputs: Union[str, Sequence[str]] = (),
+        outputs: Union[str, Sequence[str]] = (),
+    ) -> LinearModel:
+        """Returns the next tick, with these commands, as a linear model about the current state, by central
+        differences. The bone stays as it is; contacts take part. The simulation is unchanged.
+
+            model = sim.linearize(command, inputs="tendon_force_n", outputs=["t_world_burr.position_m"])
+
+        Args:
+            command: As in `step`.
+            inputs: Fields of a Command; an array stands for the elements that the scene uses.
+            outputs: Fields of a State. Those that follow from the state vector (poses, angles, rates) are
+                those of the current state, so their rows of D are 0; forces, tensions and energies are
+                those of the tick.
+
+        Raises:
+            ArgumentError: As in `step`; or there is no such field, it is no float64, or no controller drives
+                what an input belongs to.
+        """
+        given = self._packed(command)
+        return LinearModel.of(
+            self._native.linearize(given, signals("inputs", inputs), signals("outputs", outputs))
+        )
 
     def reset(self) -> None:
         """Returns to tick 0, or to the tick at which `from_log` started.
@@ -480,21 +540,45 @@ class Batch:
             KeyboardInterrupt: Ctrl-C; likewise for any exception of a signal handler. Each simulation stays
                 at the tick reached.
         """
-        given: Optional[bytes] = None
+        return np.frombuffer(self._native.step(self._packed(commands), whole("ticks", ticks)), g.State.dtype)
+
+    def linearize(
+        self,
+        commands: Union[npt.NDArray[np.void], g.Command, None] = None,
+        *,
+        inputs: Union[str, Sequence[str]] = (),
+        outputs: Union[str, Sequence[str]] = (),
+    ) -> list[LinearModel]:
+        """Linearises each simulation at its current state, on all threads: `Sim.linearize`.
+
+        Args:
+            commands: As in `step`.
+            inputs: Fields of a Command.
+            outputs: Fields of a State.
+
+        Raises:
+            ArgumentError: As in `Sim.linearize`.
+        """
+        models = self._native.linearize(
+            self._packed(commands), signals("inputs", inputs), signals("outputs", outputs)
+        )
+        return [LinearModel.of(model) for model in models]
+
+    def _packed(self, commands: Union[npt.NDArray[np.void], g.Command, None]) -> Optional[bytes]:
         if isinstance(commands, g.Command):
             if len(self._driven) != 1:
                 driven = self._driven or "no controllers; see drive"
                 raise ArgumentError(f"a single command, expected an array; driven: {driven}")
-            given = bytes(commands._buffer) * self._count
-        elif commands is not None:
-            array = np.ascontiguousarray(commands)
-            expected = (self._count, len(self._driven))
-            has_size = array.size == expected[0] * expected[1] and array.shape[:1] == expected[:1]
-            if array.dtype != g.Command.dtype or not has_size:
-                text = f"`commands` has shape {array.shape} and type {array.dtype.name}"
-                raise ArgumentError(f"{text}, expected {expected} of Command.dtype")
-            given = array.tobytes()
-        return np.frombuffer(self._native.step(given, whole("ticks", ticks)), g.State.dtype)
+            return bytes(commands._buffer) * self._count
+        if commands is None:
+            return None
+        array = np.ascontiguousarray(commands)
+        expected = (self._count, len(self._driven))
+        has_size = array.size == expected[0] * expected[1] and array.shape[:1] == expected[:1]
+        if array.dtype != g.Command.dtype or not has_size:
+            text = f"`commands` has shape {array.shape} and type {array.dtype.name}"
+            raise ArgumentError(f"{text}, expected {expected} of Command.dtype")
+        return array.tobytes()
 
     def snapshot(self, index: int) -> Snapshot:
         """Takes a snapshot of one simulation."""

@@ -169,19 +169,24 @@ fn the_burr_skives_away_from_the_denser_half() {
     assert!(aside_mm[1] > 0.5 && aside_mm[1] > 3.0 * aside_mm[0].abs());
 }
 
+/// Returns what is said against the plan of a scene after a change.
+fn refused(from: &str, to: &str) -> Option<String> {
+    let path = config("curved_open_loop.toml");
+    let text = read(&path).unwrap();
+    assert!(text.contains(from), "{from}");
+    let scene = Scene::parse(&text.replace(from, to), &path).unwrap();
+    let plan = scene.controller[0].curved_drilling.as_ref().unwrap();
+    CurvedDrillingController::new(plan, &scene, &read).err().map(|error| error.to_string())
+}
+
+const TARGET: &str = "target_mm = [5.0, 0.0, 8.0]";
+
 /// A plan that bends farther than its calibration covers is refused before anything moves.
 #[test]
 fn a_target_beyond_the_calibration_is_refused() {
-    let text = std::fs::read_to_string(config("curved_open_loop.toml")).unwrap();
-    let far = text.replace("target_mm = [5.0, 0.0, 8.0]", "target_mm = [20.0, 0.0, -11.0]");
-    let scene = Scene::parse(&far, &config("curved_open_loop.toml")).unwrap();
-    let plan = scene.controller[0].curved_drilling.as_ref().unwrap();
-    let error = CurvedDrillingController::new(plan, &scene, &read).err().unwrap().to_string();
+    let error = refused(TARGET, "target_mm = [20.0, 0.0, -11.0]").unwrap();
     assert!(error.contains("extend the calibration"), "{error}");
-    let missing = text.replace("tension_sweep.csv", "no_such.csv");
-    let scene = Scene::parse(&missing, &config("curved_open_loop.toml")).unwrap();
-    let plan = scene.controller[0].curved_drilling.as_ref().unwrap();
-    let error = CurvedDrillingController::new(plan, &scene, &read).err().unwrap().to_string();
+    let error = refused("tension_sweep.csv", "no_such.csv").unwrap();
     assert!(error.contains("no_such.csv") && error.contains("trabecula calibrate"), "{error}");
 }
 
@@ -189,17 +194,9 @@ fn a_target_beyond_the_calibration_is_refused() {
 /// so the tool went straight on.
 #[test]
 fn a_target_on_the_side_away_from_the_bend_is_refused() {
-    let text = std::fs::read_to_string(config("curved_open_loop.toml")).unwrap();
-    let away = text.replace("target_mm = [5.0, 0.0, 8.0]", "target_mm = [-5.0, 0.0, 8.0]");
-    assert_ne!(text, away);
-    let scene = Scene::parse(&away, &config("curved_open_loop.toml")).unwrap();
-    let plan = scene.controller[0].curved_drilling.as_ref().unwrap();
-    let error = CurvedDrillingController::new(plan, &scene, &read).err().unwrap().to_string();
+    let error = refused(TARGET, "target_mm = [-5.0, 0.0, 8.0]").unwrap();
     assert!(error.contains("away from `tool.bend_toward`"), "{error}");
-    let ahead = text.replace("target_mm = [5.0, 0.0, 8.0]", "target_mm = [0.0, 0.0, 8.0]");
-    let scene = Scene::parse(&ahead, &config("curved_open_loop.toml")).unwrap();
-    let plan = scene.controller[0].curved_drilling.as_ref().unwrap();
-    assert!(CurvedDrillingController::new(plan, &scene, &read).is_ok(), "straight ahead is neither side");
+    assert_eq!(refused(TARGET, "target_mm = [0.0, 0.0, 8.0]"), None, "straight ahead is neither side");
 }
 
 /// Regression: after a reset, a controller that had been drilling continued where it was, and pulled the

@@ -2,7 +2,7 @@
 //! the clients of a viewer.
 //!
 //! **Boundary:** decisions only. The DRR process, the controllers and the viewer take the messages, render
-//! and send; the schedules of `hub_simulator` check the same decisions against an oracle. None of them
+//! and send; the schedules of `hub_schedules` check the same decisions against an oracle. None of them
 //! decides a tick.
 //!
 //! | module | what it holds |

@@ -9,7 +9,7 @@
 //! environment; computing a step belongs to the [`Plant`](messages::Plant). Times are nanoseconds of the
 //! environment's clock.
 //!
-//! **Invariants**, tested against every schedule of `hub_simulator`: u_k is published before its effect and
+//! **Invariants**, tested against every schedule of `hub_schedules`: u_k is published before its effect and
 //! x_{k+1} after it, each once and in order; a refused command changes nothing; no tick runs while the run is
 //! paused or ending; no consumer falls too far behind; every ending has a reason; every wait has a limit.
 //!

@@ -7,7 +7,7 @@
 //! if due, publish the keyframe of x_{k+1}
 //! ```
 //!
-//! Real processes, replays and the hub's simulator all publish through [`RunLane`], so a log and its replay
+//! Real processes, replays and the hub's schedules all publish through [`RunLane`], so a log and its replay
 //! agree byte for byte.
 
 use messages::services::{KEYFRAME_PART_BYTES, MAX_KEYFRAME_BYTES, MAX_REMOVED_PER_MESSAGE};

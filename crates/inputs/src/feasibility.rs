@@ -14,6 +14,7 @@ use xray::DrrError;
 use xray::from_scene::scene_c_arm;
 
 use crate::failure::Failure;
+use crate::suspicions;
 
 /// Checks a scene with its volume; without one, only what does not depend on bone. Returns a warning for
 /// everything improbable. `source` names the scene in messages.
@@ -64,9 +65,10 @@ fn refuse_outside(scene: &Scene, source: &dyn std::fmt::Display, volume: &Volume
     let mut targets = drillings(scene).filter_map(|drilling| drilling.target_mm);
     match targets.find(|target_mm| !volume.holds(target_mm.map(|x| x * 1e-3))) {
         None => Ok(()),
-        Some([x, y, z]) => Err(Failure::bad_input(format!(
+        Some(target @ [x, y, z]) => Err(Failure::bad_input(format!(
             "{source}: `controller.curved_drilling.target_mm` is [{x:.1}, {y:.1}, {z:.1}], expected a point \
-             within the volume"
+             within the volume{}",
+            suspicions::ras_hint(volume, target)
         ))),
     }
 }

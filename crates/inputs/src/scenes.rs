@@ -7,7 +7,7 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 
 use clap::ValueEnum;
-use ipc_types::scene::{Scene, SceneError};
+use ipc_types::scene::{DECIMAL_COMMA, Scene, SceneError, is_number_with_comma, list_default};
 
 use crate::failure::Failure;
 
@@ -91,18 +91,26 @@ impl SceneSource {
         let Ok(mut scene) = original.parse::<toml::Table>() else { return Ok(self) };
         for line in settings {
             let refused = |why: String| Failure::bad_input(format!("--set {line}: {why}"));
-            let (key, value) =
+            let (key, written) =
                 line.split_once('=').ok_or_else(|| refused("expected KEY=VALUE".to_owned()))?;
-            let value = format!("value = {}", value.trim()).parse::<toml::Table>();
+            let value = format!("value = {}", written.trim()).parse::<toml::Table>();
             let value = value.ok().and_then(|mut table| table.remove("value"));
-            let value = value.ok_or_else(|| {
-                refused(
+            let value = value.ok_or_else(|| match is_number_with_comma(written.trim()) {
+                true => refused(DECIMAL_COMMA.to_owned()),
+                false => refused(
                     "the value is not TOML; a string needs quotes inside the shell's quotes, as in \
                      'name=\"a\"'"
                         .to_owned(),
-                )
+                ),
             })?;
-            set(&mut scene, key.trim(), value).map_err(refused)?;
+            let key = key.trim();
+            if let Some((list, _)) = key.rsplit_once('.').filter(|(_, last)| last.parse::<usize>().is_ok())
+                && !has(&scene, list)
+                && let Some(default) = list_default(list)
+            {
+                set(&mut scene, list, default).map_err(refused)?;
+            }
+            set(&mut scene, key, value).map_err(refused)?;
         }
         let text = toml::to_string(&scene).map_err(|cause| Failure::bad_input(format!("--set: {cause}")))?;
         Ok(SceneSource::Changed { source: Box::new(self), text })
@@ -174,6 +182,19 @@ impl SceneSource {
             SceneSource::BuiltIn(_) => None,
             SceneSource::Changed { source, .. } => source.argument(),
         }
+    }
+}
+
+/// Whether a table has a key, by its path through tables.
+fn has(table: &toml::Table, path: &str) -> bool {
+    match path.split_once('.') {
+        None => table.contains_key(path),
+        Some((first, rest)) => match table.get(first) {
+            Some(toml::Value::Table(below)) => has(below, rest),
+            // An index of an array; `set` reports what does not exist.
+            Some(_) => true,
+            None => false,
+        },
     }
 }
 

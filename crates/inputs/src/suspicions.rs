@@ -19,6 +19,28 @@ pub fn of_a_mask(volume: &Volume) -> Option<String> {
     })
 }
 
+/// Returns the hint for a point outside the volume that would be inside with x and y negated; empty for any
+/// other.
+pub fn ras_hint(volume: &Volume, place_mm: [f64; 3]) -> String {
+    match is_likely_ras(volume, place_mm) {
+        true => {
+            let [x, y, z] = mirrored(place_mm);
+            format!("; [{x:.1}, {y:.1}, {z:.1}] lies inside: for a point in RAS, negate x and y")
+        }
+        false => String::new(),
+    }
+}
+
+/// RAS is LPS rotated by half a turn about z.
+fn mirrored([x, y, z]: [f64; 3]) -> [f64; 3] {
+    [-x, -y, z]
+}
+
+fn is_likely_ras(volume: &Volume, place_mm: [f64; 3]) -> bool {
+    let is_inside = |place_mm: [f64; 3]| volume.holds(place_mm.map(|x| x * 1e-3));
+    !is_inside(place_mm) && is_inside(mirrored(place_mm))
+}
+
 /// Finds points of the scene outside the volume that would be inside with x and y negated (RAS).
 pub fn of_places(volume: &Volume, scene: &Scene) -> Vec<String> {
     let isocentre = scene.drr.as_ref().filter(|drr| drr.carm.is_none()).map(|drr| drr.isocentre_mm);
@@ -29,12 +51,10 @@ pub fn of_places(volume: &Volume, scene: &Scene) -> Vec<String> {
         ("drr.isocentre_mm", isocentre),
         ("controller.curved_drilling.target_mm", target),
     ];
-    let mirrored = |[x, y, z]: [f64; 3]| [-x, -y, z];
-    let is_inside = |place_mm: [f64; 3]| volume.holds(place_mm.map(|x| x * 1e-3));
     places
         .into_iter()
         .filter_map(|(key, place)| Some((key, place?)))
-        .filter(|(_, place)| !is_inside(*place) && is_inside(mirrored(*place)))
+        .filter(|(_, place)| is_likely_ras(volume, *place))
         .map(|(key, [x, y, z])| {
             format!(
                 "warning: `{key}` = [{x}, {y}, {z}] lies outside the volume, but [{}, {}, {z}] lies inside: \

@@ -128,9 +128,7 @@ pub fn load_with_notes(scene: &Scene, files: VolumeFiles) -> Result<Option<Volum
         }
     };
     let mut loaded = if scene.has_registration_error() { moved(loaded, scene)? } else { loaded };
-    if source.path.is_some() {
-        loaded.notes.extend(suspicions::of_places(&loaded.ct.volume, scene));
-    }
+    loaded.notes.extend(suspicions::of_places(&loaded.ct.volume, scene));
     Ok(Some(loaded))
 }
 

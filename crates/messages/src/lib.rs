@@ -86,6 +86,23 @@ pub const MAX_SENSOR_VALUES: usize = 32;
 /// Maximum number of controllers in a session.
 pub const MAX_CONTROLLERS: usize = 4;
 
+/// Arrays that are only partly used, and the field with the used length: message, array, count.
+pub const USED_LENGTHS: [(&str, &str, &str); 13] = [
+    ("State", "joint_position_rad", "joint_count"),
+    ("State", "joint_velocity_rad_per_s", "joint_count"),
+    ("State", "t_world_link", "joint_count"),
+    ("State", "tendon_tension_n", "tendon_count"),
+    ("State", "tendon_displacement_m", "tendon_count"),
+    ("State", "arm_joint_position_rad", "arm_joint_count"),
+    ("State", "arm_joint_velocity_rad_per_s", "arm_joint_count"),
+    ("State", "arm_joint_deflection_rad", "arm_joint_count"),
+    ("State", "contacts", "contact_count"),
+    ("SensorReading", "value", "value_count"),
+    ("State", "t_world_body", "body_count"),
+    ("State", "applied", "controller_count"),
+    ("Latched", "commands", "controller_count"),
+];
+
 /// Every message that travels on a service, in the order of the message reference.
 pub const ALL: &[&Description] = &[
     State::DESCRIPTION,

@@ -100,6 +100,30 @@ message! {
         cutting_energy_j: f64,
         /// Energy that bone absorbed where it was crushed, since the start.
         crushing_energy_j: f64,
+        /// Energy of the tool: kinetic, relative to its base, and elastic, in flexures, mount, tendons,
+        /// contacts and stops.
+        tool_energy_j: f64,
+        /// Work of the tendons' actuators on the tool since the start.
+        tendon_work_j: f64,
+        /// Work of the arm on the tool since the start, by moving its base or sliding its outer tube.
+        arm_work_j: f64,
+        /// Work of gravity on the tool since the start.
+        gravity_work_j: f64,
+        /// Work of the burr's motor since the start: the energy spent on cutting, and the work of the side
+        /// force of cutting on the tool.
+        motor_work_j: f64,
+        /// Work of free bodies on the tool since the start.
+        body_work_j: f64,
+        /// Energy lost to the friction of contacts with bone since the start.
+        friction_energy_j: f64,
+        /// Energy lost to the damping of flexures and mount since the start.
+        damping_energy_j: f64,
+        /// Remainder of the ledger since the start: energy lost to the integrator, impacts, the friction of
+        /// tendons in their channels, and the feed against cut bone.
+        numerical_energy_j: f64,
+        /// Energy that ticks created beyond the error of the integrator, since the start; 0 if every tick's
+        /// ledger closes.
+        energy_created_j: f64,
         /// Tension at the proximal end of each tendon.
         tendon_tension_n: [f64; MAX_TENDONS],
         /// Displacement of each tendon from its straight, unloaded length; positive when pulled.

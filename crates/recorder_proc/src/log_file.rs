@@ -1,6 +1,7 @@
 //! Log files: opening them for reading, creating them for writing.
 
-use std::fs::File;
+use std::ffi::OsStr;
+use std::fs::{DirEntry, File};
 use std::io::{self, BufWriter};
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
@@ -48,6 +49,28 @@ pub fn log_path(given: &Path) -> PathBuf {
     if given.is_dir() { given.join("run.mcap") } else { given.to_owned() }
 }
 
+/// Name of the newest run of a folder.
+const LATEST: &str = "latest";
+/// The folder of runs, unless a user names another one.
+const RUNS: &str = "out";
+
+/// Returns the path with `latest` replaced by the folder of the newest run in `out`, and `FOLDER/latest` by
+/// that in FOLDER; any other path, and one that exists, as it is. The newest run is the one whose log changed
+/// last.
+pub fn or_latest(given: PathBuf) -> PathBuf {
+    if given.file_name() != Some(OsStr::new(LATEST)) || given.symlink_metadata().is_ok() {
+        return given;
+    }
+    let runs = given.parent().filter(|parent| *parent != Path::new("")).unwrap_or(Path::new(RUNS));
+    let run = |entry: io::Result<DirEntry>| {
+        let folder = entry.ok()?.path();
+        let changed = log_path(&folder).metadata().ok().filter(|log| folder.is_dir() && log.is_file());
+        Some((changed?.modified().ok()?, folder))
+    };
+    let newest = runs.read_dir().ok().and_then(|entries| entries.filter_map(run).max());
+    newest.map_or(given, |(_, folder)| folder)
+}
+
 /// Returns the storage for a log's chunk indexes until the log ends: memory that spills to an unnamed file
 /// beside the log.
 pub fn index_beside(log: &Path) -> Box<dyn IndexStore> {
@@ -73,4 +96,34 @@ pub fn create_timing(path: &Path, header: &LogHeader) -> Result<TimingLog<BufWri
 fn create(path: &Path) -> Result<BufWriter<File>, LogError> {
     let file = File::create(path).map_err(|source| LogError::Create { path: path.into(), source })?;
     Ok(BufWriter::with_capacity(1 << 16, file))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+    use std::time::{Duration, SystemTime};
+
+    use super::*;
+
+    #[test]
+    fn the_latest_run_is_the_one_whose_log_changed_last() {
+        let place = tempfile::tempdir().unwrap();
+        let runs = place.path().join("runs");
+        let run = |name: &str, age_s| {
+            fs::create_dir_all(runs.join(name)).unwrap();
+            let log = File::create(runs.join(name).join("run.mcap")).unwrap();
+            log.set_modified(SystemTime::now() - Duration::from_secs(age_s)).unwrap();
+        };
+        let latest = runs.join(LATEST);
+        assert_eq!(or_latest(latest.clone()), latest, "no such folder");
+        run("z-20260101", 20);
+        run("a-20260102", 10);
+        run("b-20260101", 30);
+        fs::create_dir(runs.join("without_log")).unwrap();
+        fs::write(runs.join("file"), "").unwrap();
+        assert_eq!(or_latest(latest.clone()), runs.join("a-20260102"));
+        assert_eq!(or_latest(runs.join("b-20260101")), runs.join("b-20260101"));
+        run(LATEST, 40);
+        assert_eq!(or_latest(latest.clone()), latest, "a folder of this name");
+    }
 }

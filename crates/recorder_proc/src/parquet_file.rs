@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use ipc_types::messages::Tick;
 
-use parquet::basic::{Compression, Repetition, Type as PhysicalType};
+use parquet::basic::{Compression, LogicalType, Repetition, Type as PhysicalType};
 use parquet::data_type::{DoubleType, FloatType, Int64Type};
 use parquet::errors::ParquetError;
 use parquet::file::properties::WriterProperties;
@@ -20,7 +20,7 @@ use run_log::fields::Scalar;
 /// Rows per Parquet row group: a minute of ticks.
 const ROW_GROUP: usize = 65_536;
 
-/// A Parquet file: integers as INT64 (unsigned 64-bit integers bit for bit), floats as FLOAT and DOUBLE.
+/// A Parquet file: integers as INT64, those of 64 bits without a sign marked so, floats as FLOAT and DOUBLE.
 pub struct Parquet<W: Write + Send> {
     writer: SerializedFileWriter<W>,
     columns: Vec<Values>,
@@ -84,11 +84,14 @@ impl<W: Write + Send> Parquet<W> {
     /// # Errors
     /// Any error of the output.
     pub fn new(out: W, columns: &[Column]) -> Result<Parquet<W>, LogError> {
-        let named = columns.iter().map(|column| (column.name.as_str(), Values::of(column.ros_type)));
-        let time = LOG_COLUMNS.map(|name| (name, Values::of("int64")));
+        let named = columns.iter().map(|column| (column.name.as_str(), column.ros_type));
+        let time = LOG_COLUMNS.map(|name| (name, "int64"));
         let (mut fields, mut values) = (Vec::new(), Vec::new());
-        for (name, empty) in time.into_iter().chain(named) {
-            let field = Type::primitive_type_builder(name, empty.physical());
+        for (name, ros_type) in time.into_iter().chain(named) {
+            let empty = Values::of(ros_type);
+            // Without it a reader takes the upper half, where many hashes are, for negative numbers.
+            let unsigned = (ros_type == "uint64").then(|| LogicalType::integer(64, false));
+            let field = Type::primitive_type_builder(name, empty.physical()).with_logical_type(unsigned);
             let field = field.with_repetition(Repetition::REQUIRED).build().map_err(parquet_error)?;
             fields.push(TypePtr::from(field));
             values.push(empty);

@@ -1,4 +1,10 @@
 //! X-ray frames as images with their cameras.
+//!
+//! A frame is usually seen from the detector's side, as a radiograph hangs, and its focal length fx is then
+//! negative. OpenCV and RViz expect positive focal lengths, so such an image is sent mirrored, as a camera at
+//! the source sees it, with the matching camera matrix. The frame `c_arm` is the same for both.
+
+use std::borrow::Cow;
 
 use messages::{Frame, Pose};
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
@@ -49,6 +55,7 @@ pub fn of_frame(frame: &Frame, pixels: &[u16], form: ImageForm) -> Vec<Outgoing>
     let header = Header { stamp, frame_id: C_ARM_FRAME.into() };
     let (is_wide, side) = reduction(columns, rows, form);
     let (width, height) = (columns / side, rows / side);
+    let pixels = &as_seen_from_source(frame, pixels);
     let data: Vec<u8> = if is_wide {
         pixels.iter().flat_map(|pixel| pixel.to_le_bytes()).collect()
     } else {
@@ -66,6 +73,25 @@ pub fn of_frame(frame: &Frame, pixels: &[u16], form: ImageForm) -> Vec<Outgoing>
         FrameInParent { parent: WORLD.into(), child: C_ARM_FRAME.into(), pose: t_world_camera(frame) };
     push(&mut out, Output::Tf, &TfMessage { transforms: vec![transform(placed, stamp)] });
     out
+}
+
+/// Returns whether columns and rows are mirrored against the camera's axes.
+fn mirrored(frame: &Frame) -> [bool; 2] {
+    [frame.projection.intrinsics[0] < 0.0, frame.projection.intrinsics[4] < 0.0]
+}
+
+/// Returns the pixels with columns along the camera's +x and rows along its +y.
+fn as_seen_from_source<'a>(frame: &Frame, pixels: &'a [u16]) -> Cow<'a, [u16]> {
+    let [columns, rows] = mirrored(frame);
+    let mut seen = Cow::Borrowed(pixels);
+    if columns {
+        seen.to_mut().chunks_exact_mut(frame.geometry.columns as usize).for_each(<[u16]>::reverse);
+    }
+    if rows {
+        let lines = seen.rchunks_exact(frame.geometry.columns as usize);
+        seen = Cow::Owned(lines.flatten().copied().collect());
+    }
+    seen
 }
 
 fn as_u32(count: usize) -> u32 {
@@ -90,6 +116,13 @@ fn reduced(pixels: &[u16], columns: usize, width: usize, height: usize, side: us
 
 fn camera(frame: &Frame, header: Header, width: u32, height: u32, side: usize) -> CameraInfo {
     let mut k = frame.projection.intrinsics;
+    let [columns, rows] = mirrored(frame);
+    if columns {
+        (k[0], k[2]) = (-k[0], f64::from(frame.geometry.columns) - 1.0 - k[2]);
+    }
+    if rows {
+        (k[4], k[5]) = (-k[4], f64::from(frame.geometry.rows) - 1.0 - k[5]);
+    }
     if side > 1 {
         // Pixel centres are at integers: the centre of the first large pixel is (side - 1) / 2 from that of
         // the first small one.
@@ -151,8 +184,33 @@ mod tests {
         frame.projection.intrinsics = [-1000.0, 0.0, 1.5, 0.0, 1000.0, 0.5, 0.0, 0.0, 1.0];
         let info = camera(&frame, Header::default(), 2, 1, 2);
         // The optical axis meets the middle of the image: between the two large pixels.
-        assert_eq!((info.k[0], info.k[2], info.k[5]), (-500.0, 0.5, 0.0));
-        assert_eq!(info.p[..4], [-500.0, 0.0, 0.5, 0.0]);
+        assert_eq!((info.k[0], info.k[2], info.k[5]), (500.0, 0.5, 0.0));
+        assert_eq!(info.p[..4], [500.0, 0.0, 0.5, 0.0]);
+    }
+
+    /// Regression: images were sent with negative focal lengths, which OpenCV and RViz do not expect.
+    #[test]
+    fn a_point_has_the_same_pixel_in_the_sent_image_as_in_the_frame_and_focal_lengths_are_positive() {
+        let (columns, rows) = (6, 4);
+        // Cameras with either sign of fx and fy, and no symmetry.
+        for [fx, fy] in [[900.0, 800.0], [-900.0, 800.0], [900.0, -800.0], [-900.0, -800.0]] {
+            let mut frame = Frame::new_zeroed();
+            (frame.geometry.columns, frame.geometry.rows) = (columns, rows);
+            frame.projection.intrinsics = [fx, 0.0, 2.25, 0.0, fy, 1.75, 0.0, 0.0, 1.0];
+            let pixels: Vec<u16> = (0..columns * rows).map(|pixel| pixel as u16).collect();
+            let seen = as_seen_from_source(&frame, &pixels);
+            let info = camera(&frame, Header::default(), columns, rows, 1);
+            assert!(info.k[0] == 900.0 && info.k[4] == 800.0, "{:?}", info.k);
+            for (index, pixel) in pixels.iter().enumerate() {
+                // The ray through the pixel's centre in the frame, and its pixel in the sent image.
+                let [u, v] = [index as u32 % columns, index as u32 / columns].map(f64::from);
+                let (x, y) = ((u - 2.25) / fx, (v - 1.75) / fy);
+                let (column, row) = (info.k[0] * x + info.k[2], info.k[4] * y + info.k[5]);
+                assert!((column - column.round()).abs() < 1e-9 && (row - row.round()).abs() < 1e-9);
+                let found = seen[row.round() as usize * columns as usize + column.round() as usize];
+                assert_eq!(found, *pixel, "fx {fx}, fy {fy}: {column} {row}");
+            }
+        }
     }
 
     #[test]

@@ -7,7 +7,7 @@ use crate::error::LogError;
 use crate::fields::{FieldLocation, Scalar, element_size, find};
 use crate::source::LogSource;
 use crate::stream::{MessageStream, ReadOptions};
-use crate::topics::{self, Topic};
+use crate::topics::{self, Topic, unit_of};
 use crate::verdict::Verdict;
 
 /// The first columns of a table: when a message was logged, as a tick and as simulated time. No message has
@@ -29,6 +29,36 @@ impl Column {
     /// Creates a column of computed numbers (`float64`), which no message contains.
     pub fn computed(name: &str) -> Column {
         Column { name: name.to_owned(), ros_type: "float64", offset: 0, size: 0 }
+    }
+
+    /// Returns the unit, from the end of the name of its field: `rad/s`; empty if it has none.
+    pub fn unit(&self) -> &'static str {
+        let field = self.name.rsplit('.').next().unwrap_or(&self.name);
+        unit_of(field.split('[').next().unwrap_or(field)).unwrap_or_default()
+    }
+
+    /// Sets the column's value in a message; returns false, and changes nothing, if it is not a `float64`.
+    pub fn set(&self, body: &mut [u8], value: f64) -> bool {
+        let place = body.get_mut(self.offset..self.offset + self.size);
+        match place.filter(|_| self.ros_type == "float64") {
+            Some(place) if place.len() == size_of::<f64>() => {
+                place.copy_from_slice(&value.to_le_bytes());
+                true
+            }
+            _ => false,
+        }
+    }
+
+    /// Sets the column's value in a message; returns false, and changes nothing, if it is not a `uint32`.
+    pub fn set_whole(&self, body: &mut [u8], value: u32) -> bool {
+        let place = body.get_mut(self.offset..self.offset + self.size);
+        match place.filter(|place| self.ros_type == "uint32" && place.len() == size_of::<u32>()) {
+            Some(place) => {
+                place.copy_from_slice(&value.to_le_bytes());
+                true
+            }
+            None => false,
+        }
     }
 
     /// The column's value in a message; `None` for a computed column.

@@ -140,6 +140,11 @@ const UNITS: [(&str, &str); 10] = [
     ("_s", "s"),
 ];
 
+/// Returns the unit of a field, from the end of its name; `None` if it has none.
+pub fn unit_of(field: &str) -> Option<&'static str> {
+    UNITS.iter().find(|(suffix, _)| field.ends_with(suffix)).map(|(_, unit)| *unit)
+}
+
 /// Returns a channel's metadata: the layout's hash, the unit of every field that has one, and the frame.
 pub fn channel_metadata(description: &'static Description) -> BTreeMap<String, String> {
     let mut units = BTreeMap::new();
@@ -161,7 +166,7 @@ fn collect_units(description: &'static Description, prefix: &str, out: &mut BTre
         let name = format!("{prefix}{}", field.name);
         if let Element::Message(nested) = field.element {
             collect_units(nested, &format!("{name}."), out);
-        } else if let Some((_, unit)) = UNITS.iter().find(|(end, _)| field.name.ends_with(end)) {
+        } else if let Some(unit) = unit_of(field.name) {
             out.insert(name, unit);
         }
     }

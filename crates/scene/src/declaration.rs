@@ -82,6 +82,16 @@ fn table_of<T: JsonSchema>() -> Table {
     Reader { read: &read, written: &written }.table(&read, &written)
 }
 
+/// Returns the default of a scene's key if it is a list; array indices are omitted from its path.
+pub fn list_default(path: &str) -> Option<toml::Value> {
+    let (above, name) = path.rsplit_once('.').map_or((None, path), |(above, name)| (Some(above), name));
+    let table = above.map_or(Some(&*SCENE), |above| SCENE.kind(above)?.table())?;
+    match &table.keys.iter().find(|key| key.name == name)?.absent {
+        AbsentValue::Default(default @ Value::Array(_)) => toml::Value::try_from(default).ok(),
+        _ => None,
+    }
+}
+
 impl Table {
     /// The kind of a key by its path, such as `run.dt_ms`; array indices are omitted.
     pub(crate) fn kind(&self, path: &str) -> Option<&Kind> {
@@ -277,15 +287,18 @@ mod tests {
     /// Only keys that are set are checked against their ranges.
     #[test]
     fn every_default_is_within_its_range() {
+        let mut count = 0;
         each_key(&SCENE, "", &mut |path, key| {
             let (AbsentValue::Default(default), Some(range)) = (&key.absent, key.kind.range()) else {
                 return;
             };
+            count += 1;
             let values: Vec<f64> = match default {
                 Value::Array(values) => values.iter().map(|value| value.as_f64().unwrap()).collect(),
                 value => vec![value.as_f64().unwrap()],
             };
             assert!(values.iter().all(|value| range.allows(*value)), "{path}: {default} is not in {range:?}");
         });
+        assert!(count > 50, "{count} keys");
     }
 }

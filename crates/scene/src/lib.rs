@@ -58,10 +58,12 @@ mod urdf;
 mod urdf_meshes;
 
 pub use cutter::{Cutter, CutterBall, CutterSolid, CutterZone, MAX_CUTTER_BALLS, STANDARD_SCALLOP_MM};
+pub use declaration::list_default;
 pub use error::SceneError;
 pub use model::*;
 pub use named_file::ReadText;
 pub use no_effect::{NoEffect, keys_without_effect};
+pub use place::is_number_with_comma;
 pub use planned_path::planned_path_mm;
 pub use schema::json_schema;
 pub use tool::{FlexurePlace, Holder, OuterTubeSize, STANDARD_HOLDER, STANDARD_RADII, ToolRadii};
@@ -77,6 +79,9 @@ pub const LONGEST_RUN_S: f64 = 86_400.0;
 /// delay.
 pub const MAX_READINGS_UNDERWAY: usize = 256;
 
+/// What to do about a number with a decimal comma.
+pub const DECIMAL_COMMA: &str = "write a decimal point, not a comma";
+
 /// Error of a parsed text, which is the file's own or was completed from it.
 fn malformed(text: &str, path: &Path, parsed: &str, cause: &toml::de::Error) -> SceneError {
     let start = cause.span().map(|span| span.start);
@@ -86,7 +91,9 @@ fn malformed(text: &str, path: &Path, parsed: &str, cause: &toml::de::Error) -> 
         (Some(key), _) => place::line_of(text, key).unwrap_or(0),
         _ => 0,
     };
+    let is_comma = start.is_some_and(|start| place::is_decimal_comma(parsed, start));
     let cause = match key {
+        _ if is_comma && key.is_none() => format!("{}; {DECIMAL_COMMA}", cause.message()),
         Some(key) => format!("`{key}`: {}", place::in_words(cause.message())),
         None => place::in_words(cause.message()),
     };

@@ -75,7 +75,35 @@ pub(crate) fn in_words(message: &str) -> String {
              'C:\\data', or with /"
         );
     }
-    WORDS.iter().fold(message.to_owned(), |text, (typed, word)| text.replace(typed, word))
+    let message = WORDS.iter().fold(message.to_owned(), |text, (typed, word)| text.replace(typed, word));
+    with_nearest_name(&message).unwrap_or(message)
+}
+
+/// Similarity (Jaro-Winkler) above which a valid name is suggested for a wrong one, as in clap.
+const NEAR_ENOUGH: f64 = 0.7;
+
+/// Adds the nearest valid name to the parser's message about an unknown key or value, which quotes all names;
+/// `None` for any other message, and if none is near.
+fn with_nearest_name(message: &str) -> Option<String> {
+    let (unknown, expected) = message.split_once(", expected ")?;
+    let given = unknown.strip_prefix("unknown ")?.split('`').nth(1)?;
+    let near = |name: &&str| strsim::jaro_winkler(name, given);
+    let names = expected.split('`').skip(1).step_by(2);
+    let nearest = names.max_by(|a, b| near(a).total_cmp(&near(b))).filter(|name| near(name) > NEAR_ENOUGH)?;
+    Some(format!("{unknown} (did you mean `{nearest}`?), expected {expected}"))
+}
+
+/// Whether the text has a comma between two digits at or just before a byte, where the parser gave up.
+pub(crate) fn is_decimal_comma(text: &str, byte: usize) -> bool {
+    let line_start = text[..byte.min(text.len())].rfind('\n').map_or(0, |at| at + 1);
+    let line = text[line_start..].lines().next().unwrap_or_default();
+    let value = line.split_once('=').map_or("", |(_, value)| value.trim());
+    is_number_with_comma(value.split('#').next().unwrap_or_default().trim())
+}
+
+/// Whether a text is a number with a comma in place of its point.
+pub fn is_number_with_comma(text: &str) -> bool {
+    text.matches(',').count() == 1 && text.replace(',', ".").parse::<f64>().is_ok_and(|x| x.is_finite())
 }
 
 #[cfg(test)]
@@ -98,6 +126,33 @@ mod tests {
             let error = Scene::parse(&text, Path::new("x.toml")).unwrap_err().to_string();
             assert!(error.starts_with("x.toml, line 3: ") && error.contains("single quotes"), "{error}");
         }
+    }
+
+    /// Regression: only the list of all names followed, of which the meant one is hard to find.
+    #[test]
+    fn an_unknown_key_gets_the_nearest_name_and_a_decimal_comma_a_hint() {
+        let refused = |from: &str, to: &str| {
+            Scene::parse(&TEXT.replacen(from, to, 1), Path::new("a.toml")).unwrap_err().to_string()
+        };
+        for (from, to, hint) in [
+            (
+                "[[controller]]",
+                "[[controler]]",
+                "`controler` (did you mean `controller`?), expected one of `",
+            ),
+            ("duration_s", "duration", "`duration` (did you mean `duration_s`?), expected one of `"),
+            (
+                "drives = []",
+                "drives = [\"tendons\"]",
+                "`tendons` (did you mean `tendon`?), expected one of `",
+            ),
+            ("duration_s = 1.0", "duration_s = 1,5", "write a decimal point, not a comma"),
+        ] {
+            let error = refused(from, to);
+            assert!(error.contains(hint), "{error}");
+        }
+        let far = refused("duration_s", "zzz");
+        assert!(far.contains("unknown field `zzz`, expected") && !far.contains("did you mean"), "{far}");
     }
 
     /// The bare parser message, `invalid type: string "long", expected f64`, names neither the key nor a TOML
@@ -133,7 +188,7 @@ mod tests {
             (
                 "duration_s = 1.0",
                 "duration = 1.0",
-                "line 4: `run.duration`: unknown field `duration`, expected one of ",
+                "line 4: `run.duration`: unknown field `duration` (did you mean `duration_s`?), expected one of ",
             ),
             (
                 "burr_start_mm = [0.0, 0.0, 0.0]",

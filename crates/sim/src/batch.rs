@@ -9,6 +9,7 @@ use std::time::Duration;
 use messages::{Command, State};
 
 use crate::error::SimError;
+use crate::linear::LinearModel;
 use crate::shared::SharedScene;
 use crate::simulator::{Drive, Sim, Snapshot};
 
@@ -164,12 +165,7 @@ impl Batch {
         ticks: u64,
         is_to_end: &mut dyn FnMut() -> bool,
     ) -> Result<Vec<State>, SimError> {
-        let driven = self.driven.len();
-        let (given, expected) = (commands.as_ref().map_or(0, Vec::len), driven * self.count);
-        if commands.is_some() && given != expected {
-            return Err(SimError::Count { what: "commands", given, expected });
-        }
-        let commands = Arc::new(commands.unwrap_or_else(|| vec![Command::zeroed(); expected]));
+        let (driven, commands) = (self.driven.len(), self.commands_of_each(commands)?);
         let ended = Arc::new(AtomicBool::new(false));
         let is_ended = Arc::clone(&ended);
         let work = move |index: usize, sim: &mut Sim| {
@@ -201,6 +197,37 @@ impl Batch {
             return Err(SimError::Count { what: "snapshots", given, expected });
         }
         self.each(move |index, sim| sim.restore(&snapshots[index.min(given - 1)])).map(|_| ())
+    }
+
+    /// Linearises the next tick of every simulation at its present state, each as [`Sim::linearize`] does;
+    /// `commands` is as for [`Batch::step`].
+    ///
+    /// # Errors
+    /// As [`Batch::step`] and [`Sim::linearize`].
+    pub fn linearize_watched(
+        &self,
+        commands: Option<Vec<Command>>,
+        inputs: &[String],
+        outputs: &[String],
+        look: &mut dyn FnMut(),
+    ) -> Result<Vec<LinearModel>, SimError> {
+        let (driven, commands) = (self.driven.len(), self.commands_of_each(commands)?);
+        let (inputs, outputs) = (inputs.to_vec(), outputs.to_vec());
+        let work = move |index: usize, sim: &mut Sim| {
+            sim.linearize(&commands[index * driven..(index + 1) * driven], &inputs, &outputs)
+        };
+        self.each_watched(work, look)
+    }
+
+    /// Returns the commands of each simulation, empty ones if none are given.
+    fn commands_of_each(&self, commands: Option<Vec<Command>>) -> Result<Vec<Command>, SimError> {
+        let expected = self.driven.len() * self.count;
+        match commands {
+            Some(given) if given.len() != expected => {
+                Err(SimError::Count { what: "commands", given: given.len(), expected })
+            }
+            given => Ok(given.unwrap_or_else(|| vec![Command::zeroed(); expected])),
+        }
     }
 
     /// Resets the simulations whose flag is true.

@@ -64,6 +64,25 @@ pub enum SimError {
         /// The scene's controllers.
         scene: Vec<String>,
     },
+    /// A state vector or a keyframe cannot be restored; nothing has changed.
+    #[error("restored state: {0}")]
+    StateVector(SimulationError),
+    /// A built-in controller's own state is in no keyframe.
+    #[error("controller `{controller}` runs inside the simulation and is in no keyframe; drive it yourself")]
+    NoKeyframe {
+        /// Name of the controller.
+        controller: String,
+    },
+    /// No such input or output of a linear model.
+    #[error("{kind} `{name}`: {reason}")]
+    NoSignal {
+        /// `input` or `output`.
+        kind: &'static str,
+        /// Name given.
+        name: String,
+        /// Reason.
+        reason: String,
+    },
     /// A snapshot of another scene.
     #[error(
         "the snapshot belongs to another scene or to other driven controllers; expected one of a simulation \

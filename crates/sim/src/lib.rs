@@ -38,6 +38,7 @@
 //! | [`Sim`], [`Snapshot`] | one simulation; its state at a tick |
 //! | [`SharedScene`] | a checked scene with its volume |
 //! | [`Batch`] | many simulations on several threads |
+//! | [`LinearModel`] | a tick as A, B, C, D |
 //! | [`identification`] | parameters of scenes from measured files |
 //! | `from_log`, `recording`, `x_ray` | from a log, into a log, the X-ray of a state |
 
@@ -45,6 +46,7 @@ mod batch;
 mod error;
 mod from_log;
 pub mod identification;
+mod linear;
 mod recording;
 mod shared;
 mod simulator;
@@ -52,6 +54,7 @@ mod x_ray;
 
 pub use batch::{Batch, SimFactory};
 pub use error::SimError;
+pub use linear::{LinearModel, Signal, used_elements};
 pub use shared::SharedScene;
 pub use simulator::{Drive, Sim, Snapshot};
 pub use x_ray::View;

@@ -7,10 +7,12 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use controllers::{BuiltIn, Controller};
 use hub::in_process::{Answer, Commands, InProcess, InProcessError};
-use messages::{Command, ControllerIndex, SensorReading, State, Tick};
-use simulation::{Simulation, SimulationSnapshot};
+use messages::services::MAX_KEYFRAME_BYTES;
+use messages::{Command, ControllerIndex, Latched, SensorReading, State, Tick};
+use simulation::{KeyframeError, Simulation, SimulationError, SimulationSnapshot, StateEntry};
 use xray::Labels;
 use xray::frame::RenderedFrame;
+use zerocopy::{FromBytes, IntoBytes};
 
 use crate::batch::SimFactory;
 use crate::error::SimError;
@@ -43,6 +45,8 @@ pub struct Sim {
     /// The newest scheduled frame, for the controllers that see frames.
     frame: Option<Arc<RenderedFrame>>,
     frames_rendered: u64,
+    /// u_k of the last tick; `None` at the start.
+    latched: Option<Box<Latched>>,
     /// Parts of commands that could not be followed in the last call of [`Sim::step`].
     refusals: Vec<String>,
     /// Readings that arrived in the last call of [`Sim::step`], the newest [`READINGS_KEPT`].
@@ -70,6 +74,7 @@ pub struct Snapshot(Arc<Saved>);
 
 #[derive(Debug)]
 struct Saved {
+    vector: Vec<f64>,
     shared: Arc<SharedScene>,
     simulation: SimulationSnapshot,
     commands: Commands,
@@ -77,12 +82,18 @@ struct Saved {
     drilled: Vec<u32>,
     frame: Option<Arc<RenderedFrame>>,
     frames_rendered: u64,
+    latched: Option<Box<Latched>>,
 }
 
 impl Snapshot {
     /// Returns the state at its tick.
     pub fn state(&self) -> &State {
         self.0.simulation.state()
+    }
+
+    /// Returns its state vector: the values of [`Sim::state_entries`].
+    pub fn vector(&self) -> &[f64] {
+        &self.0.vector
     }
 }
 
@@ -108,6 +119,7 @@ impl Sim {
             drilled: Vec::new(),
             frame: None,
             frames_rendered: 0,
+            latched: None,
             refusals: Vec::new(),
             readings: VecDeque::new(),
             start: None,
@@ -213,6 +225,17 @@ impl Sim {
     }
 
     fn tick(&mut self, commands: &[Command]) -> Result<(), SimError> {
+        let latched = self.latch(commands)?;
+        self.latched = Some(Box::new(latched));
+        self.lane.tick(self.run.plant_mut(), &latched)?;
+        self.drilled.extend_from_slice(self.run.plant().removed());
+        self.take_refusals(Tick(latched.tick));
+        self.take_readings();
+        Ok(())
+    }
+
+    /// Latches the commands of the next tick: those given, and those of the built-in controllers.
+    fn latch(&mut self, commands: &[Command]) -> Result<Latched, SimError> {
         self.exchange_frames()?;
         let (readings, drivers) = (self.run.plant().readings().to_vec(), &mut self.drivers);
         let mut given = commands.iter();
@@ -234,17 +257,58 @@ impl Sim {
             }
             Answer::Command
         });
-        let latched = latched.map_err(|error| match error {
+        latched.map_err(|error| match error {
             InProcessError::Refused { controller, tick, cause } => {
                 SimError::Refused { controller: drivers[controller.slot()].name.clone(), tick, cause }
             }
             InProcessError::Plant { tick, cause } => SimError::Physics { tick, cause },
-        })?;
-        self.lane.tick(self.run.plant_mut(), &latched)?;
-        self.drilled.extend_from_slice(self.run.plant().removed());
-        self.take_refusals(Tick(latched.tick));
-        self.take_readings();
-        Ok(())
+        })
+    }
+
+    /// Runs `work` with the plant and the commands that its next tick would latch; then everything is as it
+    /// was, bit for bit.
+    pub(crate) fn at_next_tick<R>(
+        &mut self,
+        commands: &[Command],
+        work: impl FnOnce(&mut Simulation<'static>, &SimulationSnapshot, &Latched) -> Result<R, SimulationError>,
+    ) -> Result<R, SimError> {
+        self.check(commands)?;
+        let here = self.run.plant().snapshot();
+        let (sent, drivers) = (self.run.commands().clone(), self.drivers.clone());
+        let (frame, frames_rendered) = (self.frame.clone(), self.frames_rendered);
+        let latched = self.latch(commands);
+        self.run.restore_commands(&sent);
+        (self.drivers, self.frame, self.frames_rendered) = (drivers, frame, frames_rendered);
+        let latched = latched?;
+        let plant = self.run.plant_mut();
+        let done = work(plant, &here, &latched);
+        let restored = plant.restore(&here);
+        let failed = |cause| SimError::Physics { tick: Tick(here.state().tick), cause };
+        restored.map_err(failed)?;
+        done.map_err(failed)
+    }
+
+    /// Returns the entries of the state vector: names, units and ranges.
+    pub fn state_entries(&self) -> Vec<StateEntry> {
+        self.run.plant().state_entries()
+    }
+
+    /// Moves to the state of a snapshot, as [`Sim::restore`] does, but with these values in its state
+    /// vector. What the vector does not hold (bone, free bodies, motions in progress, sensors' delays,
+    /// controllers) is the snapshot's. If a bit differs from the snapshot's vector, the hash is one that no
+    /// run has.
+    ///
+    /// # Errors
+    /// As [`Sim::restore`]; also if the vector has the wrong length, a value is out of range, or joints of
+    /// the arm differ although it follows a path. Nothing has changed then.
+    pub fn restore_vector(&mut self, snapshot: &Snapshot, vector: &[f64]) -> Result<(), SimError> {
+        let here = self.snapshot();
+        self.restore(snapshot)?;
+        let set = self.run.plant_mut().set_state_vector(vector);
+        set.map_err(|cause| match self.restore(&here) {
+            Ok(()) => SimError::StateVector(cause),
+            Err(error) => error,
+        })
     }
 
     fn take_readings(&mut self) {
@@ -342,12 +406,65 @@ impl Sim {
         Snapshot(Arc::new(Saved {
             shared: Arc::clone(&self.shared),
             simulation: self.run.plant().snapshot(),
+            vector: self.run.plant().state_vector(),
             commands: self.run.commands().clone(),
             drivers: self.drivers.clone(),
             drilled: self.drilled.clone(),
             frame: self.frame.clone(),
             frames_rendered: self.frames_rendered,
+            latched: self.latched.clone(),
         }))
+    }
+
+    /// Returns the present state as bytes, for another process with this build and scene: a keyframe, as in a
+    /// log, and the last tick's commands. At most 9 MB.
+    ///
+    /// # Errors
+    /// [`SimError::NoKeyframe`] if a built-in controller runs inside, whose own state is in no keyframe; or
+    /// drilling has touched too many voxels.
+    pub fn keyframe(&self) -> Result<Vec<u8>, SimError> {
+        if let Some(driver) = self.drivers.iter().find(|driver| driver.built_in.is_some()) {
+            return Err(SimError::NoKeyframe { controller: driver.name.clone() });
+        }
+        let head = size_of::<Latched>() + 1;
+        let mut bytes = vec![0; head + MAX_KEYFRAME_BYTES];
+        if let Some(latched) = &self.latched {
+            bytes[0] = 1;
+            bytes[1..head].copy_from_slice(latched.as_bytes());
+        }
+        let failed = |cause| SimError::Physics { tick: Tick(self.state().tick), cause };
+        let length = self.run.plant().write_keyframe(&mut bytes[head..]);
+        bytes.truncate(head + length.map_err(|cause| failed(cause.into()))?);
+        Ok(bytes)
+    }
+
+    /// Moves to the state of [`Sim::keyframe`], from a simulation of the same scene in this or another
+    /// process, and continues from there bit for bit. Sensor readings and the order of the drilled voxels are
+    /// not restored.
+    ///
+    /// # Errors
+    /// If the bytes are of another scene or build or are damaged; or this simulation is being recorded.
+    /// Nothing has changed then.
+    pub fn restore_keyframe(&mut self, bytes: &[u8]) -> Result<(), SimError> {
+        let malformed =
+            |cause: &str| SimError::StateVector(KeyframeError::Unreadable { cause: cause.to_owned() }.into());
+        let (is_latched, rest) = bytes.split_first().ok_or_else(|| malformed("no bytes"))?;
+        let (latched, keyframe) = Latched::read_from_prefix(rest).map_err(|_| malformed("too short"))?;
+        let here = self.snapshot();
+        let start = self.start.clone().unwrap_or_else(|| here.clone());
+        self.restore(&start)?;
+        if let Err(cause) = self.run.plant_mut().restore_keyframe(keyframe) {
+            self.restore(&here)?;
+            return Err(SimError::StateVector(cause));
+        }
+        self.latched = (*is_latched == 1).then(|| Box::new(latched));
+        if let Some(latched) = &self.latched {
+            self.run.follow(latched);
+        }
+        let predrilled = self.run.plant().predrilled().to_vec();
+        self.drilled = self.run.plant().gone();
+        self.drilled.retain(|voxel| predrilled.binary_search(voxel).is_err());
+        Ok(())
     }
 
     /// Moves to the state of a snapshot, of this or another simulation of the same scene, and continues from
@@ -372,6 +489,7 @@ impl Sim {
         self.drilled.clone_from(&saved.drilled);
         self.frame.clone_from(&saved.frame);
         self.frames_rendered = saved.frames_rendered;
+        self.latched.clone_from(&saved.latched);
         self.refusals.clear();
         self.readings.clear();
         if let Some(x_ray) = &mut self.x_ray {

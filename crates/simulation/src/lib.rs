@@ -65,6 +65,6 @@ pub mod rigid;
 mod world;
 
 pub use world::{
-    CtView, Finding, KeyframeError, LostTool, Simulation, SimulationError, SimulationSnapshot, Verdict,
-    contact_kind, findings, manipulator_parameters, pose, rung,
+    CtView, Finding, KeyframeError, LostTool, Simulation, SimulationError, SimulationSnapshot, StateEntry,
+    StateVectorError, Verdict, contact_kind, findings, manipulator_parameters, pose, rung,
 };

@@ -12,6 +12,8 @@ use crate::protocol::Advertisement;
 pub const INFO: &str = "/view/info";
 /// The bone's surface, one message per block ([`crate::surface::mesh`]).
 pub const SURFACE: &str = "/view/surface";
+/// The same, coarse, for pages that render in software ([`crate::surface::coarse`]).
+pub const COARSE_SURFACE: &str = "/view/surface_coarse";
 /// The arm's links that have a mesh, one message per link, in the frame that it moves with
 /// ([`crate::surface::mesh`]).
 pub const ARM: &str = "/view/arm";
@@ -98,10 +100,10 @@ impl Channels {
         let (name, schema) = schema_of(Frame::DESCRIPTION);
         let schema = Schema { name, text: schema, encoding: "ros2msg" };
         channels.add(ASKED_FRAME, "trabecula.frame", schema, Policy::Newest);
-        let schema = Schema { name: "trabecula.view.Surface", text: String::new(), encoding: "" };
-        channels.add(SURFACE, "trabecula.mesh", schema, Policy::Newest);
-        let schema = Schema { name: "trabecula.view.Surface", text: String::new(), encoding: "" };
-        channels.add(ARM, "trabecula.mesh", schema, Policy::Newest);
+        for topic in [SURFACE, COARSE_SURFACE, ARM] {
+            let schema = Schema { name: "trabecula.view.Surface", text: String::new(), encoding: "" };
+            channels.add(topic, "trabecula.mesh", schema, Policy::Newest);
+        }
         channels
     }
 

@@ -3,7 +3,7 @@
 
 use std::collections::BTreeMap;
 
-use viewer_proc::surface::{BlockMesh, Blocks, Field, Voxel, link_mesh};
+use viewer_proc::surface::{BlockMesh, Blocks, CoarseBone, Field, Voxel, link_mesh};
 use voxel_grid::VoxelGrid;
 
 const THRESHOLD_HU: i16 = 150;
@@ -212,4 +212,59 @@ fn corners_are_where_they_were_to_a_step_and_facets_look_outward() {
     }
     assert_eq!((mesh.normals[0], mesh.normals[3]), ([0, 0, 127], [127, 0, 0]));
     assert!(link_mesh(0, &[]).indices.is_empty());
+}
+
+/// A page without a graphics card draws this surface.
+#[test]
+fn the_coarse_surface_has_the_balls_volume_at_a_tenth_of_the_triangles_and_follows_the_drill() {
+    let grid = turned([180, 175, 190], [0.5e-3, 0.5e-3, 0.5e-3]);
+    let (centre, radius_m) = ([90.0, 87.0, 95.0], 0.035);
+    let hu = ball(&grid, centre, radius_m);
+    let mut field = Field::new(grid, THRESHOLD_HU);
+    let mut coarse = CoarseBone::new(&grid, THRESHOLD_HU).unwrap();
+    coarse.update(&field, &hu);
+    let shown = |meshes: Vec<BlockMesh>, shown: &mut BTreeMap<u32, BlockMesh>| {
+        meshes.into_iter().for_each(|mesh| drop(shown.insert(mesh.block, mesh)));
+    };
+    let mut meshes = BTreeMap::new();
+    shown(coarse.mesh_changed(), &mut meshes);
+    let fine = triangles(mesh_all(&mut Blocks::new(&grid), &field, &hu).values()).len();
+    let all = triangles(meshes.values());
+    assert_eq!(open_edges(&all), 0);
+    assert!(5 * all.len() < fine, "{} of {fine} triangles", all.len());
+    let scale_m = meshes.values().next().unwrap().scale_m;
+    let (_, volume) = area_and_volume(&all, scale_m);
+    let expected = 4.0 / 3.0 * core::f64::consts::PI * radius_m.powi(3);
+    // The sagitta of a cell of 1.5 mm on 35 mm, h²/8r = 0.008 mm, and the mean of a cell that the surface
+    // cuts, whose Hounsfield units are clamped.
+    assert!((volume / expected - 1.0).abs() < 0.03, "{volume} {expected}");
+
+    // A tunnel of 6 mm, drilled in two rounds and restored in part.
+    let drill = |coarse: &mut CoarseBone, field: &mut Field, (from, to): (usize, usize), voxel: Voxel| {
+        for index in 0..grid.voxel_count() as u32 {
+            let at = grid.voxel(index as usize).unwrap();
+            let off = [at[0] as f64 - centre[0], at[1] as f64 - centre[1]];
+            let is_in = (from..to).contains(&at[2]) && off[0].hypot(off[1]) < 6.0;
+            if is_in && field.set(index, voxel) {
+                coarse.touch(at);
+            }
+        }
+        coarse.update(field, &hu);
+    };
+    for (range, voxel) in
+        [((20, 90), Voxel::Removed), ((90, 120), Voxel::Removed), ((60, 90), Voxel::Present)]
+    {
+        drill(&mut coarse, &mut field, range, voxel);
+        shown(coarse.mesh_changed(), &mut meshes);
+        let mut fresh = CoarseBone::new(&grid, THRESHOLD_HU).unwrap();
+        fresh.update(&field, &hu);
+        let mut expected = BTreeMap::new();
+        shown(fresh.mesh_changed(), &mut expected);
+        meshes.retain(|_, mesh| !mesh.indices.is_empty());
+        assert_eq!(meshes, expected, "{range:?}");
+    }
+    let (_, drilled) = area_and_volume(&triangles(meshes.values()), scale_m);
+    // Inside the ball, 64.7 slices are drilled; the round wall of 6 mm is cut into cells of 1.5 mm.
+    let tunnel = core::f64::consts::PI * 3.0e-3_f64.powi(2) * 0.5e-3 * 64.7;
+    assert!(((volume - drilled) / tunnel - 1.0).abs() < 0.15, "{} {tunnel}", volume - drilled);
 }

@@ -1,17 +1,21 @@
 //! gzip streams as stored in files: consecutive members, then padding.
 
+use crate::input::Stream;
 use flate2::bufread::GzDecoder;
 use std::io::{self, BufRead, Read};
 
-/// Decodes every member of a gzip stream. What follows the last member is ignored, as by `gzip(1)`: readers
-/// notice if a volume lacks a part of its bytes.
+/// Decodes every member of a gzip stream. What follows the last member is ignored, as by `gzip(1)`, and
+/// reported by [`Stream::has_more`]: readers notice if a volume lacks a part of its bytes.
 pub(crate) struct GzipMembers<R> {
     state: State<R>,
 }
 
 enum State<R> {
     Member(Box<GzDecoder<R>>),
-    Ended,
+    /// The source, after the last member.
+    Ended(R),
+    /// The source failed between members.
+    Failed,
 }
 
 impl<R: BufRead> GzipMembers<R> {
@@ -28,14 +32,30 @@ impl<R: BufRead> Read for GzipMembers<R> {
             if got > 0 || buffer.is_empty() {
                 return Ok(got);
             }
-            let State::Member(decoder) = std::mem::replace(&mut self.state, State::Ended) else {
+            let State::Member(decoder) = std::mem::replace(&mut self.state, State::Failed) else {
                 return Ok(0);
             };
             let mut rest = decoder.into_inner();
             if rest.fill_buf()?.first() != Some(&0x1f) {
+                self.state = State::Ended(rest);
                 return Ok(0);
             }
             self.state = State::Member(Box::new(GzDecoder::new(rest)));
+        }
+    }
+}
+
+impl<R: BufRead> Stream for GzipMembers<R> {
+    /// Zeros are padding, as on tapes.
+    fn has_more(&mut self) -> io::Result<bool> {
+        let State::Ended(rest) = &mut self.state else { return Ok(false) };
+        loop {
+            let bytes = rest.fill_buf()?;
+            let length = bytes.len();
+            if length == 0 || bytes.iter().any(|byte| *byte != 0) {
+                return Ok(length > 0);
+            }
+            rest.consume(length);
         }
     }
 }

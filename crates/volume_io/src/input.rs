@@ -71,19 +71,35 @@ pub(crate) fn open(path: &Path) -> Result<(File, u64), VolumeError> {
     Ok((file, metadata.len()))
 }
 
+/// The decoded content of a file.
+pub(crate) trait Stream: Read {
+    /// At the end: whether the file holds further bytes, which are ignored.
+    ///
+    /// # Errors
+    /// Any error of the file.
+    fn has_more(&mut self) -> std::io::Result<bool> {
+        Ok(false)
+    }
+}
+
+impl Stream for BufReader<File> {}
+impl Stream for flate2::bufread::ZlibDecoder<BufReader<File>> {}
+impl Stream for bzip2::bufread::MultiBzDecoder<BufReader<File>> {}
+impl Stream for HexDigits<BufReader<File>> {}
+
 /// The decoded content of a file from byte `offset`, and its largest possible size.
 pub(crate) fn open_stream(
     path: &Path,
     offset: u64,
     codec: Codec,
-) -> Result<(Box<dyn Read>, u64), VolumeError> {
+) -> Result<(Box<dyn Stream>, u64), VolumeError> {
     let (mut file, length) = open(path)?;
     if offset > length {
         return Err(VolumeError::truncated(path, "file", [length, offset]));
     }
     file.seek(SeekFrom::Start(offset)).map_err(io_error(path, "seek"))?;
     let reader = BufReader::with_capacity(1 << 16, file);
-    let stream: Box<dyn Read> = match codec {
+    let stream: Box<dyn Stream> = match codec {
         Codec::Raw => Box::new(reader),
         Codec::Gzip => Box::new(GzipMembers::new(reader)),
         Codec::Zlib => Box::new(flate2::bufread::ZlibDecoder::new(reader)),
@@ -186,7 +202,7 @@ pub(crate) fn skip(
 pub(crate) fn check_end(
     path: &Path,
     codec: Codec,
-    reader: &mut dyn Read,
+    reader: &mut dyn Stream,
     (field, needed, most): (&str, u64, u64),
     notes: &mut Vec<String>,
 ) -> Result<(), VolumeError> {
@@ -198,6 +214,9 @@ pub(crate) fn check_end(
     }
     let mut one = [0_u8];
     if read_full(path, codec.name(), reader, &mut one)? == 0 {
+        if reader.has_more().map_err(io_error(path, "read"))? {
+            notes.push(format!("bytes after the {} data are ignored", codec.name()));
+        }
         return Ok(());
     }
     Err(VolumeError::header(

@@ -5,7 +5,7 @@
 use std::io::{BufWriter, Write};
 use std::path::Path;
 
-use flate2::Compression;
+use crate::nrrd_write::GZIP_LEVEL;
 use flate2::write::GzEncoder;
 use output_file::{OutputError, OutputFile};
 
@@ -44,7 +44,7 @@ pub fn write_nifti(path: impl AsRef<Path>, volume: &Volume) -> Result<(), Volume
     let writer = BufWriter::with_capacity(1 << 16, &mut file);
     let written = match is_packed {
         true => {
-            let mut encoder = GzEncoder::new(writer, Compression::new(6));
+            let mut encoder = GzEncoder::new(writer, GZIP_LEVEL);
             write_into(&mut encoder, &header, volume).and_then(|()| encoder.finish()?.flush())
         }
         false => {

@@ -15,7 +15,7 @@ use super::{
     SessionError, create_node, file_error, transported,
 };
 use crate::half_made::SegmentSweeper;
-use crate::messages::services::{self, SAMPLES_HELD, Service};
+use crate::messages::services::{self, CONNECTIONS_BYTES, SAMPLES_HELD, Service};
 use crate::messages::{ControllerIndex, Part};
 use crate::own::ProcessOwned;
 use crate::scene::{Policy, Wait};
@@ -144,6 +144,31 @@ impl SessionHost {
 }
 
 impl SessionPlan {
+    /// Returns an upper bound of the shared memory that the session's own programs need, bytes: the launcher,
+    /// the parts and the controllers. Clients that only watch need a little more.
+    pub fn shared_bytes(&self) -> u64 {
+        let takes_part = |part: &Part| match part {
+            Part::Host | Part::Physics => true,
+            Part::Drr => self.frame_bytes > 0,
+            Part::Recorder => self.recorder,
+        };
+        let writers = |service: &Service| match service.name {
+            name if name == services::KEYFRAME.name => usize::from(self.recorder),
+            // Each part, the launcher and each controller reports events; requests come from clients.
+            name if name == services::EVENT.name => {
+                Part::ALL.iter().filter(|part| takes_part(part)).count() + self.controllers.len()
+            }
+            name if name == services::COMMAND.name => 1,
+            _ => service.writers.iter().filter(|part| takes_part(part)).count(),
+        };
+        let ports = self
+            .services()
+            .into_iter()
+            .map(|(_, service)| writers(&service) as u64 * service.reserved_bytes());
+        // The second one is what the last port still finds free when it is opened.
+        ports.sum::<u64>() + 2 * CONNECTIONS_BYTES
+    }
+
     fn services(&self) -> Vec<(String, Service)> {
         let mut all = Vec::new();
         for service in services::ALL {

@@ -20,7 +20,7 @@ use trabecula::machine::Machine;
 /// The real CT, and the folder in which it is searched; it is not part of the project.
 const REAL_CT: &str = "totalsegmentator_example/example_ct.nii.gz";
 const SHARED_DATA: &str = "../shared/data";
-/// Pixels of the detector along an edge, and their pitch: those of `trabecula drr`.
+/// Pixels of the detector along an edge, and their pitch.
 const SIDE: u32 = 512;
 const PITCH_M: f64 = 0.6e-3;
 const THREADS: usize = 2;

@@ -23,7 +23,7 @@ use trabecula::machine::Machine;
 const C_ARMS: [(f64, f64); 4] = [(0.7, 1.0), (0.7, 1.2), (0.7, 0.8), (0.2, 0.5)];
 /// Edge of the field in the slices, and height of the volume, m.
 const FIELD_M: f64 = 0.5;
-/// Pixels of the detector along an edge, and their pitch: those of `trabecula drr`.
+/// Pixels of the detector along an edge, and their pitch.
 const SIDE: u32 = 512;
 const PITCH_M: f64 = 0.6e-3;
 /// Photon energy, keV.

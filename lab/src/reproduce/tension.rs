@@ -54,10 +54,8 @@ pub(super) fn run(plan: &Plan) -> Result<(), Failure> {
         match own.right_angle {
             Some((tension, curvature)) => say!(
                 "friction {}: 90 degrees at {tension:.2} N, curvature {curvature:.4} /mm by the \
-                 nearest circle, {:.4} /mm from the first flexure to the burr \
-                 (published: {PUBLISHED_CURVATURE})",
-                own.friction,
-                0.5 * core::f64::consts::PI / arc_mm()
+                 nearest circle (published: {PUBLISHED_CURVATURE})",
+                own.friction
             ),
             None => say!("friction {}: below 90 degrees up to {MAX_TENSION_N} N", own.friction),
         }
@@ -98,11 +96,6 @@ fn curvature_per_mm(tool: &Manipulator) -> f64 {
         (1..=tool.joint_count()).map(|link| point(tool.t_world_link(link).translation.vector)).collect();
     points.push(point(tool.t_world_tip().translation.vector));
     1.0 / radius_mm(&points)
-}
-
-/// Returns the length along the tool from the first flexure to the burr's centre, mm.
-fn arc_mm() -> f64 {
-    ManipulatorParameters::jhu_27().flexible_length_m() * 1e3
 }
 
 /// Returns the bend at the nearest tension of the sweep.

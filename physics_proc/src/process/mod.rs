@@ -21,6 +21,7 @@ use ipc_types::process::{EndRequest, FIFO_REFUSED, Role, prioritise, session_sce
 use ipc_types::scene::{Mode, Policy, Scene, SceneError};
 use ipc_types::session::{Session, SessionError};
 use rustix::mm::MlockAllFlags;
+use rustix::process::{Resource, getrlimit};
 use simulation::{Simulation, SimulationError};
 use thiserror::Error;
 
@@ -104,10 +105,29 @@ fn lock_memory(memory: &mut SharedMemory<'_>, scene: &Scene) -> Result<(), PortE
         Mode::Lockstep => all | MlockAllFlags::ONFAULT,
     };
     match rustix::mm::mlockall(flags) {
-        Ok(()) => Ok(()),
-        Err(cause) => inform(memory, &format!("memory is not locked ({cause}): page faults may delay ticks")),
+        Ok(()) => keep_future_memory_unlocked_near_the_limit(),
+        Err(cause) => {
+            inform(memory, &format!("memory is not locked ({cause}): page faults may delay ticks"))?
+        }
+    }
+    Ok(())
+}
+
+/// Locks only present memory if a limit leaves little room: with `MCL_FUTURE`, an allocation beyond the limit
+/// fails. A process that has locked more than the limit may do so without one (`CAP_IPC_LOCK`).
+fn keep_future_memory_unlocked_near_the_limit() {
+    let Some(limit) = getrlimit(Resource::Memlock).current else { return };
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let size = status.lines().find_map(|line| line.strip_prefix("VmSize:")?.trim().strip_suffix(" kB"));
+    let bytes = size.and_then(|kib| kib.parse::<u64>().ok()).unwrap_or(0).saturating_mul(1024);
+    if bytes <= limit && limit - bytes < FUTURE_BYTES {
+        // Present memory stays locked.
+        let _ = rustix::mm::mlockall(MlockAllFlags::CURRENT);
     }
 }
+
+/// Memory that a run may still allocate after its start, at most: partly cut voxels and keyframes.
+const FUTURE_BYTES: u64 = 256 << 20;
 
 /// Raises the priority, because in real time the tick comes first; reports it if the scheduler refuses.
 fn take_priority(memory: &mut SharedMemory<'_>, scene: &Scene) -> Result<(), PortError> {

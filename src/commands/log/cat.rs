@@ -10,13 +10,14 @@ use run_log::ReadOptions;
 use run_log::cat::{CatOptions, CatSummary, cat};
 
 use super::{Out, answered, concluded};
-use crate::commands::in_order;
+use crate::commands::{in_order, log_name};
 use crate::failure::Failure;
 
 /// Arguments of `log cat`.
 #[derive(Debug, Args)]
 pub struct CatArguments {
-    /// Log file, or the folder of a run.
+    /// Log file, or the folder of a run; `latest` is the newest run in `out`.
+    #[arg(value_parser = log_name())]
     log: PathBuf,
     /// Only this topic (may be repeated); chunks without it are not read.
     #[arg(long = "topic")]

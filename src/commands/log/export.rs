@@ -18,7 +18,7 @@ use serde_json::{Value, json};
 use super::geometry::{self, Geometry};
 use super::json::of_verdict;
 use super::{dataset, foxglove, judged};
-use crate::commands::in_order;
+use crate::commands::{in_order, log_name};
 use crate::dataset::{Format, Split};
 use crate::failure::Failure;
 use crate::launcher::volume_source::VolumeFiles;
@@ -29,8 +29,8 @@ use figures::picture::grey16;
 /// Arguments of `log export`.
 #[derive(Debug, Args)]
 pub struct ExportArguments {
-    /// Log file, or the folder of a run; with `--dataset`, one or more.
-    #[arg(required = true)]
+    /// Log file, or the folder of a run (`latest`: the newest in `out`); with `--dataset`, one or more.
+    #[arg(required = true, value_parser = log_name())]
     pub(super) logs: Vec<PathBuf>,
     /// New `.csv` or `.parquet` file; with `--frames`, a folder for the images; with `--dataset`, a new or
     /// empty folder; with `--geometry`, a file in one of its formats.

@@ -10,14 +10,15 @@ use recorder_proc::rewritten::{Sizes, cat_files, compress, repair, split};
 use run_log::Packing;
 
 use super::{Out, json};
-use crate::commands::{Choice, choice};
+use crate::commands::{Choice, choice, log_name};
 use crate::failure::Failure;
 use crate::say::Figures;
 
 /// Arguments of `log repair`.
 #[derive(Debug, Args)]
 pub struct RepairArguments {
-    /// Log file, or the folder of a run.
+    /// Log file, or the folder of a run; `latest` is the newest run in `out`.
+    #[arg(value_parser = log_name())]
     log: PathBuf,
     /// New log file.
     #[arg(short, long)]
@@ -53,7 +54,8 @@ const METHODS: [Choice<Method>; 3] = [
 /// Arguments of `log compress`.
 #[derive(Debug, Args)]
 pub struct CompressArguments {
-    /// Log file, or the folder of a run.
+    /// Log file, or the folder of a run; `latest` is the newest run in `out`.
+    #[arg(value_parser = log_name())]
     log: PathBuf,
     /// New log file.
     #[arg(short, long)]
@@ -92,7 +94,7 @@ pub fn compress_log(arguments: &CompressArguments, out: &mut Out<'_>) -> Result<
 #[derive(Debug, Args)]
 pub struct CatFilesArguments {
     /// Log files, or folders of runs.
-    #[arg(required = true, num_args = 2..)]
+    #[arg(required = true, num_args = 2.., value_parser = log_name())]
     logs: Vec<PathBuf>,
     /// New file. Topics of the first log get the prefix /run1, those of the second /run2, and so on.
     #[arg(short, long)]
@@ -114,6 +116,7 @@ pub fn cat_files_log(arguments: &CatFilesArguments, out: &mut Out<'_>) -> Result
 #[derive(Debug, Args)]
 pub struct SplitArguments {
     /// File with several runs, or the folder that contains it as `run.mcap`.
+    #[arg(value_parser = log_name())]
     log: PathBuf,
     /// Folder for run1.mcap, run2.mcap and so on.
     #[arg(short, long)]

@@ -17,6 +17,7 @@ use recorder_proc::log_file::{LogFile, log_path};
 use run_log::diff::diff;
 use run_log::{LogError, ReadOptions, Verdict, info};
 
+use crate::commands::log_name;
 use crate::failure::Failure;
 use crate::say::{self, Figures, Out};
 
@@ -25,7 +26,8 @@ use crate::say::{self, Figures, Out};
 pub enum LogCommand {
     /// Print a summary: scene, build, ticks, topics, sizes, gaps and how the log ends.
     Info {
-        /// Log file, or the folder of a run.
+        /// Log file, or the folder of a run; `latest` is the newest run in `out`.
+        #[arg(value_parser = log_name())]
         log: PathBuf,
         #[command(flatten)]
         figures: Figures,
@@ -34,9 +36,11 @@ pub enum LogCommand {
     Cat(cat::CatArguments),
     /// Print the first difference between two logs; exit code 1 if they differ.
     Diff {
-        /// Log file, or the folder of a run.
+        /// Log file, or the folder of a run; `latest` is the newest run in `out`.
+        #[arg(value_parser = log_name())]
         first: PathBuf,
         /// Log to compare with.
+        #[arg(value_parser = log_name())]
         second: PathBuf,
         #[command(flatten)]
         figures: Figures,

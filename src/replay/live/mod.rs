@@ -77,7 +77,7 @@ pub fn run(log: &OpenedLog, plan: &LivePlan) -> Result<Vec<(String, u64)>, Failu
     if plan.closed_loop {
         scene.run.mode = Mode::Lockstep;
     }
-    let hub = Hub::create(&scene, log.ct.as_ref(), Recording::Off).map_err(Failure::failed)?;
+    let hub = Hub::create(&scene, log.ct.as_ref(), Recording::Off)?;
     let stage = Stage::open(&hub.host.session, &plan.controllers, &indices, &scene)?;
     let start =
         |(name, words): &(String, Vec<String>)| hub.start_program(name, words).map_err(Failure::failed);

@@ -46,9 +46,9 @@ const JOINTS: usize = 27;
 const PITCH_M: f64 = 1.3e-3;
 const SHAFT_M: f64 = 0.1;
 /// Radius of the burr.
-pub const BURR_RADIUS_M: f64 = 3e-3;
+const BURR_RADIUS_M: f64 = 3e-3;
 /// Ticks between frames.
-pub const FRAME_TICKS: u64 = 100;
+const FRAME_TICKS: u64 = 100;
 
 /// Header of both lanes, in real time.
 pub fn header() -> LogHeader {

@@ -4,12 +4,12 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 use ipc_types::messages::services;
-use ipc_types::messages::{Command, Event, RunControl, RunControlReply, RunStatus, State};
+use ipc_types::messages::{CONTROL_STOP, Command, Event, RunControl, RunControlReply, RunStatus, State};
 use ipc_types::ports::{Publisher, Subscriber};
 use ipc_types::session::{Reader, Session};
 use ipc_types::wake::Waker;
 
-use super::program::{LIMIT, wait_for};
+use super::program::{Ended, LIMIT, Run, wait_for};
 
 /// Observes and steers a run.
 pub struct Client {
@@ -36,6 +36,20 @@ impl Client {
             requests: std::cell::Cell::new(1000),
             session,
         }
+    }
+
+    /// Joins a run and waits for a tick.
+    pub fn at(run: &Run, tick: u64) -> Client {
+        let client = Client::join(&run.session());
+        client.wait_for_state(|state| state.tick >= tick);
+        client
+    }
+
+    /// Stops the run, which must succeed.
+    pub fn stop(self, run: Run) -> Ended {
+        self.ask(CONTROL_STOP, 0);
+        drop(self);
+        run.end_well()
     }
 
     /// Waits for a state that satisfies a condition, and returns it.

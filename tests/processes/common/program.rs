@@ -4,11 +4,12 @@ use std::collections::btree_map::Entry;
 use std::collections::{BTreeMap, BTreeSet};
 use std::ffi::OsStr;
 use std::fs::{self, File};
+use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::sync::{LazyLock, Mutex, PoisonError};
 use std::time::{Duration, Instant};
-use test_support::limited::Limited;
+use test_support::limited::{COMMAND_LIMIT, Limited, Watchdog};
 
 use ipc_types::process::descendants;
 use ipc_types::session::{SessionId, places};
@@ -37,6 +38,58 @@ pub fn trabecula(arguments: &[&dyn AsRef<OsStr>]) -> Done {
     let output = command.limited_output().unwrap();
     let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
     Done { code: output.status.code(), out: text(&output.stdout), err: text(&output.stderr) }
+}
+
+/// Runs the program, which must succeed.
+pub fn succeed(arguments: &[&dyn AsRef<OsStr>]) -> Done {
+    let done = trabecula(arguments);
+    assert_eq!(done.code, Some(0), "{}", done.err);
+    done
+}
+
+/// The same as [`trabecula`] for words of one type.
+pub fn call<W: AsRef<OsStr>>(words: &[W]) -> Done {
+    trabecula(&as_words(words))
+}
+
+pub fn as_words<W: AsRef<OsStr>>(words: &[W]) -> Vec<&dyn AsRef<OsStr>> {
+    words.iter().map(|word| word as &dyn AsRef<OsStr>).collect()
+}
+
+/// Returns the first line that a program prints.
+pub fn first_line(program: &mut Child) -> String {
+    let watchdog = Watchdog::over(program, COMMAND_LIMIT);
+    let mut line = String::new();
+    BufReader::new(program.stdout.as_mut().unwrap()).read_line(&mut line).unwrap();
+    drop(watchdog);
+    line
+}
+
+/// Returns names and contents of all files below a folder; a dangling link has no content.
+pub fn files_below(folder: &Path) -> Vec<(PathBuf, Vec<u8>)> {
+    let (mut found, mut folders) = (Vec::new(), vec![folder.to_owned()]);
+    while let Some(below) = folders.pop() {
+        for path in fs::read_dir(below).unwrap().flatten().map(|entry| entry.path()) {
+            let name = path.strip_prefix(folder).unwrap().to_owned();
+            match path.is_dir() {
+                true => folders.push(path),
+                false => found.push((name, fs::read(path).unwrap_or_default())),
+            }
+        }
+    }
+    found.sort();
+    found
+}
+
+/// Returns IDs and command lines of the processes that have one of these words in their command line.
+pub fn processes_with<W: AsRef<str>>(words: &[W]) -> Vec<(u32, String)> {
+    let line = |entry: fs::DirEntry| {
+        let pid = entry.file_name().to_str()?.parse().ok()?;
+        let line = fs::read(entry.path().join("cmdline")).ok()?;
+        let line = String::from_utf8_lossy(&line).replace('\0', " ");
+        words.iter().any(|word| line.contains(word.as_ref())).then_some((pid, line))
+    };
+    fs::read_dir("/proc").unwrap().flatten().filter_map(line).collect()
 }
 
 /// Waits until `found` returns something.
@@ -99,6 +152,12 @@ impl Place {
         path
     }
 
+    /// Returns the words of a line; `@` is this folder.
+    pub fn words(&self, line: &str) -> Vec<String> {
+        let here = self.path("");
+        line.split(' ').map(|word| word.replace('@', here.to_str().unwrap())).collect()
+    }
+
     /// Returns the names of everything in the folder.
     pub fn entries(&self) -> Vec<String> {
         let name = |entry: fs::DirEntry| entry.file_name().to_string_lossy().into_owned();
@@ -115,9 +174,7 @@ impl Place {
 
     /// Completes a run that must succeed.
     pub fn complete(&self, scene: &str) -> Ended {
-        let ended = self.start(scene).end();
-        assert_eq!(ended.code, Some(0), "{}", ended.err);
-        ended
+        self.start(scene).end_well()
     }
 }
 
@@ -218,6 +275,20 @@ impl Run {
         let written = |folder: &PathBuf| fs::metadata(folder).and_then(|it| it.modified()).ok();
         let folder = folders.into_iter().max_by_key(written).unwrap_or_default();
         Ended { code: status.code(), out: text("out"), err: text("err"), folder, pid }
+    }
+
+    /// The same; the run must succeed.
+    pub fn end_well(self) -> Ended {
+        let ended = self.end();
+        assert_eq!(ended.code, Some(0), "{}", ended.err);
+        ended
+    }
+}
+
+impl Ended {
+    /// Returns the figures of `summary.json`.
+    pub fn summary(&self) -> serde_json::Value {
+        serde_json::from_slice(&fs::read(self.folder.join("summary.json")).unwrap()).unwrap()
     }
 }
 

@@ -2,7 +2,7 @@
 
 use ipc_types::messages::layout::{Description, Element, Field};
 
-use ipc_types::messages::{CLIENT_CODES, CODE_FIELDS, Code, CodeSet};
+use ipc_types::messages::{CLIENT_CODES, CODE_FIELDS, Code, CodeSet, USED_LENGTHS};
 
 use super::constants::{LIMITS, lengths, whole};
 use super::{layouts, nested_first, wrapped};
@@ -24,23 +24,6 @@ import numpy as np
 from ._view import ArrayField, ElementsField, View, field, nested
 
 ";
-
-/// Arrays that are only partly used, and the field with the used length: message, array, count.
-const COUNTS: [(&str, &str, &str); 13] = [
-    ("State", "joint_position_rad", "joint_count"),
-    ("State", "joint_velocity_rad_per_s", "joint_count"),
-    ("State", "t_world_link", "joint_count"),
-    ("State", "tendon_tension_n", "tendon_count"),
-    ("State", "tendon_displacement_m", "tendon_count"),
-    ("State", "arm_joint_position_rad", "arm_joint_count"),
-    ("State", "arm_joint_velocity_rad_per_s", "arm_joint_count"),
-    ("State", "arm_joint_deflection_rad", "arm_joint_count"),
-    ("State", "contacts", "contact_count"),
-    ("SensorReading", "value", "value_count"),
-    ("State", "t_world_body", "body_count"),
-    ("State", "applied", "controller_count"),
-    ("Latched", "commands", "controller_count"),
-];
 
 /// Arrays that can be set to fewer entries, as many as the tool has tendons or the arm joints; the remaining
 /// entries become 0.
@@ -160,7 +143,7 @@ fn dtype(field: &Field) -> String {
 fn attribute(message: &str, field: &Field, text: &mut String) {
     let doc = wrapped(field.doc, usize::MAX).join(" ").replace('"', "'");
     let (name, offset) = (field.name, field.offset);
-    let count = COUNTS.iter().find(|(of, array, _)| (*of, *array) == (message, name));
+    let count = USED_LENGTHS.iter().find(|(of, array, _)| (*of, *array) == (message, name));
     let count = count.map_or(String::new(), |(_, _, count)| format!(", \"{count}\""));
     let fewer = if ROOMS.contains(&(message, name)) { ", fewer_fit=True" } else { "" };
     let codes = CODE_FIELDS.iter().find(|coded| (coded.message, coded.field) == (message, name));
@@ -225,7 +208,7 @@ mod tests {
     /// Arrays must be cut to the used length, not returned at full capacity.
     #[test]
     fn every_array_with_a_count_beside_it_is_cut_to_it() {
-        for (message, array, count) in COUNTS {
+        for (message, array, count) in USED_LENGTHS {
             let all = nested_first();
             let message = all.iter().find(|known| known.short_name() == message).unwrap();
             let field = |name: &str| message.fields.iter().find(|field| field.name == name).unwrap();
@@ -236,7 +219,7 @@ mod tests {
             let name = message.short_name();
             for field in message.fields.iter().filter(long).filter(|field| field.name != "sha256") {
                 assert!(
-                    COUNTS.iter().any(|(of, array, _)| (*of, *array) == (name, field.name)),
+                    USED_LENGTHS.iter().any(|(of, array, _)| (*of, *array) == (name, field.name)),
                     "{name}.{}",
                     field.name
                 );

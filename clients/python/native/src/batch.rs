@@ -7,7 +7,7 @@ use zerocopy::IntoBytes;
 
 use crate::failing::raised;
 use crate::scene::Scene;
-use crate::simulation::{Snapshot, commands, drive, stepped};
+use crate::simulation::{Linear, Snapshot, commands, drive, linear, stepped};
 
 /// Simulations that are stepped together.
 #[pyclass(frozen, module = "trabecula._sim")]
@@ -45,6 +45,20 @@ impl Batch {
         let given = given.map(|bytes| commands(py, bytes)).transpose()?;
         let states = stepped(py, &self.0, given, ticks)?;
         Ok(PyBytes::new(py, states.as_bytes()))
+    }
+
+    /// The next tick of every simulation as a linear model.
+    #[pyo3(signature = (given, inputs, outputs))]
+    fn linearize<'py>(
+        &self,
+        py: Python<'py>,
+        given: Option<&[u8]>,
+        inputs: Vec<String>,
+        outputs: Vec<String>,
+    ) -> PyResult<Vec<Linear<'py>>> {
+        let given = given.map(|bytes| commands(py, bytes)).transpose()?;
+        let models = self.with(py, |batch| batch.linearize_watched(given, &inputs, &outputs, &mut || ()))?;
+        Ok(models.into_iter().map(|model| linear(py, model)).collect())
     }
 
     /// The concatenated bytes of all states.

@@ -21,6 +21,9 @@ fn kind(error: &SimError) -> Kind {
         | SimError::Refused { .. }
         | SimError::CommandCount { .. }
         | SimError::NoController { .. }
+        | SimError::NoSignal { .. }
+        | SimError::StateVector(_)
+        | SimError::NoKeyframe { .. }
         | SimError::OtherScene
         | SimError::NotInLog { .. }
         | SimError::NoContinuation { .. }

@@ -27,6 +27,34 @@ impl Snapshot {
     fn state<'py>(&self, py: Python<'py>) -> Bound<'py, PyBytes> {
         PyBytes::new(py, self.0.state().as_bytes())
     }
+
+    /// The state vector, as bytes of float64.
+    fn vector<'py>(&self, py: Python<'py>) -> Bound<'py, PyBytes> {
+        PyBytes::new(py, self.0.vector().as_bytes())
+    }
+}
+
+/// A linear model: tick, seconds of a tick, names and units of states, inputs and outputs, the bytes of the
+/// matrices and of the values, and notes.
+pub(crate) type Linear<'py> =
+    (u64, f64, [Vec<(String, &'static str)>; 3], [Bound<'py, PyBytes>; 8], Vec<String>);
+
+/// Converts a linear model.
+pub(crate) fn linear<'py>(py: Python<'py>, model: ::sim::LinearModel) -> Linear<'py> {
+    let signals = [model.states, model.inputs, model.outputs]
+        .map(|signals| signals.into_iter().map(|signal| (signal.name, signal.unit)).collect());
+    let numbers = [
+        &model.a,
+        &model.b,
+        &model.c,
+        &model.d,
+        &model.state,
+        &model.next_state,
+        &model.input,
+        &model.output,
+    ]
+    .map(|numbers| PyBytes::new(py, numbers.as_bytes()));
+    (model.tick, model.dt_s, signals, numbers, model.notes)
 }
 
 /// Returns `everything`, or the controllers with these names.
@@ -184,6 +212,34 @@ impl Sim {
     fn restore(&self, py: Python<'_>, snapshot: &Snapshot) -> PyResult<()> {
         let snapshot = snapshot.0.clone();
         self.with(py, move |sim| sim.restore(&snapshot))
+    }
+
+    /// Moves to a snapshot's state with another state vector, given as bytes of float64.
+    fn restore_vector(&self, py: Python<'_>, snapshot: &Snapshot, vector: &[u8]) -> PyResult<()> {
+        let snapshot = snapshot.0.clone();
+        // The Python half sends whole numbers of float64.
+        let number = |bytes: &[u8]| bytes.try_into().map_or(f64::NAN, f64::from_le_bytes);
+        let vector: Vec<f64> = vector.chunks_exact(8).map(number).collect();
+        self.with(py, move |sim| sim.restore_vector(&snapshot, &vector))
+    }
+
+    /// Names and units of the state vector's entries.
+    fn state_entries(&self, py: Python<'_>) -> PyResult<Vec<(String, &'static str)>> {
+        let entries = self.with(py, |sim| Ok(sim.state_entries()))?;
+        Ok(entries.into_iter().map(|entry| (entry.name, entry.unit)).collect())
+    }
+
+    /// The next tick with these commands as a linear model.
+    fn linearize<'py>(
+        &self,
+        py: Python<'py>,
+        given: &[u8],
+        inputs: Vec<String>,
+        outputs: Vec<String>,
+    ) -> PyResult<Linear<'py>> {
+        let given = commands(py, given)?;
+        let model = self.with(py, move |sim| sim.linearize(&given, &inputs, &outputs))?;
+        Ok(linear(py, model))
     }
 
     fn reset(&self, py: Python<'_>) -> PyResult<()> {

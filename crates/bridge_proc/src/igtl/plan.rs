@@ -111,8 +111,8 @@ impl Follower {
         Ok(())
     }
 
-    /// Fills in the command for this state; leaves it unchanged if there is nothing to do. Returns whether the
-    /// arm abandons its goal with this state.
+    /// Fills in the command for this state; leaves it unchanged if there is nothing to do. Returns whether
+    /// the arm abandons its goal with this state.
     pub(crate) fn fill(&mut self, state: &State, command: &mut Command) -> bool {
         let gives_up = self.advance(state);
         match &mut self.stage {

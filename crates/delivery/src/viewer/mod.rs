@@ -4,7 +4,7 @@
 //! **Boundary:** as in the rest of this crate, decisions only; the viewer's process takes the session's
 //! messages, owns sockets, locks and clock, and sends what [`Client::take`] returns.
 //!
-//! **Invariants**, tested against every schedule of `hub_simulator`: each client's queue is bounded; each
+//! **Invariants**, tested against every schedule of `hub_schedules`: each client's queue is bounded; each
 //! message of a stream is delivered once and in order, or counted and reported as dropped; a client that
 //! keeps reading gets the newest message of each of its channels; no channel starves another.
 //!

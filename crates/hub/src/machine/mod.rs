@@ -204,6 +204,7 @@ pub struct Hub<P: Plant> {
     keyframe_refused: bool,
     /// Whether the event "the model is not valid" has been sent since the start, or since the last reset.
     invalid_told: bool,
+    creation_told: bool,
     /// Voxels that could not be cut because memory ran out.
     uncut_voxels: Shortfall,
     /// Contacts beyond the contact capacity.
@@ -246,6 +247,7 @@ impl<P: Plant> Hub<P> {
             status_sent_ns: None,
             keyframe_refused: false,
             invalid_told: false,
+            creation_told: false,
             uncut_voxels: Shortfall::default(),
             left_out_contacts: Shortfall::default(),
             timing: TickTiming::zeroed(),

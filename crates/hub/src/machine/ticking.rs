@@ -49,12 +49,14 @@ impl<P: Plant> Hub<P> {
             let (severity, code) = (Severity::Info, EventCode::Reset);
             env.send_event(&Note { tick: self.tick, severity, code, text: &text })?;
             self.invalid_told = false;
+            self.creation_told = false;
         }
         self.report_sources(env, made)?;
         self.report_refusals(env)?;
         self.report_shortfall(env, made)?;
         self.report_arm_entry(env)?;
         self.report_invalid_model(env)?;
+        self.report_energy_created(env)?;
         self.steps_left = self.steps_left.saturating_sub(1);
         self.send_status(env, Phase::Running, StatusTiming::IfDueAt(done_ns))?;
         Ok((Stage::TickDue, None))
@@ -151,6 +153,21 @@ impl<P: Plant> Hub<P> {
              is {excess_deg:.3} degrees past it; use planar, or reduce the load"
         );
         let (severity, code) = (Severity::Warning, EventCode::ModelNotValid);
+        Ok(env.send_event(&Note { tick: self.tick, severity, code, text: &text })?)
+    }
+
+    /// Reports the first tick that created energy. `State.energy_created_j` shows how it continues.
+    fn report_energy_created<E: Environment>(&mut self, env: &mut E) -> Outcome<(), P, E> {
+        let created_j = self.plant.state().energy_created_j;
+        if self.creation_told || created_j <= 0.0 {
+            return Ok(());
+        }
+        self.creation_told = true;
+        let text = format!(
+            "a tick created {:.3} mJ of energy: forces and motions may not be physical; use a shorter time step",
+            created_j * 1e3
+        );
+        let (severity, code) = (Severity::Warning, EventCode::EnergyCreated);
         Ok(env.send_event(&Note { tick: self.tick, severity, code, text: &text })?)
     }
 

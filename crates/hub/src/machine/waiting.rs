@@ -131,9 +131,10 @@ impl<P: Plant> Hub<P> {
             return Ok(());
         }
         *notice = None;
-        let name = &self.controllers[controller.slot()].name;
+        let controller = &self.controllers[controller.slot()];
+        let (name, valid) = (&controller.name, controller.refused.as_ref().map_or("", |_| "valid "));
         let limit_s = limit_ns as f64 / NS_PER_S as f64;
-        let text = format!("waiting for controller `{name}`: no {what} yet (limit {limit_s} s)");
+        let text = format!("waiting for controller `{name}`: no {valid}{what} yet (limit {limit_s} s)");
         let (severity, code) = (Severity::Info, EventCode::Waiting);
         Ok(env.send_event(&Note { tick: self.tick, severity, code, text: &text })?)
     }

@@ -163,12 +163,13 @@ pub fn write_and_hash(
         let _ = write(head_bytes + 2 * loaded.ct.volume.hu.len() as u64, &mut |file| {
             let voxels = &loaded.ct.volume;
             let voxels_sum = std::thread::scope(|scope| {
-                let hashing = scope.spawn(|| volume_hash(voxels));
+                let hashing = std::thread::Builder::new().spawn_scoped(scope, || volume_hash(voxels));
                 let voxels_sum = write_pieces(file, head_bytes, &voxels.hu);
-                hash = hashing.join().ok();
+                // Without a thread it is hashed below.
+                hash = hashing.ok().and_then(|hashing| hashing.join().ok());
                 voxels_sum
             })?;
-            loaded.ct.sha256 = hash.ok_or(io::ErrorKind::Other)?;
+            loaded.ct.sha256 = *hash.get_or_insert_with(|| volume_hash(voxels));
             file.write_all_at(&head(key, &loaded, voxels_sum)?, 0)
         });
     }

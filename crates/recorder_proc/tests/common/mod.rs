@@ -18,3 +18,9 @@ pub fn save(folder: &Path, name: &str, bytes: &[u8]) -> PathBuf {
     std::fs::write(&path, bytes).unwrap();
     path
 }
+
+/// Returns the messages of a whole file, read by the mcap crate's own reader: topic, number, bytes.
+pub fn messages(bytes: &[u8]) -> Vec<(String, u32, Vec<u8>)> {
+    let read = mcap::MessageStream::new(bytes).unwrap().map(Result::unwrap);
+    read.map(|m| (m.channel.topic.clone(), m.sequence, m.data.to_vec())).collect()
+}

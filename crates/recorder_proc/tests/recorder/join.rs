@@ -7,12 +7,6 @@ use recorder_proc::rewritten::{Sizes, cat_files, compress, split};
 use run_log::diff::diff;
 use run_log::*;
 
-/// Returns the messages of a complete file, read by the mcap crate's own reader: topic, number, bytes.
-fn messages(bytes: &[u8]) -> Vec<(String, u32, Vec<u8>)> {
-    let read = mcap::MessageStream::new(bytes).unwrap().map(Result::unwrap);
-    read.map(|m| (m.channel.topic.clone(), m.sequence, m.data.to_vec())).collect()
-}
-
 #[test]
 fn a_packed_log_holds_the_same_run() {
     let folder = tempfile::tempdir().unwrap();

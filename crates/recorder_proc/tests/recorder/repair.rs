@@ -13,12 +13,6 @@ use run_log::repair::RepairReport;
 use run_log::*;
 use zerocopy::IntoBytes;
 
-/// Messages of a whole file, read by the mcap crate's own reader: topic, number, bytes.
-fn messages(bytes: &[u8]) -> Vec<(String, u32, Vec<u8>)> {
-    let read = mcap::MessageStream::new(bytes).unwrap().map(Result::unwrap);
-    read.map(|m| (m.channel.topic.clone(), m.sequence, m.data.to_vec())).collect()
-}
-
 /// Chunks of a whole file: start, end, and number of messages by topic.
 fn chunks(bytes: &[u8]) -> Vec<(usize, usize, BTreeMap<String, u64>)> {
     let summary = mcap::Summary::read(bytes).unwrap().unwrap();
@@ -77,7 +71,6 @@ fn a_cut_log_is_whole_after_its_repair() {
                 Err(LogError::NotMcap { .. } | LogError::NoHeader { .. }) => {}
                 Err(other) => panic!("cut at {cut}: {other}"),
             }
-            assert!(round == 0 || folder.path().join("in.mcap").exists());
             continue;
         };
         let ticks = reader.by_ref().map(Result::unwrap).count() as u64;
@@ -124,8 +117,7 @@ fn a_damaged_chunk_in_the_middle_is_counted_by_topic() {
         assert!(matches!(&found.report.pieces[..], [piece] if piece.offset == *start as u64));
 
         let (ticks, reader, error) = ticks_of(&found.bytes);
-        let (_, _, first_counts) = &chunks[index];
-        if first_counts.contains_key("/state") {
+        if counts.contains_key("/state") {
             assert!(matches!(error, Some(LogError::Gap { .. })), "{error:?}");
             assert_eq!(found.report.complete_tick, Some(Tick(ticks)));
         } else {
@@ -325,45 +317,6 @@ fn any_damage_is_repaired_or_refused() {
     }
     println!("400 damaged logs: {refused} without a header refused, {kept_all} kept every message");
     assert!(refused < 150 && kept_all > 20);
-}
-
-/// 1000 truncations and 1000 bit flips of a small log: never a panic, never a tick that was not in the log,
-/// never an unreported loss.
-#[test]
-fn a_thousand_random_cuts_and_flips_tell_their_last_complete_tick() {
-    let bytes = write_log(&run_messages(60, None));
-    let whole: Vec<TickRecord> = open_bytes(&bytes).unwrap().map(Result::unwrap).collect();
-    let mut random = Rng::with_seed(4);
-    let read = |changed: &[u8], what: &str| {
-        let Ok(mut reader) = open_bytes(changed) else { return false };
-        let mut error = None;
-        let mut ticks = Vec::new();
-        for item in reader.by_ref() {
-            match item {
-                Ok(tick) => ticks.push(tick),
-                Err(cause) => error = Some(cause),
-            }
-        }
-        assert!(ticks[..] == whole[..ticks.len()], "{what}");
-        assert_eq!(reader.last_complete_tick().0, ticks.len() as u64, "{what}");
-        let told = error.is_some() || !reader.stream().verdict().is_intact();
-        assert!(told || ticks.len() == whole.len(), "{what}");
-        told
-    };
-    for _ in 0..1000 {
-        let cut = random.usize(..bytes.len());
-        let what = format!("cut at {cut}");
-        let opened = open_bytes(&bytes[..cut]).is_ok();
-        assert_eq!(read(&bytes[..cut], &what), opened, "{what}: a cut is always told");
-    }
-    for _ in 0..1000 {
-        let at = random.usize(..bytes.len());
-        let mut changed = bytes.clone();
-        changed[at] ^= 1 << random.usize(..8);
-        let opened = open_bytes(&changed).is_ok();
-        let told = read(&changed, &format!("byte {at} flipped"));
-        assert!(told || !opened, "byte {at}");
-    }
 }
 
 /// Reading one topic skips the other chunks and gives the same messages; a gap in that topic is still damage.

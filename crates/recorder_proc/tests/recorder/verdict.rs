@@ -186,27 +186,15 @@ fn a_replay_goes_on_behind_each_gap_at_the_next_keyframe() {
     let folder = tempfile::tempdir().unwrap();
     let mut log = RunLog::create(Vec::new(), &header()).unwrap();
     let gaps = [100..150_u64, 320..321, 470..490];
-    let mut parts = 0;
-    for step in run_messages(600, None) {
-        let is_lost = match &step {
-            Step::Latched(m) => gaps.iter().any(|gap| gap.contains(&m.tick)),
-            // The states of the first gap come slightly later than its commands.
-            Step::State(m) => gaps.iter().any(|gap| gap.contains(&(m.tick - u64::from(m.tick > 0)))),
-            _ => false,
-        };
-        if !is_lost {
-            feed(&mut log, std::slice::from_ref(&step)).unwrap();
-        }
-        if let Step::State(state) = &step
-            && state.tick % 100 == 0
-            && state.tick > 0
-        {
-            for part in keyframe_parts(state, parts, state.as_bytes()) {
-                parts += 1;
-                log.keyframe(&part).unwrap();
-            }
-        }
-    }
+    let is_lost = |step: &Step| match step {
+        Step::Latched(m) => gaps.iter().any(|gap| gap.contains(&m.tick)),
+        // The states of the first gap come slightly later than its commands.
+        Step::State(m) => gaps.iter().any(|gap| gap.contains(&(m.tick - u64::from(m.tick > 0)))),
+        _ => false,
+    };
+    let mut steps = run_messages(600, None);
+    steps.retain(|step| !is_lost(step));
+    feed_with_keyframes(&mut log, &steps, |state| keyframe_from(100, state));
     let bytes = log.finish(EndReason::Completed, &BTreeMap::new()).unwrap().1;
     let passed = |after, tick| SkippedGap { after: Some(Tick(after)), resumed: Some(Tick(tick)) };
     let expected = [passed(100, 200), passed(320, 400), passed(470, 500)];
@@ -248,21 +236,15 @@ fn a_replay_goes_on_behind_each_gap_at_the_next_keyframe() {
     }
 }
 
+/// Every 100 ticks, starting at a tick.
+fn keyframe_from(first: u64, state: &messages::State) -> Option<Vec<u8>> {
+    (state.tick.is_multiple_of(100) && state.tick >= first).then(|| state.as_bytes().to_vec())
+}
+
 /// A log with a keyframe every 100 ticks, starting at tick 200.
 fn write_keyframes(ticks: u64) -> Vec<u8> {
     let mut log = RunLog::create(Vec::new(), &header()).unwrap();
-    let mut parts = 0;
-    for step in run_messages(ticks, None) {
-        feed(&mut log, std::slice::from_ref(&step)).unwrap();
-        let Step::State(state) = &step else { continue };
-        if state.tick % 100 != 0 || state.tick < 200 {
-            continue;
-        }
-        for part in keyframe_parts(state, parts, state.as_bytes()) {
-            parts += 1;
-            log.keyframe(&part).unwrap();
-        }
-    }
+    feed_with_keyframes(&mut log, &run_messages(ticks, None), |state| keyframe_from(200, state));
     log.finish(EndReason::Completed, &BTreeMap::new()).unwrap().1
 }
 

@@ -13,6 +13,7 @@ use crate::fields::message_size;
 use crate::lengths::parse_record;
 use crate::limits::check_declaration;
 use crate::records::chunk_record;
+use crate::times::log_time_ns;
 use crate::topics::{self, Topic};
 
 /// Longest removal message in bytes: as many voxels as its service can carry.
@@ -138,6 +139,7 @@ impl MessageStream {
             );
             return Err(self.damaged(cause));
         }
+        self.check_time(channel, header, body)?;
         self.continuity.see(channel.known, body);
         let body = data.end - body.len()..data.end;
         if let Some(channel) = self.channels.get_mut(&header.channel_id) {
@@ -147,6 +149,27 @@ impl MessageStream {
         }
         let (sequence, log_time_ns) = (header.sequence, header.log_time);
         Ok(Some(MessageLocation { channel: header.channel_id, sequence, log_time_ns, body }))
+    }
+
+    /// Checks the two times of a message of the run lane; a replay compares only the bodies.
+    fn check_time(
+        &self,
+        channel: &Channel,
+        header: &mcap::records::MessageHeader,
+        body: &[u8],
+    ) -> Result<(), LogError> {
+        let topic = channel.known.filter(|_| self.has_own_layouts);
+        let expected = topic.and_then(|topic| log_time_ns(topic, body, self.header.dt_ns));
+        let times = [("log_time", header.log_time), ("publish_time", header.publish_time)];
+        match times.into_iter().find(|(_, found)| expected.is_some_and(|expected| *found != expected)) {
+            None => Ok(()),
+            Some((name, found)) => Err(self.damaged(format!(
+                "message {} of {} has {name} {found} ns, its content has {} ns",
+                header.sequence,
+                channel.topic,
+                expected.unwrap_or_default()
+            ))),
+        }
     }
 
     pub(super) fn damaged(&self, cause: String) -> LogError {

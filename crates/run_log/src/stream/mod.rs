@@ -96,6 +96,8 @@ pub struct MessageStream {
     damage: Option<(u64, String)>,
     /// Topics to return; `None` for all.
     wanted: Option<Vec<String>>,
+    /// Whether messages have this build's layout, so that their times can be checked.
+    has_own_layouts: bool,
     done: bool,
 }
 
@@ -158,6 +160,7 @@ impl MessageStream {
             early_marker: None,
             damage: None,
             wanted: None,
+            has_own_layouts: !options.allow_other_layouts,
             done: false,
         })
     }

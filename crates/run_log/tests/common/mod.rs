@@ -256,13 +256,31 @@ pub fn write_log(steps: &[Step]) -> Vec<u8> {
     log.finish(EndReason::Completed, &BTreeMap::new()).unwrap().1
 }
 
-pub fn open_bytes(bytes: &[u8]) -> Result<LogReader, LogError> {
+/// Feeds messages to a log, with a keyframe after each state for which `keyframe` returns its bytes.
+pub fn feed_with_keyframes<W: std::io::Write>(
+    log: &mut RunLog<W>,
+    steps: &[Step],
+    keyframe: impl Fn(&State) -> Option<Vec<u8>>,
+) {
+    let mut sequence = 0;
+    for step in steps {
+        feed(log, std::slice::from_ref(step)).unwrap();
+        let Step::State(state) = step else { continue };
+        let Some(bytes) = keyframe(state) else { continue };
+        for part in keyframe_parts(state, sequence, &bytes) {
+            sequence += 1;
+            log.keyframe(&part).unwrap();
+        }
+    }
+}
+
+pub fn stream(bytes: &[u8], options: ReadOptions) -> Result<MessageStream, LogError> {
     let source = Box::new(std::io::Cursor::new(bytes.to_vec()));
-    LogReader::from_stream(MessageStream::from_reader(
-        source,
-        Path::new("test.mcap"),
-        ReadOptions::default(),
-    )?)
+    MessageStream::from_reader(source, Path::new("test.mcap"), options)
+}
+
+pub fn open_bytes(bytes: &[u8]) -> Result<LogReader, LogError> {
+    LogReader::from_stream(stream(bytes, ReadOptions::default())?)
 }
 
 /// Removes the checksums inside the metadata records, as in logs of earlier builds, so that a test can edit

@@ -7,7 +7,7 @@ use std::io::Cursor;
 use std::path::Path;
 
 use crate::common::*;
-use mcap::records::Record;
+use mcap::records::{MessageHeader, Record};
 use mcap::{Attachment, WriteOptions, Writer};
 use run_log::*;
 
@@ -35,6 +35,16 @@ fn edited_again(
     beside: Beside,
     edit: impl for<'a> Fn(&str, &'a [u8]) -> &'a [u8],
 ) -> Vec<u8> {
+    retimed_again(log, options, beside, |topic, _, data| edit(topic, data))
+}
+
+/// The same, with the header of each message in the hands of `edit` too.
+fn retimed_again(
+    log: &[u8],
+    options: WriteOptions,
+    beside: Beside,
+    mut edit: impl for<'a> FnMut(&str, &mut MessageHeader, &'a [u8]) -> &'a [u8],
+) -> Vec<u8> {
     let mut topics = std::collections::BTreeMap::new();
     let mut out = Cursor::new(Vec::new());
     let mut writer: Writer<_> = options.profile("ros2").create(&mut out).unwrap();
@@ -59,7 +69,7 @@ fn edited_again(
                 topics.insert(channel.id, channel.topic);
             }
             Record::Message { mut header, data } => {
-                let data = edit(&topics[&header.channel_id], &data);
+                let data = edit(&topics[&header.channel_id], &mut header, &data);
                 header.channel_id = channels[&header.channel_id];
                 writer.write_to_known_channel(&header, data).unwrap();
             }
@@ -130,15 +140,27 @@ fn put(
     }
 }
 
-fn messages_of(name: &str, log: &[u8]) -> Vec<(String, u64, Vec<u8>)> {
-    let source = Box::new(Cursor::new(log.to_vec()));
-    let mut stream = MessageStream::from_reader(source, Path::new(name), ReadOptions::default()).unwrap();
+fn messages_of(log: &[u8]) -> Vec<(String, u64, Vec<u8>)> {
+    let mut stream = stream(log, ReadOptions::default()).unwrap();
     let mut out = Vec::new();
     while let Some(message) = stream.next_message().unwrap() {
         out.push((message.topic.to_owned(), message.log_time_ns, message.body.to_vec()));
     }
     assert!(stream.verdict().is_intact(), "{}", stream.verdict());
     out
+}
+
+fn verdict_on(log: &[u8]) -> Verdict {
+    let mut stream = stream(log, ReadOptions::default()).unwrap();
+    while let Ok(Some(_)) = stream.next_message() {}
+    stream.verdict()
+}
+
+/// Returns why a log is neither compressed nor joined.
+fn refused(log: &LogBytes) -> [LogError; 2] {
+    let to = Path::new("p.mcap");
+    let compressed = join::compress(log, Vec::new(), to, Packing::RECORDED).unwrap_err();
+    [compressed, join::cat_files(&[log], Vec::new(), to).unwrap_err()]
 }
 
 fn variants(log: &[u8]) -> Vec<(&'static str, Vec<u8>)> {
@@ -169,9 +191,9 @@ fn variants(log: &[u8]) -> Vec<(&'static str, Vec<u8>)> {
 #[test]
 fn a_valid_log_that_another_program_wrote_is_intact() {
     let log = write_log(&run_messages(200, None));
-    let messages = messages_of("as recorded", &log);
+    let messages = messages_of(&log);
     for (name, again) in variants(&log) {
-        assert!(messages_of(name, &again) == messages, "{name}");
+        assert!(messages_of(&again) == messages, "{name}");
         let steps = open_bytes(&again).unwrap().map(|step| step.unwrap().state.tick).collect::<Vec<_>>();
         assert_eq!(steps.len(), 200, "{name}");
     }
@@ -180,15 +202,15 @@ fn a_valid_log_that_another_program_wrote_is_intact() {
 #[test]
 fn repair_and_compress_take_what_another_program_wrote() {
     let log = write_log(&run_messages(200, None));
-    let messages = messages_of("as recorded", &log);
+    let messages = messages_of(&log);
     for (name, again) in variants(&log) {
         let source = LogBytes::new("l.mcap", again);
         let packed = join::compress(&source, Vec::new(), Path::new("p.mcap"), Packing::RECORDED).unwrap();
-        assert!(messages_of(name, &packed) == messages, "compressed: {name}");
+        assert!(messages_of(&packed) == messages, "compressed: {name}");
         let (repaired, report) =
             repair::Repair::of(&source).unwrap().write(Vec::new(), Path::new("r.mcap")).unwrap();
         assert_eq!(report.left_out_bytes, 0, "{name}");
-        assert!(messages_of(name, &repaired) == messages, "repaired: {name}");
+        assert!(messages_of(&repaired) == messages, "repaired: {name}");
     }
 }
 
@@ -202,9 +224,7 @@ fn messages_outside_of_chunks_in_a_file_that_says_it_is_ours_are_damage() {
     });
     let options = WriteOptions::new().compression(None).use_chunks(false).library(library.unwrap());
     let source = LogBytes::new("l.mcap", written_again(&log, options, Beside::WhereTheyStood));
-    let compressed = join::compress(&source, Vec::new(), Path::new("p.mcap"), Packing::RECORDED).unwrap_err();
-    let joined = join::cat_files(&[&source], Vec::new(), Path::new("p.mcap")).unwrap_err();
-    for error in [compressed, joined] {
+    for error in refused(&source) {
         assert!(error.to_string().contains("outside of a chunk"), "{error}");
     }
     let (_, report) = repair::Repair::of(&source).unwrap().write(Vec::new(), Path::new("r.mcap")).unwrap();
@@ -217,10 +237,7 @@ fn a_cut_log_with_its_metadata_before_its_messages_is_called_cut() {
     let log = write_log(&run_messages(200, None));
     let options = WriteOptions::new().compression(None).chunk_size(Some(20_000));
     let again = written_again(&log, options, Beside::AtTheStart);
-    let source = Box::new(Cursor::new(again[..again.len() / 2].to_vec()));
-    let mut stream = MessageStream::from_reader(source, Path::new("l.mcap"), ReadOptions::default()).unwrap();
-    while let Ok(Some(_)) = stream.next_message() {}
-    let verdict = stream.verdict();
+    let verdict = verdict_on(&again[..again.len() / 2]);
     assert!(matches!(verdict.faults[..], [Fault::Cut { ended: false, .. }]), "{verdict}");
 }
 
@@ -233,12 +250,34 @@ fn a_message_too_short_for_its_topic_is_damage_though_its_checksum_is_right() {
         "/state" => &data[..20],
         _ => data,
     });
-    let source = LogBytes::new("l.mcap", again);
-    let compressed = join::compress(&source, Vec::new(), Path::new("p.mcap"), Packing::RECORDED).unwrap_err();
-    let joined = join::cat_files(&[&source], Vec::new(), Path::new("p.mcap")).unwrap_err();
-    for error in [compressed, joined] {
+    for error in refused(&LogBytes::new("l.mcap", again)) {
         assert!(matches!(error, LogError::NotWhole { .. }), "{error}");
         assert!(error.to_string().contains("a message of /state of 16 bytes, expected"), "{error}");
+    }
+}
+
+/// Regression: a replay compared only the messages' content, and found nothing where `log_time` was altered.
+#[test]
+fn an_altered_time_of_a_message_is_damage_though_its_checksum_is_right() {
+    let log = write_log(&run_messages(200, None));
+    for wanted in ["/state", "/latched", "/removed", "/drr/reply", "/drr/frame", "/drr/image"] {
+        for is_log_time in [true, false] {
+            let mut count = 0;
+            let options = WriteOptions::new();
+            let again = retimed_again(&log, options, Beside::WhereTheyStood, |topic, header, data| {
+                count += u32::from(topic == wanted);
+                let time = if is_log_time { &mut header.log_time } else { &mut header.publish_time };
+                *time += u64::from(topic == wanted && count == 3);
+                data
+            });
+            let report = verify(&mut open_bytes(&again).unwrap(), Toy::new, None);
+            let name = if is_log_time { "log_time" } else { "publish_time" };
+            let Some(LogError::Damaged { cause, .. }) = &report.log_error else {
+                panic!("{wanted}, {name}: {:?}", report.log_error);
+            };
+            assert!(cause.contains(wanted) && cause.contains(name), "{cause}");
+            assert!(!report.is_identical());
+        }
     }
 }
 
@@ -251,10 +290,7 @@ fn a_chunk_without_a_checksum_is_still_checked_for_its_lengths() {
     let topic = again.windows(6).position(|bytes| bytes == b"/state").unwrap();
     // The length of the channel's topic.
     again[topic - 4] = 0xff;
-    let source = Box::new(Cursor::new(again));
-    let mut stream = MessageStream::from_reader(source, Path::new("l.mcap"), ReadOptions::default()).unwrap();
-    while let Ok(Some(_)) = stream.next_message() {}
-    assert!(stream.verdict().is_stopped_by_damage());
+    assert!(verdict_on(&again).is_stopped_by_damage());
 }
 
 #[test]
@@ -269,10 +305,8 @@ fn a_file_that_is_no_log_of_ours_is_not_sent_to_repair() {
     writer.finish().unwrap();
     drop(writer);
     let foreign = LogBytes::new("f.mcap", out.into_inner());
-    let compressed = join::compress(&foreign, Vec::new(), Path::new("p.mcap"), Packing::None).unwrap_err();
-    let joined = join::cat_files(&[&foreign, &foreign], Vec::new(), Path::new("p.mcap")).unwrap_err();
     let split = join::check_holds_runs(&foreign).unwrap_err();
-    for error in [compressed, joined, split] {
+    for error in refused(&foreign).into_iter().chain([split]) {
         assert!(matches!(error, LogError::NoHeader { .. }), "{error}");
         assert!(!error.to_string().contains("repair"), "{error}");
     }

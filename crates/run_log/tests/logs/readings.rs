@@ -4,9 +4,9 @@
 
 use std::collections::BTreeMap;
 
-use crate::common::header;
+use crate::common::{header, open_bytes, stream};
 use messages::{Latched, SensorReading, State, Tick};
-use run_log::{EndReason, LogError, LogReader, MessageStream, ReadOptions, RunLog, Topic};
+use run_log::{EndReason, LogError, ReadOptions, RunLog, Topic};
 
 /// A log of six states. Each but the first has a reading with one of these numbers, passed as early as the
 /// recorder may receive it.
@@ -31,16 +31,11 @@ fn log(sequences: [u64; 5]) -> Vec<u8> {
     log.finish(EndReason::Completed, &BTreeMap::new()).unwrap().1
 }
 
-fn stream(bytes: &[u8]) -> MessageStream {
-    let source = Box::new(std::io::Cursor::new(bytes.to_vec()));
-    MessageStream::from_reader(source, std::path::Path::new("toy.mcap"), ReadOptions::default()).unwrap()
-}
-
 #[test]
 fn a_reading_stands_before_the_state_with_which_it_arrives() {
     let bytes = log([1, 2, 3, 4, 5]);
-    let (mut order, mut stream_of) = (Vec::new(), stream(&bytes));
-    while let Some(message) = stream_of.next_message().unwrap() {
+    let (mut order, mut stream) = (Vec::new(), stream(&bytes, ReadOptions::default()).unwrap());
+    while let Some(message) = stream.next_message().unwrap() {
         order.push((message.topic.to_owned(), message.log_time_ns / 1_000_000));
     }
     let expected: Vec<(String, u64)> = [("/state", 0)]
@@ -49,16 +44,17 @@ fn a_reading_stands_before_the_state_with_which_it_arrives() {
         .map(|(topic, tick)| (topic.to_owned(), tick))
         .collect();
     assert_eq!(order, expected);
-    let ticks: Vec<_> = LogReader::from_stream(stream(&bytes)).unwrap().map(Result::unwrap).collect();
+    let ticks: Vec<_> = open_bytes(&bytes).unwrap().map(Result::unwrap).collect();
+    assert_eq!(ticks.len(), 5);
     assert!(ticks.iter().all(|tick| tick.readings.len() == 1 && tick.readings[0].tick == tick.state.tick));
 }
 
 #[test]
 fn a_missing_reading_is_a_gap_and_is_counted() {
     let bytes = log([1, 2, 4, 5, 6]);
-    let error = LogReader::from_stream(stream(&bytes)).unwrap().find_map(Result::err);
+    let error = open_bytes(&bytes).unwrap().find_map(Result::err);
     assert!(matches!(error, Some(LogError::Gap { topic: Topic::Sensor, tick: Tick(3), .. })), "{error:?}");
-    let mut whole = stream(&bytes);
+    let mut whole = stream(&bytes, ReadOptions::default()).unwrap();
     while whole.next_message().unwrap().is_some() {}
     assert_eq!(whole.ending().marker.as_ref().unwrap().lost, BTreeMap::from([("/sensor".to_owned(), 1)]));
 }

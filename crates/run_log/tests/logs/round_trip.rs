@@ -2,7 +2,6 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, missing_docs)]
 
 use std::collections::BTreeMap;
-use std::path::Path;
 
 use crate::common::*;
 use messages::layout::Message;
@@ -153,9 +152,7 @@ fn the_timing_lane_takes_any_message() {
     assert!(matches!(refused, LogError::Message { .. }));
     let lost = BTreeMap::from([("/event".to_string(), 2), ("/timing/tick".to_string(), 0)]);
     let (marker, bytes) = log.finish(EndReason::PartDied("drr".to_string()), &lost).unwrap();
-    let source = Box::new(std::io::Cursor::new(bytes));
-    let mut stream =
-        MessageStream::from_reader(source, Path::new("timing.mcap"), ReadOptions::default()).unwrap();
+    let mut stream = stream(&bytes, ReadOptions::default()).unwrap();
     let (mut ticks, mut texts) = (0, Vec::new());
     while let Some(message) = stream.next_message().unwrap() {
         match message.topic {
@@ -213,8 +210,6 @@ fn another_layout_is_refused_by_name_unless_allowed() {
     println!("{error}");
     let text = error.to_string();
     assert!(text.contains("State") && text.contains("0123456789abcdef") && text.contains(&hash));
-    let source = Box::new(std::io::Cursor::new(other));
-    let options = ReadOptions { allow_other_layouts: true };
-    let stream = MessageStream::from_reader(source, Path::new("x"), options).unwrap();
+    let stream = stream(&other, ReadOptions { allow_other_layouts: true }).unwrap();
     assert_eq!(LogReader::from_stream(stream).unwrap().filter(Result::is_ok).count(), 10);
 }

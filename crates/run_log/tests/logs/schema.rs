@@ -28,7 +28,6 @@ fn parse(text: &str) -> BTreeMap<String, Fields> {
             types.insert(name.clone(), Fields::new());
         } else {
             let (kind, field) = line.split_once(' ').unwrap();
-            assert_legal(field);
             let (kind, length) = match kind.split_once('[') {
                 None => (kind, Length::One),
                 Some((kind, "]")) => (kind, Length::Sequence),
@@ -38,13 +37,6 @@ fn parse(text: &str) -> BTreeMap<String, Fields> {
         }
     }
     types
-}
-
-/// ROS 2 interface language: `^(?!.*__)(?!.*_$)[a-z][a-z0-9_]*$`.
-fn assert_legal(field: &str) {
-    assert!(field.starts_with(|c: char| c.is_ascii_lowercase()), "{field}");
-    assert!(field.chars().all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_'), "{field}");
-    assert!(!field.contains("__") && !field.ends_with('_'), "{field}");
 }
 
 fn scalar_size(kind: &str) -> Option<usize> {

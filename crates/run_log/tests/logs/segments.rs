@@ -15,21 +15,11 @@ const INTERVAL: u64 = 100;
 /// A log with keyframes, each altered by `alter`.
 fn log_with(ticks: u64, alter: impl Fn(u64, &mut Vec<u8>)) -> Vec<u8> {
     let mut log = RunLog::create(Vec::new(), &header()).unwrap();
-    let mut sequence = 0;
-    for step in run_messages(ticks, Some(ticks / 2)) {
-        feed(&mut log, std::slice::from_ref(&step)).unwrap();
-        if let Step::State(state) = &step
-            && state.tick > 0
-            && state.tick.is_multiple_of(INTERVAL)
-        {
-            let mut bytes = state.as_bytes().to_vec();
-            alter(state.tick, &mut bytes);
-            for part in keyframe_parts(state, sequence, &bytes) {
-                sequence += 1;
-                log.keyframe(&part).unwrap();
-            }
-        }
-    }
+    feed_with_keyframes(&mut log, &run_messages(ticks, Some(ticks / 2)), |state| {
+        let mut bytes = state.as_bytes().to_vec();
+        alter(state.tick, &mut bytes);
+        (state.tick > 0 && state.tick.is_multiple_of(INTERVAL)).then_some(bytes)
+    });
     log.finish(EndReason::Completed, &BTreeMap::new()).unwrap().1
 }
 
@@ -252,20 +242,14 @@ fn a_missing_part_of_a_keyframe_is_told_and_costs_no_tick() {
 fn a_log_written_again_in_its_order_has_the_same_bytes() {
     let mut log = RunLog::create(Vec::new(), &header()).unwrap();
     let mut late = Vec::new();
-    let mut sequence = 0;
     for step in run_messages(1500, None) {
         if matches!(step, Step::Frame(_)) {
             late.push(step);
             continue;
         }
-        feed(&mut log, std::slice::from_ref(&step)).unwrap();
+        let at_700 = |state: &State| (state.tick == 700).then(|| state.as_bytes().to_vec());
+        feed_with_keyframes(&mut log, std::slice::from_ref(&step), at_700);
         let Step::State(state) = &step else { continue };
-        if state.tick == 700 {
-            keyframe_parts(state, sequence, state.as_bytes()).iter().for_each(|part| {
-                sequence += 1;
-                log.keyframe(part).unwrap();
-            });
-        }
         // Some frames arrive up to 90 ticks late, others up to 600, which is past their place in the log.
         if state.tick % 600 == 0 || (state.tick % 90 == 0 && state.tick < 500) {
             feed(&mut log, &std::mem::take(&mut late)).unwrap();
@@ -273,9 +257,7 @@ fn a_log_written_again_in_its_order_has_the_same_bytes() {
     }
     feed(&mut log, &late).unwrap();
     let bytes = log.finish(EndReason::Completed, &BTreeMap::new()).unwrap().1;
-    let source = Box::new(std::io::Cursor::new(bytes.clone()));
-    let path = std::path::Path::new("first.mcap");
-    let mut stream = MessageStream::from_reader(source, path, ReadOptions::default()).unwrap();
+    let mut stream = stream(&bytes, ReadOptions::default()).unwrap();
     let mut again = RunLog::create(Vec::new(), stream.header()).unwrap();
     again.keep_places();
     let mut frame: Option<Vec<u8>> = None;

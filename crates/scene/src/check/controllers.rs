@@ -21,8 +21,9 @@ pub(super) fn check(scene: &Scene, checker: &Checker) -> Result<(), SceneError> 
         }
         for part in &controller.drives {
             if let Some((_, other)) = driven.iter().find(|(driven, _)| driven == part) {
+                let name = part.name();
                 let problem = format!(
-                    "{part:?} is driven by both `{other}` and `{}`; only one may drive it",
+                    "`{name}` is driven by both `{other}` and `{}`; only one may drive it",
                     controller.name
                 );
                 return Err(checker.invalid("controller.drives", problem));
@@ -123,7 +124,14 @@ fn check_sweep(sweep: &TensionSweep, checker: &Checker) -> Result<(), SceneError
             checker.at_most("controller.tension_sweep.step_mm", step_mm, most_mm)
         }
         _ => {
-            let problem = "needs either `most_n` and `step_n`, or `most_mm` and `step_mm`";
+            let has_force = sweep.most_n.or(sweep.step_n).is_some();
+            let problem = match has_force && sweep.most_mm.or(sweep.step_mm).is_some() {
+                true => {
+                    "has keys of both `most_n`, `step_n` and `most_mm`, `step_mm`, which are mutually \
+                     exclusive; set only one pair"
+                }
+                false => "needs either `most_n` and `step_n`, or `most_mm` and `step_mm`",
+            };
             Err(checker.invalid("controller.tension_sweep", problem))
         }
     }
@@ -131,10 +139,15 @@ fn check_sweep(sweep: &TensionSweep, checker: &Checker) -> Result<(), SceneError
 
 fn check_curved_drilling(drilling: &CurvedDrilling, checker: &Checker) -> Result<(), SceneError> {
     let key = |name: &str| format!("controller.curved_drilling.{name}");
-    if drilling.tension_n.is_some() == drilling.calibration.is_some() {
-        return Err(
-            checker.invalid("controller.curved_drilling", "needs either `tension_n` or `calibration`")
-        );
+    let problem = match (drilling.tension_n, &drilling.calibration) {
+        (Some(_), Some(_)) => {
+            "has both `tension_n` and `calibration`, which are mutually exclusive; set only one"
+        }
+        (None, None) => "needs either `tension_n` or `calibration`",
+        _ => "",
+    };
+    if !problem.is_empty() {
+        return Err(checker.invalid("controller.curved_drilling", problem));
     }
     if drilling.calibration.is_some() && drilling.target_mm.is_none() {
         return Err(

@@ -69,7 +69,11 @@ fn check_use(controller: &Controller, scene: &Scene, checker: &Checker) -> Resul
     for (index, name) in controller.sensors.iter().enumerate() {
         if !scene.sensor.iter().any(|sensor| sensor.name == *name) {
             let names: Vec<&str> = scene.sensor.iter().map(|sensor| sensor.name.as_str()).collect();
-            return fail(format!("names `{name}`, which is not a `[[sensor]]`; expected some of {names:?}"));
+            let known = match names.is_empty() {
+                true => "the scene has none".to_owned(),
+                false => format!("the scene has {}", names.join(", ")),
+            };
+            return fail(format!("names `{name}`, which is not a `[[sensor]]`; {known}"));
         }
         if controller.sensors[..index].contains(name) {
             return fail(format!("names `{name}` twice"));

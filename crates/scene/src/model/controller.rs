@@ -66,3 +66,16 @@ pub enum Drives {
     /// The C-arm: only its driver can request frames from a pose of its own. If undriven, any controller can.
     CArm,
 }
+
+impl Drives {
+    /// Returns its name in a scene.
+    pub(crate) fn name(self) -> &'static str {
+        match self {
+            Drives::Tendon => "tendon",
+            Drives::Arm => "arm",
+            Drives::Burr => "burr",
+            Drives::Tube => "tube",
+            Drives::CArm => "c_arm",
+        }
+    }
+}

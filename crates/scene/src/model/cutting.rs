@@ -47,8 +47,8 @@ pub struct Drilling {
     /// Exponent of the density for that energy.
     #[schemars(range(min = 0.0, max = 4.0))]
     pub density_exponent: Option<f64>,
-    /// Cutting force over normal force (tangential over normal). Measured torque over thrust gives 2 to 4 for
-    /// twist drills.
+    /// Cutting force over normal force (tangential over normal). Measured torque over thrust gives 0.7 to 4
+    /// for twist drills.
     #[schemars(range(min = 0.01, max = 5.0))]
     pub cutting_coefficient: Option<f64>,
     /// Pressure of the burr's edges on cortical bone of 1.9 g/cm³ below which they plough instead of cutting;

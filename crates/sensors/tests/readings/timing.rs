@@ -28,9 +28,9 @@ fn best_lag(readings: &[SensorReading], ticks: u64) -> u64 {
 
 #[test]
 fn the_delay_is_that_of_the_cross_correlation() {
-    for delay_ms in [0, 1, 20, 57] {
-        let keys = format!("rate_hz = 1000.0\ndelay_ms = {delay_ms}.0\nload_cell = {{ noise_n = 0.0 }}");
-        assert_eq!(best_lag(&read(&scene(&keys), 3000, signal), 3000), delay_ms);
+    for (delay_ms, ticks) in [(0.0, 0), (0.6, 1), (1.0, 1), (20.4, 20), (57.0, 57)] {
+        let keys = format!("rate_hz = 1000.0\ndelay_ms = {delay_ms}\nload_cell = {{ noise_n = 0.0 }}");
+        assert_eq!(best_lag(&read(&scene(&keys), 3000, signal), 3000), ticks, "{delay_ms} ms");
     }
 }
 

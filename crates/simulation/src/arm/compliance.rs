@@ -108,7 +108,7 @@ impl Compliance {
         arm: &Arm,
         force_n: &Vector3<f64>,
         torque_nm: &Vector3<f64>,
-    ) -> Result<DeflectedBase, ArmError> {
+    ) -> Result<(), ArmError> {
         let h = arm.parameters().dt_s;
         let frames = self.frames(arm);
         let mass = mass_matrix(&arm.parameters().geometry, &self.parameters.links, &self.joints(arm));
@@ -129,7 +129,7 @@ impl Compliance {
         let v = v + factored.solve(&rhs);
         self.state.rate_rad_s = v.push(0.0).into();
         self.state.deflection_rad = (d + v * h).push(0.0).into();
-        Ok(self.base(arm))
+        Ok(())
     }
 
     /// Returns the motion of the tool's base, including the current deflection.

@@ -19,7 +19,42 @@ impl Arm {
         }
     }
 
-    pub(super) fn joint_state(&self) -> AxisState<MAX_ARM_JOINTS> {
+    /// Returns whether the tool's base follows a path, which determines the joints.
+    pub fn is_on_path(&self) -> bool {
+        matches!(self.motion, Motion::Path(_))
+    }
+
+    /// Puts the joints into another state, as if the last tick had led there. A motion in joint space is
+    /// planned again from there to its goal; joints at rest that are given a velocity brake.
+    ///
+    /// # Errors
+    /// [`ArmError::OnPath`]; or Ruckig finds no motion from there. Nothing has changed then.
+    pub fn displace(&mut self, joints: &AxisState<MAX_ARM_JOINTS>) -> Result<(), ArmError> {
+        let planned = match self.motion {
+            Motion::Path(_) => return Err(ArmError::OnPath),
+            Motion::Rest if AxisState::at_rest(joints.position) == *joints => None,
+            Motion::Rest => Some((Goal::Standstill, self.joint_axis_limits(1.0), None)),
+            Motion::Joint(motion) => {
+                let goal = match motion.segment.goal {
+                    // Only joints at rest can follow a straight line.
+                    Goal::StraightLine(goal) => Goal::Independent(goal),
+                    goal => goal,
+                };
+                Some((goal, motion.segment.limits, motion.next))
+            }
+        };
+        if let Some((goal, limits, next)) = planned {
+            let segment = Segment { start: *joints, goal, limits };
+            let duration_s = self.joint_planner.plan(&segment)?;
+            self.joint_planner.commit();
+            self.motion = Motion::Joint(JointMotion { segment, duration_s, tick: 0, next });
+        }
+        self.publish(&self.parameters.geometry.frames(&joints.position), joints);
+        Ok(())
+    }
+
+    /// Returns position, velocity and acceleration of the joints.
+    pub fn joint_state(&self) -> AxisState<MAX_ARM_JOINTS> {
         AxisState {
             position: self.state.q_rad,
             velocity: self.state.qd_rad_s,

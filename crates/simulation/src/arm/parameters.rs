@@ -204,6 +204,9 @@ pub enum ArmCommand {
 /// Error of building an arm or of a command. A rejected command leaves the motion unchanged.
 #[derive(Clone, Copy, Debug, Error, PartialEq)]
 pub enum ArmError {
+    /// The joints cannot be put into another state while they follow a path.
+    #[error("the arm follows a path, which determines its joints")]
+    OnPath,
     /// The base pose is invalid.
     #[error("t_world_arm_base: {0}")]
     BasePose(KinematicsError),

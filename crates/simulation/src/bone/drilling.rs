@@ -59,7 +59,7 @@ use super::reach::{BurrPress, PressedBall, ReachedVoxels};
 use super::removal::Removal;
 use super::strength::PoolIndex;
 use super::voxels::{Drilling, Voxels, check_volume};
-use super::yielding::{BoneVoxel, CrushReport, FIRST_NEAR};
+use super::yielding::{BoneVoxel, CrushReport, FIRST_NEAR, MOST_PLANES};
 
 /// Iterations of the energy sharing; the remainder is reported as unused.
 const SHARE_ROUNDS: usize = 8;
@@ -103,6 +103,8 @@ pub(super) struct DrillScratch {
     count: usize,
     /// The voxels themselves, by index in the list of voxels in reach; for [`super::removal`] only.
     pub(super) kept: Vec<u32>,
+    /// Force below which each contact alone cuts nothing, N; for [`super::edge`] only.
+    pub(super) edge_n: Vec<f64>,
     /// The patch that a cutter of several balls touches; for [`super::patch`] only.
     pub(super) patch: Vec<Patch>,
 }
@@ -125,6 +127,7 @@ impl DrillScratch {
             room_j: numbers(),
             count: 0,
             kept: Vec::with_capacity(capacity),
+            edge_n: Vec::with_capacity(MOST_PLANES * MAX_CUTTER_BALLS),
             patch: Vec::with_capacity(if is_ball { 0 } else { capacity }),
         }
     }

@@ -1,5 +1,5 @@
-//! Force below which the burr's edges plough without cutting: edge pressure times the area that the burr
-//! touches, projected along its contact normals and weighted by their forces.
+//! Force below which the burr's edges plough without cutting, from the edge pressure times the area that the
+//! burr touches.
 //!
 //! **Area.** A burr that fills its hole touches the hole's cross-section, regardless of voxel size. One
 //! surface runs through a row of voxels, located where the cut fraction drops from 1 in the open to 0 in
@@ -13,6 +13,12 @@
 //! is on the normal's side. Their areas add up as vectors, so the steps of the voxel grid cancel. For a burr
 //! in its hole and a normal at an angle t to the feed, this is (1 + cos t) / 2 of the cross-section, the half
 //! of a ball as seen from that side.
+//!
+//! **Contacts on different sides.** A contact alone needs the force of its part of the patch, and loads that
+//! part evenly. A voxel bears the sum of the loads of all contacts that see it, as shares of the edge
+//! pressure; cutting begins where their mean over the patch is 1. Contacts on one side thus share one
+//! threshold, and the thresholds of contacts that see different bone, around a hole that is widened or on
+//! both sides of a pinched burr, add up.
 
 use nalgebra::Vector3;
 
@@ -21,29 +27,59 @@ use super::drilling::DrillTick;
 use super::reach::BurrPress;
 
 impl DrillTick<'_> {
-    /// Returns the sum of edge pressure times area over the touched voxels, N. Without contacts the burr's
-    /// direction is unknown, and each voxel counts with its whole area toward the burr.
-    pub(super) fn edge_force_n(&self, hu: &[i16], press: &BurrPress, contacts: &[BurrContact]) -> f64 {
+    /// Returns the force on the burr below which nothing is cut, N: see the module. Without contacts the
+    /// burr's direction is unknown, and each voxel counts with its whole area toward the burr.
+    pub(super) fn edge_force_n(&mut self, hu: &[i16], press: &BurrPress, contacts: &[BurrContact]) -> f64 {
+        let mut alone_n = core::mem::take(&mut self.scratch.edge_n);
+        alone_n.clear();
+        alone_n.resize(contacts.len(), 0.0);
+        let (mut whole_n, to_world) = (0.0, self.edit.geometry().direction_world_grid);
+        self.for_each_edge(hu, press, |to_burr, edge_n| {
+            if contacts.is_empty() {
+                whole_n += to_world.tr_mul(edge_n).abs().sum();
+            }
+            for (alone_n, contact) in alone_n.iter_mut().zip(contacts) {
+                if contact.normal.dot(to_burr) > 0.0 {
+                    *alone_n += contact.normal.dot(edge_n);
+                }
+            }
+        });
+        // A contact that faces no edge cuts with any force, and loads no voxel.
+        let loads = || contacts.iter().zip(&alone_n).filter(|(_, alone_n)| **alone_n > 0.0);
+        let force_n: f64 = loads().map(|(contact, _)| contact.normal_force_n).sum();
+        let (mut share, mut seen_n) = (0.0, 0.0);
+        self.for_each_edge(hu, press, |to_burr, edge_n| {
+            let facing = loads().filter(|(contact, _)| contact.normal.dot(to_burr) > 0.0);
+            let of_voxel: f64 = facing.map(|(contact, alone_n)| contact.normal_force_n / alone_n).sum();
+            if of_voxel > 0.0 {
+                share += of_voxel * edge_n.norm();
+                seen_n += edge_n.norm();
+            }
+        });
+        self.scratch.edge_n = alone_n;
+        match (contacts.is_empty(), share > 0.0) {
+            (true, _) => whole_n,
+            (false, true) => force_n * seen_n / share,
+            // Nothing is visible of a patch that faces away from its contacts.
+            (false, false) => 0.0,
+        }
+    }
+
+    /// Calls `each` with the direction from a touched voxel to the burr and the voxel's edge pressure times
+    /// area, N, a vector that points out of the bone; both in the world.
+    fn for_each_edge(
+        &self,
+        hu: &[i16],
+        press: &BurrPress,
+        mut each: impl FnMut(&Vector3<f64>, &Vector3<f64>),
+    ) {
         let to_world = self.edit.geometry().direction_world_grid;
-        let force_n: f64 = contacts.iter().map(|contact| contact.normal_force_n).sum();
-        let mut edge_n = 0.0;
         for voxel in (0..self.reached.index.len()).filter(|voxel| self.reached.depth[*voxel] > 0.0) {
             let to_burr = self.reached.offset(voxel, &self.reached.ball_in(voxel, press).centre);
-            let area_m2 = self.facing_m2(voxel, &to_burr);
-            let seen_m2 = if contacts.is_empty() {
-                area_m2.abs().sum()
-            } else {
-                let (to_burr, area_m2) = (to_world * to_burr, to_world * area_m2);
-                let facing = contacts.iter().filter(|contact| contact.normal.dot(&to_burr) > 0.0);
-                facing.fold(0.0, |sum, contact| {
-                    sum + contact.normal.dot(&area_m2) * (contact.normal_force_n / force_n)
-                })
-            };
+            let area_m2 = to_world * self.facing_m2(voxel, &to_burr);
             let pressure_pa = self.edit.material().edge_pressure_pa(hu[self.reached.index[voxel].at()]);
-            edge_n += pressure_pa * seen_m2;
+            each(&(to_world * to_burr), &(area_m2 * pressure_pa));
         }
-        // Nothing is visible of a patch that faces away from its contacts.
-        edge_n.max(0.0)
     }
 
     /// Returns the area of a touched voxel's surface in m^2, as a vector in the grid's frame that points out

@@ -117,6 +117,11 @@ impl BoneField {
         self.voxels.predrill_capsule(from_world_m, to_world_m, radius_m)
     }
 
+    /// Returns the number of ticks so far that have changed a voxel, and of restored states.
+    pub fn changes(&self) -> u64 {
+        self.voxels.journal().regions()
+    }
+
     /// Undoes all drilling: voxels and their strength, back to the start of the run. Pilot holes
     /// ([`Self::predrill_capsule`]) stay.
     pub fn reset(&mut self) {

@@ -9,7 +9,10 @@
 //! the projected footprint times the strength (Carter and Hayes 1977 for the strength: see
 //! [`MaterialLaw`](super::MaterialLaw)). A contact's footprint grows as the sphere sinks in: F_y of a
 //! cylinder of radius r in a flat wall follows the chord, `strength x length x 2 sqrt(2 r d - d^2)` at the
-//! depth d.
+//! depth d. Where the sphere breaks through thin bone, little or no bone is left at its final depth, but the
+//! bone on its way had to be crushed: F_y is therefore at least the mean force over the depth d, the energy
+//! that the crushed bone absorbs divided by d. The work of a contact at its strength then never falls short
+//! of that energy.
 //!
 //! **Indentation.** A contact at its strength penetrates as far as the tool's step takes it. The overlap that
 //! its force does not explain is permanent: every surface on its side recedes to the depth of the deepest, so
@@ -217,7 +220,17 @@ impl Voxels {
             }
         }
         let least_n = self.least_strength_n();
-        strength_n.map(|strength_n| strength_n.max(least_n))
+        let voxel_j = |near: &BoneVoxel| self.material().strength_pa(hu[near.voxel.at()]) * voxel_m3;
+        for ((plane, strength_n), depth_m) in pressing.planes.iter().zip(&mut strength_n).zip(depth_m) {
+            if *depth_m > SHELL_M {
+                let normals = Normals::of([&plane.normal].into_iter(), self);
+                let crushed = recession(near, (pressing.radius_m, *depth_m), &normals);
+                let energy_j: f64 = crushed.map(|(near, spent)| voxel_j(near) * (spent - near.spent)).sum();
+                *strength_n = strength_n.max(energy_j / depth_m);
+            }
+            *strength_n = strength_n.max(least_n);
+        }
+        strength_n
     }
 
     /// Lists every voxel of bone whose surface lies within `reach_m` of a centre in the grid's metric frame,
@@ -285,6 +298,21 @@ fn nearest_surfaces(near: &[BoneVoxel], reach_m: f64, normals: &Normals) -> [f64
     nearest_m
 }
 
+/// Returns the voxels that recede under an indentation of this depth by a sphere of this radius, m, with the
+/// fraction of each that is spent afterwards. `near` lists the bone within their sum.
+#[inline(always)]
+fn recession<'n>(
+    near: &'n [BoneVoxel],
+    (radius_m, depth_m): (f64, f64),
+    normals: &'n Normals,
+) -> impl Iterator<Item = (&'n BoneVoxel, f64)> {
+    let [nearest_m, ..] = nearest_surfaces(near, radius_m, normals);
+    let end_m = if nearest_m.is_finite() { nearest_m + depth_m } else { 0.0 };
+    let near = near.iter().filter(move |near| near.surface_m < end_m);
+    near.filter(|near| normals.side(&near.direction).is_some())
+        .map(move |near| (near, (near.spent + (end_m - near.surface_m) / near.width_m).min(1.0)))
+}
+
 impl Drilling<'_> {
     /// Lets the bone under an indentation recede. `near` is working memory.
     pub(super) fn indent(
@@ -296,16 +324,10 @@ impl Drilling<'_> {
         let mut report = CrushReport::default();
         let normals = Normals::of([&indentation.normal].into_iter(), self);
         let centre = self.geometry().point_to_grid(&indentation.centre_m);
-        self.list_near(&centre, indentation.radius_m, near);
-        let [nearest_m, ..] = nearest_surfaces(near, indentation.radius_m, &normals);
-        let end_m = nearest_m + indentation.depth_m;
-        if !end_m.is_finite() {
-            return report;
-        }
-        self.list_near(&centre, end_m, near);
+        let Indentation { radius_m, depth_m, .. } = *indentation;
+        self.list_near(&centre, radius_m + depth_m, near);
         let voxel_m3 = self.geometry().voxel_volume_m3();
-        for near in near.iter().filter(|near| normals.side(&near.direction).is_some()) {
-            let spent = (near.spent + (end_m - near.surface_m) / near.width_m).min(1.0);
+        for (near, spent) in recession(near, (radius_m, depth_m), &normals) {
             let strength_pa = self.material().strength_pa(hu[near.voxel.at()]);
             if self.crush(near.voxel, spent) {
                 report.crushed_count += 1;

@@ -125,6 +125,20 @@ impl Common {
         2.0 * self.parameters.damping_ratio / self.first_frequency_rad_per_s
     }
 
+    /// Returns the elastic energy of the joint stops, J. A rung with a single stop has those of all flexures
+    /// in series.
+    pub(super) fn stop_energy_j(&self) -> f64 {
+        let (law, torques_nm) = (self.parameters.stop_law(), &self.state.stop_torque_nm);
+        let in_series = if torques_nm.len() == 1 { self.bend[0].len() as f64 } else { 1.0 };
+        let loaded = torques_nm.iter().filter(|torque_nm| **torque_nm != 0.0);
+        loaded.map(|torque_nm| law.energy_j(*torque_nm)).sum::<f64>() * in_series
+    }
+
+    /// Returns the power that the damping of the mount takes, W.
+    pub(super) fn mount_damping_w(&self) -> f64 {
+        self.mount_damping.iter().zip(&self.state.velocity).map(|(damping, v)| damping * v * v).sum()
+    }
+
     /// Straightens the tool and stops it. The rung must then follow the state and call [`Self::set_take_up`].
     pub(super) fn straighten(&mut self) {
         self.state.position.fill(0.0);

@@ -35,6 +35,9 @@ pub(super) use dense::{Dense, Factor, lanes, lanes_mut};
 /// same sphere.
 const SAME_NORMAL_COSINE: f64 = 0.9;
 
+/// Maximum rows of a freedom's stops: two sides of two parts.
+const MOST_STOPS: usize = 4;
+
 /// Maximum overlap, beyond what the contact force explains, that is pushed out per step, m. A longer step
 /// must not throw the tool farther.
 const PUSH_OUT_M: f64 = 50.0e-6;
@@ -134,7 +137,7 @@ impl<const N: usize, O: Operator<N>> ContactSolver<N, O> {
             chain,
             contact: Vec::with_capacity(contacts),
             row: Vec::with_capacity(contacts),
-            stop: Vec::with_capacity(freedoms),
+            stop: Vec::with_capacity(MOST_STOPS * freedoms),
             patch: Patch::default(),
             order: Vec::with_capacity(contacts),
             used: vec![false; contacts],
@@ -200,17 +203,38 @@ impl<const N: usize, O: Operator<N>> ContactSolver<N, O> {
     }
 
     /// Adds the stop of a freedom at `position` rad if the free motion, at `rate` rad/s, would bring it near
-    /// its stop. `last_nm` is the stop's last torque. Must be called in ascending order of freedoms.
+    /// its stop; of a stop that is `pressed`, only the hard part. `last_nm` is the stop's last torque. Must
+    /// be called in ascending order of freedoms.
     pub fn collect_stop(
         &mut self,
         (dt, law): (f64, &StopLaw),
-        freedom: usize,
+        (freedom, pressed): (usize, bool),
         (position, rate): (f64, f64),
         last_nm: f64,
     ) {
-        if let Some(stop) = law.near(dt, position, rate, last_nm) {
-            self.stop.push(StopRow::new(freedom, stop));
+        let [soft, hard] = law.near(dt, position, rate, last_nm);
+        let parts = soft.filter(|_| !pressed).into_iter().chain(hard);
+        self.stop.extend(parts.map(|stop| StopRow::new(freedom, stop)));
+    }
+
+    /// Adds both stops of a freedom at `position` rad, wherever it moves. Otherwise like
+    /// [`Self::collect_stop`].
+    pub fn collect_both_stops(
+        &mut self,
+        (dt, law): (f64, &StopLaw),
+        freedom: usize,
+        position: f64,
+        last_nm: f64,
+    ) {
+        for sign in [-1.0, 1.0] {
+            let parts = law.side(dt, sign, position, last_nm);
+            self.stop.extend(parts.map(|stop| StopRow::new(freedom, stop)));
         }
+    }
+
+    /// Returns whether the hard part of a freedom's stop on this side is part of the problem.
+    pub fn has_hard_stop(&self, freedom: usize, sign: f64) -> bool {
+        self.stop.iter().any(|row| row.freedom == freedom && row.stop.is_hard && row.stop.sign == sign)
     }
 
     /// Returns whether there is anything to solve.
@@ -255,13 +279,13 @@ impl<const N: usize, O: Operator<N>> ContactSolver<N, O> {
         }
     }
 
-    /// Calls `each` with the freedom and the torque of every stop in the solution, for the next warm start;
-    /// returns how many carry torque.
+    /// Calls `each` with the freedom and the torque of every part of a stop in the solution, for the next
+    /// warm start. Returns how many stops carry torque.
     pub fn stop_torques(&self, dt: f64, mut each: impl FnMut(usize, f64)) -> usize {
         for StopRow { freedom, stop, .. } in &self.stop {
             each(*freedom, stop.sign * stop.impulse / dt);
         }
-        self.stop.iter().filter(|row| row.stop.impulse > 0.0).count()
+        self.stop.iter().filter(|row| !row.stop.is_hard && row.stop.impulse > 0.0).count()
     }
 }
 

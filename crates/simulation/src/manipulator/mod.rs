@@ -217,9 +217,7 @@ impl ManipulatorModel for Manipulator {
         }
     }
 
-    fn straighten(&mut self) {
-        self.common.straighten();
-        self.follow_state();
+    fn update_take_up(&mut self) {
         let take_up = |t: usize| self.tendon.take_up(&self.configuration, t);
         self.common.set_take_up(&self.tendon.channels, take_up);
     }
@@ -256,5 +254,20 @@ impl ManipulatorModel for Manipulator {
             energy += 0.5 * stiffness * u * u;
         }
         energy + self.kinetic_energy_j()
+    }
+
+    fn damping_w(&self) -> f64 {
+        let Generalised { joint, .. } = Generalised::of(&self.common.state.velocity);
+        let flexures = self.damping.iter().zip(&joint[..self.layout.joints]);
+        self.common.mount_damping_w() + flexures.map(|(damping, rate)| damping * rate * rate).sum::<f64>()
+    }
+
+    fn mass_moment_kg_m(&self) -> Vector3<f64> {
+        let across_m = self.common.state.position[1];
+        (0..=self.layout.joints).fold(Vector3::zeros(), |sum, link| {
+            let body = &self.layout.body[link];
+            let [x, z] = self.configuration.point(link, body.centre_m);
+            sum + Vector3::new(x, across_m, z) * body.mass_kg
+        })
     }
 }

@@ -1,6 +1,6 @@
 //! The ladder of manipulator models, behind one trait.
 
-use nalgebra::Isometry3;
+use nalgebra::{Isometry3, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::common::Common;
@@ -58,8 +58,14 @@ pub trait ManipulatorModel {
     /// # Errors
     /// The input is not finite or out of range. A rejected step changes nothing.
     fn step(&mut self, dt_s: f64, input: &StepInput) -> Result<StepReport, ManipulatorError>;
+    /// Sets the take-up of the tendons to that of the present shape, without a change of friction.
+    fn update_take_up(&mut self);
     /// Straightens the tool and puts it at rest, like a pre-curved tool held in a hole or guide.
-    fn straighten(&mut self);
+    fn straighten(&mut self) {
+        self.common_mut().straighten();
+        self.follow_state();
+        self.update_take_up();
+    }
     /// Returns the unloaded bend of a flexure at the present deployment from an outer tube, rad.
     fn rest_rad(&self, joint: usize) -> f64;
     /// Returns the pose of the point at `along_m` on the axis of `link` (0 is the shaft at the base origin,
@@ -67,6 +73,14 @@ pub trait ManipulatorModel {
     fn t_world_point(&self, link: usize, along_m: f64) -> Isometry3<f64>;
     /// Returns the kinetic energy relative to the base plus elastic energy of flexures and mount, J.
     fn energy_j(&self) -> f64;
+    /// Returns the elastic energy of the joint stops, J.
+    fn stop_energy_j(&self) -> f64 {
+        self.common().stop_energy_j()
+    }
+    /// Returns the power that the damping of flexures and mount takes, W.
+    fn damping_w(&self) -> f64;
+    /// Returns the sum of mass times position relative to the base origin, base axes, kg m.
+    fn mass_moment_kg_m(&self) -> Vector3<f64>;
 
     /// Sets the deployment of a tool from its outer tube, m (initially 0), which determines its springs and
     /// the radius of the covered part. The caller moves the base, which slides with it. Ignored by rungs that
@@ -82,6 +96,12 @@ pub trait ManipulatorModel {
     /// Sets whether the burr spins (initially true). A stationary burr has the tube's friction.
     fn set_burr_turns(&mut self, turns: bool) {
         self.common_mut().burr_turns = turns;
+    }
+
+    /// Sets the speed by which contacts may violate their law when their solver stops, m/s; returns the
+    /// previous one.
+    fn set_contact_tolerance(&mut self, m_per_s: f64) -> f64 {
+        core::mem::replace(&mut self.common_mut().parameters.contact.tolerance_m_per_s, m_per_s)
     }
 
     /// Disables SIMD: slower, with the same bits.
@@ -314,6 +334,10 @@ impl ManipulatorModel for AnyManipulator {
         self.model_mut().step(dt_s, input)
     }
 
+    fn update_take_up(&mut self) {
+        self.model_mut().update_take_up();
+    }
+
     fn straighten(&mut self) {
         self.model_mut().straighten();
     }
@@ -336,5 +360,13 @@ impl ManipulatorModel for AnyManipulator {
 
     fn energy_j(&self) -> f64 {
         self.model().energy_j()
+    }
+
+    fn damping_w(&self) -> f64 {
+        self.model().damping_w()
+    }
+
+    fn mass_moment_kg_m(&self) -> Vector3<f64> {
+        self.model().mass_moment_kg_m()
     }
 }

@@ -248,8 +248,8 @@ impl ManipulatorParameters {
     ///
     /// Geometry and bending stiffness come from the tables above, the other stiffnesses from the notches
     /// ([`Notch::JHU`], nu = 0.33); masses assume a solid nitinol tube (6450 kg/m^3, 0.101 kg/m).
-    /// `tendon.gap_m` is 0, as in the published prediction (8.65 degrees per newton): a gap of one full pitch
-    /// bends about 1 % more. Tendon stiffness (a 0.35 mm steel cable of 0.3 m), damping ratio, stop stiffness
+    /// `tendon.gap_m` is 0, an assumption that gives 8.65 degrees per newton: a gap of one full pitch bends
+    /// about 1 % more. Tendon stiffness (a 0.35 mm steel cable of 0.3 m), damping ratio, stop stiffness
     /// and friction are assumptions; override them with measured values if available.
     pub fn jhu_27() -> Self {
         let joints: Vec<f64> = JHU_JOINTS_MM.iter().map(|z| z * 1e-3).collect();

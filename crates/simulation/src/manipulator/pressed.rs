@@ -3,8 +3,9 @@
 //! A stop that carried torque in the last step is assumed to carry torque in this one. Its unilateral law,
 //! `torque = k dt (target - v)` toward the free range, then becomes an equation that the operator solves
 //! exactly together with the flexures. With these stops as rows of the contact solver, a tool pressed against
-//! all its stops would not converge. If a stop pulls in the solution, the step is solved again with that stop
-//! as a contact row.
+//! all its stops takes more iterations. If a stop pulls in the solution, the step is solved again with that
+//! stop as a contact row; if a flexure ends in the hard part of a stop that is not part of the solve, with
+//! all stops as rows.
 
 use super::parameters::ManipulatorParameters;
 
@@ -59,11 +60,11 @@ impl PressedStops {
         released
     }
 
-    /// Overwrites `out` with the torques of the pressed stops at velocities `v`; returns how many there are.
+    /// Adds to `out` the torques of the pressed stops at velocities `v`; returns how many there are.
     pub fn store(&self, dt: f64, v: &[f64], out: &mut [f64]) -> usize {
         let all = if self.any { self.drive.len() } else { 0 };
         let pressed = (0..all).filter(|i| self.has(*i));
-        pressed.map(|i| out[i] = self.torque(dt, v, i)).count()
+        pressed.map(|i| out[i] += self.torque(dt, v, i)).count()
     }
 
     fn torque(&self, dt: f64, v: &[f64], i: usize) -> f64 {

@@ -9,36 +9,93 @@ const STOP_SHARE: f64 = 0.9;
 /// Maximum return rate of a flexure past its stop, rad/s.
 const STOP_RETURN_RAD_PER_S: f64 = 5.0;
 
+/// Overlap up to which a stop has its stiffness, rad (0.05 degrees): asperities and the rounded edges of a
+/// notch give way. Then its faces are in contact.
+const SOFT_STOP_RAD: f64 = 0.05 * core::f64::consts::PI / 180.0;
+/// Stiffness of a notch whose faces are in contact, relative to that of its stop. An assumption: stiff enough
+/// that neither an impact nor a jam turns a flexure by another 0.05 degrees.
+const HARD_STOP_RATIO: f64 = 100.0;
+
 /// The two stops of a flexure, at plus and minus the same angle.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct StopLaw {
     pub limit_rad: f64,
     pub stiffness_nm_per_rad: f64,
+    /// Overlap beyond which a stop is hard, rad.
+    pub soft_rad: f64,
 }
 
 impl StopLaw {
-    /// Returns the stop that a free step of `dt` s approaches, for a flexure at `q_rad` turning at
-    /// `rate_rad_per_s`; `last_nm` is its stop torque in the last step.
-    pub fn near(&self, dt: f64, q_rad: f64, rate_rad_per_s: f64, last_nm: f64) -> Option<Stop> {
+    /// Returns the soft and the hard part of the stop that a free step of `dt` s approaches, for a flexure at
+    /// `q_rad` turning at `rate_rad_per_s`; `last_nm` is its stop torque in the last step.
+    pub fn near(&self, dt: f64, q_rad: f64, rate_rad_per_s: f64, last_nm: f64) -> [Option<Stop>; 2] {
         let predicted = q_rad + dt * rate_rad_per_s;
-        if predicted.abs().max(q_rad.abs()) <= STOP_SHARE * self.limit_rad {
-            return None;
+        let farthest = predicted.abs().max(q_rad.abs());
+        if farthest <= STOP_SHARE * self.limit_rad {
+            return [None; 2];
         }
-        let sign = if predicted > 0.0 { -1.0 } else { 1.0 };
-        let last = (sign * last_nm).max(0.0);
-        Some(Stop {
-            sign,
-            compliance: 1.0 / (self.stiffness_nm_per_rad * dt * dt),
-            target: self.target(dt, sign, q_rad, last),
-            impulse: last * dt,
-        })
+        let [soft, hard] = self.side(dt, if predicted > 0.0 { -1.0 } else { 1.0 }, q_rad, last_nm);
+        [Some(soft), (farthest > self.limit_rad).then_some(hard)]
     }
 
-    /// Returns the velocity toward the free range that the stop on side `sign` requires after carrying
-    /// `last_nm`, rad/s.
+    /// Returns the soft and the hard part of the stop on one side, for a flexure at `q_rad` whose stops
+    /// exerted `last_nm` in the last step.
+    pub fn side(&self, dt: f64, sign: f64, q_rad: f64, last_nm: f64) -> [Stop; 2] {
+        let last = (sign * last_nm).max(0.0);
+        let soft = self.soft_nm(last);
+        [(false, 0.0, 1.0, soft), (true, self.soft_rad, HARD_STOP_RATIO, last - soft)].map(
+            |(is_hard, behind_rad, ratio, last)| {
+                let stiffness = ratio * self.stiffness_nm_per_rad;
+                let gap = self.limit_rad + behind_rad + sign * q_rad;
+                Stop {
+                    sign,
+                    is_hard,
+                    compliance: 1.0 / (stiffness * dt * dt),
+                    target: target(gap, last / stiffness, STOP_RETURN_RAD_PER_S, dt),
+                    impulse: last * dt,
+                }
+            },
+        )
+    }
+
+    /// Returns the part of a torque that the soft part of a stop carries, N m.
+    fn soft_nm(&self, torque_nm: f64) -> f64 {
+        torque_nm.min(self.stiffness_nm_per_rad * self.soft_rad)
+    }
+
+    /// Returns the velocity toward the free range that the soft part of the stop on side `sign` requires
+    /// after the stop carried `last_nm`, rad/s.
     pub fn target(&self, dt: f64, sign: f64, q_rad: f64, last_nm: f64) -> f64 {
-        let explained = last_nm / self.stiffness_nm_per_rad;
+        let explained = self.soft_nm(last_nm) / self.stiffness_nm_per_rad;
         target(self.limit_rad + sign * q_rad, explained, STOP_RETURN_RAD_PER_S, dt)
+    }
+
+    /// Returns the rate at which a flexure at `q_rad` ends at most 0.1 degrees past its stop, or no farther
+    /// past it than it is: `rate_rad_per_s`, unless the solve with all stops has not converged.
+    pub fn held(&self, dt: f64, q_rad: f64, rate_rad_per_s: f64) -> f64 {
+        let end = q_rad + dt * rate_rad_per_s;
+        let most = (self.limit_rad + 2.0 * self.soft_rad).max(q_rad.abs());
+        if end.abs() > most { (most.copysign(end) - q_rad) / dt } else { rate_rad_per_s }
+    }
+
+    /// Returns the elastic energy of a stop that exerts a torque, J.
+    pub fn energy_j(&self, torque_nm: f64) -> f64 {
+        let soft = self.soft_nm(torque_nm.abs());
+        let hard = torque_nm.abs() - soft;
+        0.5 * (soft * soft + hard * hard / HARD_STOP_RATIO) / self.stiffness_nm_per_rad
+    }
+
+    /// Returns true if a flexure ends in or behind the hard part of a stop that is not `listed` among the
+    /// rows, from `q_rad` at the velocity `rate_rad_per_s`. `listed` is called with the side.
+    pub fn is_passed(
+        &self,
+        dt: f64,
+        q_rad: f64,
+        rate_rad_per_s: f64,
+        listed: impl FnOnce(f64) -> bool,
+    ) -> bool {
+        let end = q_rad + dt * rate_rad_per_s;
+        end.abs() > self.limit_rad + self.soft_rad && !listed(-end.signum())
     }
 }
 
@@ -48,14 +105,17 @@ impl ManipulatorParameters {
         StopLaw {
             limit_rad: self.joint_limit_rad,
             stiffness_nm_per_rad: self.joint_stop_stiffness_nm_per_rad,
+            soft_rad: SOFT_STOP_RAD,
         }
     }
 }
 
-/// One joint stop: `sign` is +1 at the lower stop and -1 at the upper.
+/// One part of a joint stop: `sign` is +1 at the lower stop and -1 at the upper.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Stop {
     pub sign: f64,
+    /// Whether this is the part behind the soft one.
+    pub is_hard: bool,
     /// Compliance, 1 / (k dt^2).
     pub compliance: f64,
     /// Lower bound for rate toward the free range + compliance * impulse, rad/s.

@@ -198,6 +198,26 @@ pub struct ManipulatorState {
 }
 
 impl ManipulatorState {
+    /// Returns the sliding state of each tendon's friction, -1 (let out) to 1 (pulled in).
+    pub fn sliding(&self) -> [f64; MAX_TENDONS] {
+        self.tendon.map(|memory| memory.sliding)
+    }
+
+    /// Returns the wrench of the last step on the flange, about the base origin, world axes.
+    pub fn flange_wrench(&self) -> &Wrench {
+        &self.report.flange_wrench
+    }
+
+    /// Sets the sliding states and the wrench on the flange. The energy ceiling, which bounds free motion
+    /// from the state that was left, no longer applies.
+    pub fn displace(&mut self, sliding: &[f64; MAX_TENDONS], flange_wrench: &Wrench) {
+        for (memory, sliding) in self.tendon.iter_mut().zip(sliding) {
+            memory.sliding = *sliding;
+        }
+        self.report.flange_wrench = *flange_wrench;
+        self.energy_ceiling_j = f64::INFINITY;
+    }
+
     /// Copies a state of the same tool without allocating.
     pub(super) fn copy_from(&mut self, other: &Self) {
         let Self {

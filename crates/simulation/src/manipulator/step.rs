@@ -25,6 +25,16 @@ pub(super) const FREE_SHARE: f64 = 0.9;
 /// Maximum solves per step of linearly implicit Euler. Each one drops the assumptions that the previous one
 /// violated.
 pub(super) const MAX_ROUNDS: usize = 4;
+
+/// The joint stops that are part of a solve.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Stops {
+    /// Those that the motion without contacts approaches.
+    Near,
+    /// All: the impulses of the others can throw a flexure past any stop.
+    All,
+}
+
 /// The configuration in which a stage of a step is evaluated.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Stage {
@@ -154,13 +164,19 @@ impl Manipulator {
         );
         let mut d = self.stage((&q, &v), dt, input, frame, Stage::Start);
         let (mut round, mut expected) = (1, v);
-        let after = loop {
+        let mut stops = Stops::Near;
+        let mut after = loop {
             let free = self.free_velocity(dt, (&q, &v), &d);
-            let after = self.with_contacts(dt, input, drive, &d, free, report);
+            let after = self.with_contacts(dt, input, drive, &d, (free, stops), report);
             let turned = self.turns(&expected, &after);
+            let passed = stops == Stops::Near && self.passes_stop(dt, &q, &after);
             let released = self.pressed.release(dt, &after.joint, &self.common.state.stop_torque_nm);
-            if round == MAX_ROUNDS || !(turned || released) {
+            if !(turned || released || passed) || (round >= MAX_ROUNDS && !passed) {
                 break after;
+            }
+            if passed {
+                stops = Stops::All;
+                self.pressed.clear();
             }
             if turned {
                 expected = after;
@@ -168,10 +184,23 @@ impl Manipulator {
             d = self.factored_with_tendons((&q, &expected), dt, input, Stage::Start);
             round += 1;
         };
+        let law = self.common.parameters.stop_law();
+        for i in 0..self.layout.joints {
+            after.joint[i] = law.held(dt, q.joint[i] - self.rest[i], after.joint[i]);
+        }
         self.store_results(dt, drive, &after, report);
         let next = q.plus(dt, &after);
         next.copy_to(&mut self.common.state.position);
         after
+    }
+
+    /// Returns true if a flexure ends past a stop that was not part of the solve.
+    fn passes_stop(&self, dt: f64, q: &Generalised, after: &Generalised) -> bool {
+        let law = self.common.parameters.stop_law();
+        (0..self.layout.joints).any(|i| {
+            let listed = |side| self.contact.has_hard_stop(MOUNT + i, side);
+            law.is_passed(dt, q.joint[i] - self.rest[i], after.joint[i], listed)
+        })
     }
 
     fn turns(&self, before: &Generalised, after: &Generalised) -> bool {
@@ -191,7 +220,7 @@ impl Manipulator {
         input: &StepInput,
         drive: &BaseDrive,
         d: &Diagonals,
-        free: Generalised,
+        (free, stops): (Generalised, Stops),
         report: &mut StepReport,
     ) -> Generalised {
         let step = self.common.contact_step(dt, drive, input);
@@ -210,9 +239,13 @@ impl Manipulator {
             },
         );
         let law = self.common.parameters.stop_law();
-        for i in (0..layout.joints).filter(|i| !self.pressed.has(*i)) {
-            let moving = (state.position[MOUNT + i] - self.rest[i], free.joint[i]);
-            solver.collect_stop((dt, &law), MOUNT + i, moving, state.stop_torque_nm[i]);
+        for i in 0..layout.joints {
+            let (at, last_nm) = (state.position[MOUNT + i] - self.rest[i], state.stop_torque_nm[i]);
+            let flexure = (MOUNT + i, self.pressed.has(i));
+            match stops {
+                Stops::Near => solver.collect_stop((dt, &law), flexure, (at, free.joint[i]), last_nm),
+                Stops::All => solver.collect_both_stops((dt, &law), MOUNT + i, at, last_nm),
+            }
         }
         if solver.is_empty() {
             return free;
@@ -243,7 +276,7 @@ impl Manipulator {
         let torque = &mut self.common.state.stop_torque_nm;
         torque.fill(0.0);
         report.stopped_joint_count =
-            self.contact.stop_torques(dt, |freedom, value| torque[freedom - MOUNT] = value);
+            self.contact.stop_torques(dt, |freedom, value| torque[freedom - MOUNT] += value);
         report.stopped_joint_count += self.pressed.store(dt, &after.joint, torque);
         self.common.store_contacts(&self.contact, dt, drive, &mut self.loads.moment, report);
     }

@@ -2,7 +2,7 @@
 
 use thiserror::Error;
 
-use super::{KeyframeError, LostTool, TubeRefusal};
+use super::{KeyframeError, LostTool, StateVectorError, TubeRefusal};
 use crate::arm::ArmError;
 use crate::bone::BoneError;
 use crate::manipulator::ManipulatorError;
@@ -37,6 +37,9 @@ pub enum SimulationError {
     /// The bytes are not a keyframe of this scene.
     #[error("keyframe: {0}")]
     Keyframe(#[from] KeyframeError),
+    /// The numbers are not a state of this scene.
+    #[error(transparent)]
+    StateVector(#[from] StateVectorError),
 }
 
 impl SimulationError {

@@ -18,9 +18,12 @@ impl Simulation<'_> {
         self.write_contacts();
         self.write_arm();
         self.write_bodies();
+        let tool_energy_j = self.tool_energy_j();
         let state = &mut self.state;
         if self.initial.is_some() {
             state.tick = latched.tick + 1;
+        } else {
+            state.tool_energy_j = tool_energy_j;
         }
         state.sim_time_s = state.tick as f64 * self.dt_s;
         state.removed_in_tick = removed as u32;
@@ -38,6 +41,14 @@ impl Simulation<'_> {
                 controller_index: entry.controller_index,
             };
         }
+    }
+
+    /// Writes what the present state of arm, tool and drives determines, not what a step computes.
+    pub(super) fn show_pose(&mut self) {
+        self.write_tool();
+        self.write_tube();
+        self.write_arm();
+        self.state.drive_shaft_wind_up_rad = self.burr_drive.state.shaft.wind_up_rad;
     }
 
     fn write_tool(&mut self) {

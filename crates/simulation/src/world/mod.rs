@@ -17,6 +17,7 @@ mod apply;
 mod arm_in_bone;
 mod burr_drive;
 mod drive_shaft;
+mod energy;
 mod error;
 mod feasibility;
 mod keyframe;
@@ -26,6 +27,7 @@ mod move_tool;
 mod plant;
 mod receding;
 mod setup;
+mod state_vector;
 mod tendon_drive;
 mod tool;
 mod tube_drive;
@@ -62,6 +64,7 @@ pub use keyframe::KeyframeError;
 pub use lost::LostTool;
 pub use message::pose;
 pub use setup::{contact_kind, manipulator_parameters, rung};
+pub use state_vector::{StateEntry, StateVectorError};
 pub use tube_drive::TubeRefusal;
 
 /// The simulation's view of the CT: geometry and Hounsfield units, x fastest, borrowed.
@@ -162,6 +165,8 @@ pub struct Simulation<'v> {
     receding: RecessionState,
     /// Voxels that the last tick could not cut: out of memory.
     uncut_voxels: usize,
+    /// Whether ticks leave the bone as it is.
+    bone_is_frozen: bool,
     /// Contacts that exceeded the capacity in the last tick.
     left_out_contacts: usize,
     sensors: SensorArray,
@@ -230,6 +235,28 @@ impl<'v> Simulation<'v> {
         if let Some(bone) = &mut self.bone {
             bone.field.use_plain_instructions();
         }
+    }
+
+    /// Sets whether ticks leave the bone as it is: nothing is cut or crushed, and no energy is spent. A
+    /// cutter of several balls whose motor or side force is modelled cuts all the same.
+    pub fn freeze_bone(&mut self, is_frozen: bool) {
+        self.bone_is_frozen = is_frozen;
+    }
+
+    /// Returns the number of changes of the bone so far: if it is the same twice, so is the bone.
+    pub fn bone_changes(&self) -> u64 {
+        self.bone.as_ref().map_or(0, |bone| bone.field.changes())
+    }
+
+    /// Returns whether the arm follows a path, which determines its joints.
+    pub fn is_arm_on_path(&self) -> bool {
+        self.arm.is_on_path()
+    }
+
+    /// Sets the speed by which contacts may violate their law when their solver stops, m/s; returns the
+    /// previous one. Results within it change; derivatives need a smaller one.
+    pub fn set_contact_tolerance(&mut self, m_per_s: f64) -> f64 {
+        self.manipulator.set_contact_tolerance(m_per_s)
     }
 
     /// Drops the caches of the bone. Results do not change (tested).
@@ -319,16 +346,20 @@ impl<'v> Simulation<'v> {
             self.reset()?;
         }
         self.apply(latched);
+        let start = self.tick_start();
         let base = self.move_arm()?;
         let base = self.slide_tube(base)?;
+        let slid_j = if self.tube.is_some() { self.tool_energy_j() - start.tool_energy_j() } else { 0.0 };
         self.turn_burr();
         self.report_arm_fault();
         let tendon = self.tendon.step(self.dt_s);
-        let report = self.move_tool(&ToolDrive { base, tendon, tip_wrench: self.cutting_wrench() })?;
+        let drive = ToolDrive { base, tendon, tip_wrench: self.cutting_wrench() };
+        let report = self.move_tool(&drive)?;
         self.check_not_lost()?;
         let dropped = self.bone.as_ref().map_or(0, |bone| bone.contacts.dropped());
         self.left_out_contacts = dropped + report.refused_contact_count;
         let removed = self.wear()?;
+        self.balance_energy(&start, slid_j, &drive);
         self.update_state(latched, removed);
         self.update_hash(latched);
         self.sensors.see(&self.state);
@@ -342,25 +373,45 @@ impl<'v> Simulation<'v> {
         if let Some(limit_n) = self.max_flange_force_n {
             self.arm.watch_force(self.manipulator.flange_wrench().force_n.norm(), limit_n);
         }
-        let arm = self.arm.step();
-        let rigid = BaseMotion {
-            t_world_base: arm.t_world_tool,
-            linear_velocity_m_per_s: arm.linear_velocity_m_s,
-            angular_velocity_rad_per_s: arm.angular_velocity_rad_s,
-        };
+        self.arm.step();
         let wrench = self.flange_wrench();
-        let Some(compliance) = &mut self.compliance else { return Ok(rigid) };
-        let deflected = compliance.step(&self.arm, &wrench.force_n, &wrench.torque_nm)?;
-        Ok(BaseMotion {
-            t_world_base: deflected.t_world_tool,
-            linear_velocity_m_per_s: deflected.linear_velocity_m_s,
-            angular_velocity_rad_per_s: deflected.angular_velocity_rad_s,
-        })
+        if let Some(compliance) = &mut self.compliance {
+            compliance.step(&self.arm, &wrench.force_n, &wrench.torque_nm)?;
+        }
+        Ok(self.arm_base())
+    }
+
+    /// Returns the motion of the tool base on the arm, including the deflection of elastic joints.
+    fn arm_base(&self) -> BaseMotion {
+        match &self.compliance {
+            Some(compliance) => {
+                let deflected = compliance.base(&self.arm);
+                BaseMotion {
+                    t_world_base: deflected.t_world_tool,
+                    linear_velocity_m_per_s: deflected.linear_velocity_m_s,
+                    angular_velocity_rad_per_s: deflected.angular_velocity_rad_s,
+                }
+            }
+            None => {
+                let arm = self.arm.state();
+                BaseMotion {
+                    t_world_base: arm.t_world_tool,
+                    linear_velocity_m_per_s: arm.linear_velocity_m_s,
+                    angular_velocity_rad_per_s: arm.angular_velocity_rad_s,
+                }
+            }
+        }
     }
 
     fn wear(&mut self) -> Result<usize, SimulationError> {
         self.find_indentations();
         self.find_burr_contacts();
+        // The lever of a cutter of several balls is known only from the bone that it cuts.
+        let is_ball = self.manipulator.parameters().cutter.only_radius_m().is_some();
+        if self.bone_is_frozen && (is_ball || !self.burr_drive.is_modelled()) {
+            self.load_burr(0.0);
+            return Ok(0);
+        }
         let Some(bone) = &mut self.bone else {
             self.load_burr(0.0);
             return Ok(0);
@@ -418,6 +469,17 @@ impl<'v> Simulation<'v> {
     /// # Errors
     /// The snapshot is from another scene.
     pub fn restore(&mut self, snapshot: &SimulationSnapshot) -> Result<(), SimulationError> {
+        if let (Some(bone), Some(saved)) = (&mut self.bone, &snapshot.bone) {
+            bone.field.restore(saved)?;
+        }
+        self.restore_beside_bone(snapshot)
+    }
+
+    /// Restores a snapshot as [`Simulation::restore`] does, except for the bone.
+    ///
+    /// # Errors
+    /// The snapshot is from another scene.
+    pub fn restore_beside_bone(&mut self, snapshot: &SimulationSnapshot) -> Result<(), SimulationError> {
         self.arm.restore(&snapshot.arm)?;
         if let (Some(compliance), Some(saved)) = (&mut self.compliance, &snapshot.compliance) {
             compliance.restore(saved);
@@ -427,9 +489,6 @@ impl<'v> Simulation<'v> {
             self.manipulator.set_deployed(tube.deployed_m());
         }
         self.manipulator.restore(&snapshot.manipulator);
-        if let (Some(bone), Some(saved)) = (&mut self.bone, &snapshot.bone) {
-            bone.field.restore(saved)?;
-        }
         if let (Some(rigid), Some(saved)) = (&mut self.rigid, &snapshot.rigid) {
             rigid.restore(saved);
         }

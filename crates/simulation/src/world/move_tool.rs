@@ -2,8 +2,9 @@
 //!
 //! The strength of yielding bone is computed only where a sphere presses hard enough to matter: with at least
 //! the minimum strength of any contact, in the last tick or in this one. A sphere that goes deep within one
-//! tick leaves its own footprint: its strength is then that at its final depth; otherwise, a long step would
-//! pass through bone.
+//! tick leaves its own footprint: its strength is then the largest on its way; otherwise, a long step would
+//! pass through bone. If the attempts end before the assumed strengths hold, the last one does not yield: a
+//! tick may stop the tool too early, but never crushes bone with less force than the bone supports.
 
 use nalgebra::Vector3;
 
@@ -41,6 +42,9 @@ const BEHIND_M: f64 = 1.0e-4;
 const SAME_COSINE: f64 = 0.996;
 /// Maximum attempts to step the tool in a tick, each with planes from farther away or with stronger ones.
 const MAX_ATTEMPTS: usize = 16;
+/// Fraction of a sphere's radius that separates the positions at which the strength on its way is evaluated.
+/// The bone that a position sees reaches a radius ahead, so a thin wall is seen from at least one.
+const SWEEP_SHARE: f64 = 0.5;
 /// Factor by which the bone at the final depth must be stronger than assumed for the step to be repeated.
 const STRONGER: f64 = 1.05;
 /// Maximum search distance for planes, m. A faster tool would move the length of a hip joint in one tick.
@@ -50,7 +54,7 @@ const MAX_REACH_M: f64 = 0.05;
 #[derive(Debug, Clone, Copy)]
 pub(super) struct SearchRange {
     /// Start position, world, m.
-    from_m: Vector3<f64>,
+    pub(super) from_m: Vector3<f64>,
     margin_m: f64,
     /// Whether it presses so hard that its planes get the strength of the bone.
     presses: bool,
@@ -128,6 +132,9 @@ impl Simulation<'_> {
             attempt += 1;
             self.manipulator.restore(&self.before);
             self.find_contacts();
+            if attempt == MAX_ATTEMPTS {
+                self.planes.iter_mut().for_each(|plane| plane.strength_n = f64::INFINITY);
+            }
         }
     }
 
@@ -181,14 +188,23 @@ impl Simulation<'_> {
         self.find_indentations();
         let Some(bone) = &mut self.bone else { return false };
         let mut any = false;
+        // The sphere of the last indentation, with its planes and their strengths: a sphere can have as many
+        // indentations as planes, and its planes one strength each, which takes most of the time.
+        let mut last: Option<(usize, &[ContactPlane], [f64; PLANES_PER_SPHERE])> = None;
         for indentation in self.indentations.iter().filter(|indentation| indentation.depth_m > SHELL_M) {
-            let Some(reach) = self.reach.get_mut(indentation.sphere_index) else { continue };
+            let index = indentation.sphere_index;
+            let Some(reach) = self.reach.get_mut(index) else { continue };
             let moved_m = indentation.centre_m - reach.from_m;
-            let way = (&reach.from_m, &moved_m);
-            let mut spheres = self.planes.chunk_by(|a, b| a.sphere_index == b.sphere_index);
-            let own = |planes: &&[ContactPlane]| planes[0].sphere_index == indentation.sphere_index;
-            let planes = spheres.find(own).unwrap_or_default();
-            let strengths_n = strengths_n(bone, indentation.radius_m, way, planes);
+            let (_, planes, strengths_n) = match last {
+                Some(last) if last.0 == index => last,
+                _ => {
+                    let mut spheres = self.planes.chunk_by(|a, b| a.sphere_index == b.sphere_index);
+                    let own = |planes: &&[ContactPlane]| planes[0].sphere_index == index;
+                    let planes = spheres.find(own).unwrap_or_default();
+                    let way = (&reach.from_m, &moved_m);
+                    *last.insert((index, planes, strengths_n(bone, indentation.radius_m, way, planes)))
+                }
+            };
             any |= planes.iter().zip(strengths_n).any(|(plane, strength_n)| {
                 plane.normal == indentation.normal && strength_n > STRONGER * plane.strength_n
             });
@@ -285,16 +301,101 @@ impl Simulation<'_> {
     }
 }
 
-/// Returns the strength of a sphere's planes after a motion from its centre, N.
+/// Returns the largest strength of a sphere's planes during a motion from its centre, N.
 fn strengths_n(
     bone: &mut Bone,
     radius_m: f64,
     (from_m, moved_m): (&Vector3<f64>, &Vector3<f64>),
     planes: &[ContactPlane],
 ) -> [f64; PLANES_PER_SPHERE] {
-    let mut depth_m = [0.0; PLANES_PER_SPHERE];
-    for (depth_m, plane) in depth_m.iter_mut().zip(planes) {
-        *depth_m = (-(plane.gap_m + plane.normal.dot(moved_m))).max(0.0);
+    #[cfg(test)]
+    tests::SEARCHES.set(tests::SEARCHES.get() + 1);
+    let mut most_n = [0.0; PLANES_PER_SPHERE];
+    // At most `MAX_REACH_M` over half a radius: a faster tool is lost.
+    let count = (moved_m.norm().min(MAX_REACH_M) / (SWEEP_SHARE * radius_m)).ceil().max(1.0) as usize;
+    for position in 1..=count {
+        let moved_m = moved_m * (position as f64 / count as f64);
+        let mut depth_m = [0.0; PLANES_PER_SPHERE];
+        for (depth_m, plane) in depth_m.iter_mut().zip(planes) {
+            *depth_m = (-(plane.gap_m + plane.normal.dot(&moved_m))).max(0.0);
+        }
+        let pressing = Pressing { centre_m: from_m + moved_m, radius_m, planes, depth_m };
+        for (most_n, strength_n) in most_n.iter_mut().zip(bone.field.strengths_n(&bone.hu, &pressing)) {
+            *most_n = strength_n.max(*most_n);
+        }
     }
-    bone.field.strengths_n(&bone.hu, &Pressing { centre_m: from_m + moved_m, radius_m, planes, depth_m })
+    most_n
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "a test fails by it")]
+mod tests {
+    use core::cell::Cell;
+
+    use messages::{ARM_MOVE_CP, Command, Latched, LatchedCommand, SOURCE_FRESH, State, TENDON_SERVO_JF};
+    use scene::Scene;
+
+    use super::*;
+    use crate::bone::GridGeometry;
+    use crate::world::CtView;
+
+    thread_local! {
+        /// Number of calls of [`strengths_n`].
+        pub(super) static SEARCHES: Cell<usize> = const { Cell::new(0) };
+    }
+
+    const SCENE: &str = "name = \"tunnel\"\nrun = { mode = \"lockstep\", duration_s = 1.0 }\nvolume = { phantom = \"block\" }\n";
+
+    /// Presses the tool sideways with the arm and a tendon.
+    fn pressed(tick: u64, start: &State) -> Latched {
+        let mut goal = start.t_world_base;
+        goal.position_m[0] += 0.01;
+        let command = Command {
+            sequence: tick + 1,
+            tendon_mode: TENDON_SERVO_JF,
+            tendon_force_n: [60.0, 0.0, 0.0, 0.0],
+            arm_mode: ARM_MOVE_CP,
+            t_world_base: goal,
+            arm_speed_m_per_s: 0.2,
+            ..Command::zeroed()
+        };
+        let mut latched = Latched { tick, controller_count: 1, ..Latched::zeroed() };
+        latched.commands[0] =
+            LatchedCommand { source: SOURCE_FRESH, controller_index: 0, age_ticks: 0, command };
+        latched
+    }
+
+    /// Regression: the strengths of a sphere's planes were computed again for each of them that it dented: a
+    /// step with 400 planes took 0.5 s.
+    #[test]
+    fn the_strengths_of_a_sphere_are_computed_once_however_many_planes_it_dents() {
+        let scene =
+            Scene::parse(&format!("{SCENE}{}", test_support::scenes::TOOL), "t.toml".as_ref()).unwrap();
+        let dims = [48, 48, 240];
+        let origin = Vector3::new(-11.75e-3, -11.75e-3, -99.75e-3);
+        let geometry = GridGeometry::axis_aligned(dims, [0.5e-3; 3], origin);
+        // A tunnel of whole voxels: the corners of its staircase touch a sphere on all sides.
+        let hu: Vec<i16> = (0..dims.iter().product())
+            .map(|n: usize| {
+                let centre = geometry.voxel_centre_world_m(n % 48, n / 48 % 48, n / (48 * 48));
+                let is_open = Vector3::new(centre.x, centre.y, centre.z.max(0.0)).norm() < 3.3e-3;
+                if is_open { -1000 } else { 400 }
+            })
+            .collect();
+        let mut simulation = Simulation::new(&scene, Some(CtView { geometry, hu: &hu })).unwrap();
+        let start = *simulation.state();
+        let (mut spheres, mut dents) = (0, 0);
+        for tick in 0..60 {
+            simulation.step(&pressed(tick, &start)).unwrap();
+            SEARCHES.set(0);
+            simulation.note_depth();
+            let dented = simulation.indentations.iter().filter(|dent| dent.depth_m > SHELL_M);
+            let mut own: Vec<usize> = dented.map(|dent| dent.sphere_index).collect();
+            dents += own.len();
+            own.dedup();
+            spheres += own.len();
+            assert_eq!(SEARCHES.get(), own.len(), "tick {tick}");
+        }
+        assert!(spheres > 0 && dents > 2 * spheres, "{dents} dents of {spheres} spheres");
+    }
 }

@@ -83,6 +83,7 @@ pub(super) fn build<'v>(
         burr_contacts: Vec::with_capacity(PLANES_PER_SPHERE * cutter.balls().len()),
         balls_behind: Vec::with_capacity(cutter.balls().len()),
         uncut_voxels: 0,
+        bone_is_frozen: false,
         left_out_contacts: 0,
         sensors: sensors::SensorArray::new(scene),
         state: State::zeroed(),

@@ -124,6 +124,19 @@ impl TubeDrive {
         Ok(self.start(Goal::Standstill, 0.0)?)
     }
 
+    /// Puts the tube into another state. A motion is planned again from there to its goal; a tube at rest at
+    /// its goal stays where it is put.
+    pub(super) fn displace(&mut self, at: &Tube) -> Result<(), TrajectoryError> {
+        let mut segment = Segment { start: *at, ..self.state.segment };
+        if segment.goal == Goal::Independent(self.state.at.position) {
+            segment.goal = Goal::Independent(at.position);
+        }
+        self.planner.plan(&segment)?;
+        self.planner.commit();
+        self.state = TubeDriveState { segment, ticks: 0, at: *at };
+        Ok(())
+    }
+
     /// Advances by one tick.
     pub(super) fn step(&mut self, dt_s: f64) {
         self.state.ticks += 1;

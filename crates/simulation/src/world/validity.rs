@@ -3,13 +3,17 @@
 use messages::PastStop;
 
 use super::Simulation;
-use crate::manipulator::{AnyManipulator, ManipulatorModel};
+use crate::manipulator::{AnyManipulator, ManipulatorModel, Rung};
 
-/// Returns how far each flexure is past its stop, rad; negative before the stop.
+/// Returns how far each flexure is past its stop, rad; negative before the stop. An arc of constant curvature
+/// stops as a whole: its flexures count with their mean angle.
 pub(super) fn past_stops(tool: &AnyManipulator) -> impl Iterator<Item = f64> {
     let limit_rad = tool.parameters().joint_limit_rad;
     let bends = tool.joint_positions_rad().iter().enumerate();
-    bends.map(move |(i, q)| (q - tool.rest_rad(i)).abs() - limit_rad)
+    let rest_rad: f64 = (0..tool.joint_count()).map(|i| tool.rest_rad(i)).sum();
+    let mean_rad = (tool.bend_rad() - rest_rad) / tool.joint_count() as f64;
+    let is_arc = tool.rung() == Rung::ConstantCurvature;
+    bends.map(move |(i, q)| if is_arc { mean_rad } else { q - tool.rest_rad(i) }.abs() - limit_rad)
 }
 
 impl Simulation<'_> {

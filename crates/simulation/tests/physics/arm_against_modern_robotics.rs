@@ -7,23 +7,11 @@ use std::process::{Command, Stdio};
 use test_support::limited::{COMMAND_LIMIT, limited_output_of};
 use test_support::python;
 
+use crate::common::arm::Uniform;
 use simulation::arm::{ArmParameters, Joints, UrGeometry, six_joints};
 
 const PACKAGES: [&str; 2] = ["modern_robotics==1.1.1", "numpy==2.4.6"];
 const POSES: usize = 1_000;
-
-/// SplitMix64: a fixed stream of uniform numbers.
-struct Uniform(u64);
-
-impl Uniform {
-    fn between(&mut self, low: f64, high: f64) -> f64 {
-        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-        low + (high - low) * ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
-    }
-}
 
 /// One pose with all our results, as a line of JSON; matrices column by column.
 fn case(geometry: &UrGeometry, q: &Joints, reference: &Joints) -> String {

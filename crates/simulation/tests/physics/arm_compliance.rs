@@ -4,10 +4,8 @@
 
 use std::path::Path;
 
-use messages::{
-    ARM_INSERT, ARM_MOVE_CP, Command, Latched, LatchedCommand, SOURCE_FRESH, SOURCE_HELD, State,
-    TENDON_SERVO_JF,
-};
+use crate::common::held;
+use messages::{ARM_INSERT, ARM_MOVE_CP, Command, State, TENDON_SERVO_JF};
 use nalgebra::{Matrix6, Vector3, Vector6};
 use scene::Scene;
 use simulation::Simulation;
@@ -134,11 +132,7 @@ fn scene(dt_ms: f64, compliance: Option<([f64; 6], f64)>, rest: &str) -> Scene {
 /// Runs under one held command; `look` sees each state.
 fn play(simulation: &mut Simulation, ticks: u64, command: Command, mut look: impl FnMut(&State)) {
     for tick in 0..ticks {
-        let source = if tick == 0 { SOURCE_FRESH } else { SOURCE_HELD };
-        let mut latched = Latched { tick, controller_count: 1, ..Latched::zeroed() };
-        let command = Command { sequence: 1, ..command };
-        latched.commands[0] = LatchedCommand { source, controller_index: 0, age_ticks: tick, command };
-        simulation.step(&latched).unwrap();
+        simulation.step(&held(tick, Command { sequence: 1, ..command })).unwrap();
         look(simulation.state());
     }
 }

@@ -25,9 +25,15 @@ fn the_tool_stands_at_the_flange_through_its_transform() {
     let bare = arm.parameters().geometry.with_tool(None);
     let expected = arm.parameters().t_world_arm_base * bare.forward(&arm.state().q_rad);
     assert!((expected.translation.vector - flange.translation.vector).norm() < 1e-15);
-    let rates = Vector3::new(0.1, 0.2, 0.3);
-    let twist = arm.jacobian() * SVector::from(six_joints([rates.x, rates.y, rates.z, 0.0, 0.0, 0.0]));
-    assert!(twist.norm() > 0.01, "the Jacobian is that of the tool's base");
+    // The Jacobian is that of the tool's base: a central difference, whose rounding is 1e-10 of a meter.
+    let rates = six_joints([0.1, 0.2, 0.3, -0.1, 0.4, 0.2]);
+    let after = |time_s: f64| {
+        let q = std::array::from_fn(|i| arm.state().q_rad[i] + time_s * rates[i]);
+        (arm.parameters().t_world_arm_base * arm.parameters().geometry.forward(&q)).translation.vector
+    };
+    let velocity = (after(1e-6) - after(-1e-6)) / 2e-6;
+    let twist = arm.jacobian() * SVector::from(rates);
+    assert!((twist.fixed_rows::<3>(0) - velocity).norm() < 1e-8, "{twist} {velocity}");
 }
 
 #[test]

@@ -1,8 +1,8 @@
 //! An arm part that enters bone is reported once, with position and depth, and changes no state.
 #![allow(clippy::unwrap_used, missing_docs)]
 
-use crate::common::{TUNNEL, bone, scene};
-use messages::{ARM_MOVE_CP, Command, Latched, LatchedCommand, SOURCE_FRESH, State};
+use crate::common::{TUNNEL, bone, latched, scene};
+use messages::{ARM_MOVE_CP, Command, Latched, SOURCE_FRESH, State};
 use simulation::{CtView, Simulation};
 
 /// Lower face of the block, m.
@@ -22,9 +22,7 @@ fn feed(start: &State) -> Latched {
         arm_speed_m_per_s: 3e-3,
         ..Command::zeroed()
     };
-    let mut latched = Latched { controller_count: 1, ..Latched::zeroed() };
-    latched.commands[0] = LatchedCommand { source: SOURCE_FRESH, controller_index: 0, age_ticks: 0, command };
-    latched
+    latched(0, SOURCE_FRESH, 0, command)
 }
 
 /// Part, depth and flange z of each reported entry within `ticks`.

@@ -1,5 +1,6 @@
 //! UR5 kinematics against published poses, a second formulation, finite differences and its own inverse.
 
+use crate::common::arm::Uniform;
 use nalgebra::{Isometry3, Matrix3, Matrix4, SVector, Vector3, Vector6};
 use simulation::arm::{
     ArmParameters, COMFORTABLE_Q_RAD, Joints, KinematicsError, UrGeometry, place_base_for, six_joints,
@@ -7,23 +8,6 @@ use simulation::arm::{
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
 const UR5: UrGeometry = UrGeometry::ur5();
-
-/// SplitMix64: a fixed stream of uniform numbers.
-struct Uniform(u64);
-
-impl Uniform {
-    fn between(&mut self, low: f64, high: f64) -> f64 {
-        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-        low + (high - low) * ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
-    }
-
-    fn joints(&mut self, range: f64) -> Joints {
-        six_joints(std::array::from_fn(|_| self.between(-range, range)))
-    }
-}
 
 /// Product of exponentials of the UR5: Lynch and Park, "Modern Robotics" (2017), example 4.5. Its space frame
 /// is ours rotated by 180° about z; its joint angles and end frame are ours.

@@ -178,8 +178,7 @@ fn every_named_arm_starts_comfortably() {
     }
 }
 
-/// A mass matrix is symmetric and positive definite, and the energy of a rotation of the base is that of the
-/// links about its axis.
+/// A mass matrix is symmetric and positive definite.
 #[test]
 fn every_named_arm_has_masses() {
     // Sums over Universal Robots' table.

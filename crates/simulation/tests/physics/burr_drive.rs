@@ -4,7 +4,8 @@
 
 use std::path::Path;
 
-use messages::{BurrMode, Command, CommandSource, ContactPart, Latched, LatchedCommand, State, TendonMode};
+use crate::common;
+use messages::{BurrMode, Command, ContactPart, Latched, SOURCE_FRESH, State, TendonMode};
 use nalgebra::{Isometry3, Vector3};
 use scene::Scene;
 use simulation::bone::GridGeometry;
@@ -46,10 +47,7 @@ fn latched(tick: u64, tension_n: f64, speed_rad_per_s: f64) -> Latched {
         burr_speed_rad_per_s: speed_rad_per_s,
         ..Command::zeroed()
     };
-    let mut latched = Latched { tick, controller_count: 1, ..Latched::zeroed() };
-    let source = CommandSource::Fresh.code();
-    latched.commands[0] = LatchedCommand { source, controller_index: 0, age_ticks: 0, command };
-    latched
+    common::latched(tick, SOURCE_FRESH, 0, command)
 }
 
 /// A wall with its face normal to x, 1.5 mm from the straight tool's burr on the +x side.
@@ -130,6 +128,21 @@ fn cutting_with_the_side_pushes_an_isotropic_tool_across_by_its_force_over_its_s
     }
 }
 
+/// Asserts that a keyframe continues bit for bit under 3 N, and returns the last state.
+fn continued<'s>(new: impl Fn() -> Simulation<'s>) -> State {
+    let mut bytes = vec![0; 1 << 20];
+    let (mut whole, mut other) = (new(), new());
+    (0..800).for_each(|tick| whole.step(&latched(tick, 3.0, SPEED_RAD_S)).unwrap());
+    let length = whole.write_keyframe(&mut bytes).unwrap();
+    other.restore_keyframe(&bytes[..length]).unwrap();
+    for tick in 800..900 {
+        whole.step(&latched(tick, 3.0, SPEED_RAD_S)).unwrap();
+        other.step(&latched(tick, 3.0, SPEED_RAD_S)).unwrap();
+    }
+    assert_eq!(whole.state().hash, other.state().hash);
+    *whole.state()
+}
+
 /// The motor's speed falls linearly with the contact torque, which is the cutting power over the speed.
 /// Beyond the stall torque it stops, cuts nothing, reports the stall once, and turns again when released. A
 /// keyframe continues bit for bit.
@@ -165,19 +178,7 @@ fn a_motor_slows_stands_and_turns_again() {
     assert!(told.iter().all(|told| told.contains("motor stalled")), "{told:?}");
     // At the limit of stalling, its friction moves the bent tool, so that it may turn again for a tick.
     assert!((1..30).contains(&told.len()), "{} times", told.len());
-
-    let mut bytes = vec![0; 1 << 20];
-    let mut whole = new();
-    (0..800).for_each(|tick| whole.step(&latched(tick, tension_n, SPEED_RAD_S)).unwrap());
-    let length = whole.write_keyframe(&mut bytes).unwrap();
-    let mut other = new();
-    other.restore_keyframe(&bytes[..length]).unwrap();
-    for tick in 800..900 {
-        whole.step(&latched(tick, tension_n, SPEED_RAD_S)).unwrap();
-        other.step(&latched(tick, tension_n, SPEED_RAD_S)).unwrap();
-    }
-    assert_eq!(whole.state().hash, other.state().hash);
-    assert!(whole.state().burr_speed_rad_per_s < SPEED_RAD_S);
+    assert!(continued(new).burr_speed_rad_per_s < SPEED_RAD_S);
 }
 
 /// The standard tool from its file, with a drive shaft.
@@ -235,16 +236,5 @@ fn a_burr_on_a_shaft_lags_stands_and_continues() {
         assert!(reason.contains("`drive_shaft.stall_torque_nmm` is 0.9"), "{reason}");
     }
     println!("reported in tick {}: {}", told[0].0, told[0].2);
-
-    let mut bytes = vec![0; 1 << 20];
-    let (mut whole, mut other) = (new(), new());
-    (0..800).for_each(|tick| whole.step(&latched(tick, 3.0, SPEED_RAD_S)).unwrap());
-    let length = whole.write_keyframe(&mut bytes).unwrap();
-    other.restore_keyframe(&bytes[..length]).unwrap();
-    for tick in 800..900 {
-        whole.step(&latched(tick, 3.0, SPEED_RAD_S)).unwrap();
-        other.step(&latched(tick, 3.0, SPEED_RAD_S)).unwrap();
-    }
-    assert_eq!(whole.state().hash, other.state().hash);
-    assert!(whole.state().drive_shaft_wind_up_rad != 0.0);
+    assert!(continued(new).drive_shaft_wind_up_rad != 0.0);
 }

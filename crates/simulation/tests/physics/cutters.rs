@@ -12,7 +12,8 @@
 use core::f64::consts::PI;
 use std::path::Path;
 
-use messages::{ArmMode, BurrMode, Command, CommandSource, ContactPart, Latched, LatchedCommand, State};
+use crate::common::latched;
+use messages::{ArmMode, BurrMode, Command, ContactPart, Latched, SOURCE_FRESH, State};
 use nalgebra::Vector3;
 use scene::{Cutter, Scene};
 use simulation::bone::{CuttingLaw, GridGeometry};
@@ -74,10 +75,7 @@ fn feed(axis: [f64; 3], length_m: f64, feed_m_per_s: f64) -> Latched {
         burr_speed_rad_per_s: SPEED_RAD_S,
         ..Command::zeroed()
     };
-    let mut latched = Latched { controller_count: 1, ..Latched::zeroed() };
-    let source = CommandSource::Fresh.code();
-    latched.commands[0] = LatchedCommand { source, controller_index: 0, age_ticks: 0, command };
-    latched
+    latched(0, SOURCE_FRESH, 0, command)
 }
 
 /// Result of a feed.

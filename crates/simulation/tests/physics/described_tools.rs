@@ -3,7 +3,8 @@
 
 use std::path::{Path, PathBuf};
 
-use messages::{BURR_SPEED, Command, Latched, LatchedCommand, SOURCE_FRESH, SOURCE_HELD, TENDON_SERVO_JF};
+use crate::common::latched;
+use messages::{BURR_SPEED, Command, SOURCE_FRESH, SOURCE_HELD, TENDON_SERVO_JF};
 use nalgebra::{Isometry3, Vector3};
 use scene::{Manipulator, Scene, ToolDescription};
 use simulation::manipulator::{
@@ -73,9 +74,7 @@ fn hash(scene: &Scene) -> [u64; 2] {
             ..Command::zeroed()
         };
         let source = if tick % 200 == 0 { SOURCE_FRESH } else { SOURCE_HELD };
-        let mut latched = Latched { tick, controller_count: 1, ..Latched::zeroed() };
-        latched.commands[0] = LatchedCommand { source, controller_index: 0, age_ticks: tick % 200, command };
-        simulation.step(&latched).unwrap();
+        simulation.step(&latched(tick, source, tick % 200, command)).unwrap();
     }
     simulation.state().hash
 }

@@ -6,6 +6,7 @@
 
 #![allow(clippy::unwrap_used, reason = "a field that cannot be built is a failed test")]
 
+use crate::common::Draw;
 use nalgebra::{Rotation3, Vector3};
 use simulation::bone::{BoneField, BoneParameters, BurrState, ContactBuffer, GridGeometry};
 
@@ -19,18 +20,8 @@ const STEPS: usize = 20;
 /// with position.
 const CHANGE_M: f64 = 0.03e-3;
 
-/// A linear congruential generator with 64 bits (Steele and Vigna 2021), 0 to 1.
-struct Draw(u64);
-
-impl Draw {
-    fn next(&mut self) -> f64 {
-        self.0 = self.0.wrapping_mul(0xd134_2543_de82_ef95).wrapping_add(1);
-        (self.0 >> 11) as f64 / (1u64 << 53) as f64
-    }
-
-    fn direction(&mut self) -> Vector3<f64> {
-        Vector3::from_fn(|_, _| self.next() - 0.5).normalize()
-    }
+fn direction(draw: &mut Draw) -> Vector3<f64> {
+    Vector3::from_fn(|_, _| draw.next() - 0.5).normalize()
 }
 
 /// Position of the burr's centre after `way_m` along a path that bends toward +x from the origin, and
@@ -77,11 +68,10 @@ fn tunnel(turn_rad: f64, shift: f64) -> BoneField {
 
 /// Bone where `solid` is true.
 fn bone(geometry: GridGeometry, solid: impl Fn(&Vector3<f64>) -> bool) -> BoneField {
-    let [nx, ny, nz] = geometry.dims;
+    let [nx, ny, _] = geometry.dims;
     let mut hu = vec![-1000; geometry.voxel_count()];
     for (index, hu) in hu.iter_mut().enumerate() {
         let (i, j, k) = (index % nx, index / nx % ny, index / (nx * ny));
-        debug_assert!(k < nz);
         if solid(&geometry.voxel_centre_world_m(i, j, k)) {
             *hu = 300;
         }
@@ -103,7 +93,7 @@ fn walk(field: &BoneField, draw: &mut Draw, place: impl Fn(&mut Draw) -> Vector3
     for number in 0..1500 {
         let radius_m = if number % 2 == 0 { 3.0e-3 } else { 3.25e-3 };
         let mut centre_m = place(draw);
-        let along = draw.direction() * (WALK_M / STEPS as f64);
+        let along = direction(draw) * (WALK_M / STEPS as f64);
         let mut gaps_m = Vec::with_capacity(STEPS + 1);
         for _ in 0..=STEPS {
             gaps_m.extend(gap_m(field, &centre_m, radius_m).filter(|gap_m| gap_m.abs() < 0.2e-3));

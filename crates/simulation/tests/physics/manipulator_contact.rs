@@ -2,6 +2,7 @@
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot build its tool has failed")]
 
+use crate::common::rest;
 use nalgebra::{Isometry3, Translation3, Unit, UnitQuaternion, Vector3};
 use simulation::contact_plane::ContactPlane;
 use simulation::manipulator::{
@@ -10,10 +11,6 @@ use simulation::manipulator::{
 };
 
 const DT_S: f64 = 1e-3;
-
-fn rest() -> BaseMotion {
-    BaseMotion::at_rest(Isometry3::identity())
-}
 
 fn tool(change: impl Fn(&mut ManipulatorParameters)) -> Manipulator {
     let mut p = ManipulatorParameters::jhu_27();

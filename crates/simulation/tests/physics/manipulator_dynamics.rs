@@ -3,16 +3,13 @@
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot build its tool has failed")]
 
+use crate::common::rest;
 use nalgebra::{Isometry3, Translation3, Unit, UnitQuaternion, Vector3};
 use simulation::contact_plane::ContactPlane;
 use simulation::manipulator::{
     BaseMotion, Integrator, Manipulator, ManipulatorError, ManipulatorModel, ManipulatorParameters,
     SphereKind, StepInput, TendonCommand, Wrench,
 };
-
-fn rest() -> BaseMotion {
-    BaseMotion::at_rest(Isometry3::identity())
-}
 
 fn free(tendon: TendonCommand) -> StepInput<'static> {
     StepInput { base: rest(), tendon, tip_wrench: Wrench::zero(), contacts: &[] }

@@ -2,20 +2,16 @@
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot build its tool has failed")]
 
-use nalgebra::{Isometry3, Unit, Vector3};
-use simulation::contact_plane::ContactPlane;
+use crate::common::{rest, wall_at};
+use nalgebra::Vector3;
 use simulation::manipulator::{
-    AnyManipulator, BaseMotion, Integrator, Manipulator, ManipulatorModel, ManipulatorParameters, Rung,
-    SpatialChain, StepInput, TendonCommand, Wrench,
+    AnyManipulator, Integrator, Manipulator, ManipulatorModel, ManipulatorParameters, Rung, SpatialChain,
+    StepInput, TendonCommand, Wrench,
 };
 
 const LENGTH_M: f64 = 0.035;
 const RIGIDITY_NM2: f64 = 1.3369e-3;
 const SLACK: TendonCommand = TendonCommand::Force([0.0; 2]);
-
-fn rest() -> BaseMotion {
-    BaseMotion::at_rest(Isometry3::identity())
-}
 
 fn beam(links: usize) -> ManipulatorParameters {
     let mut p = ManipulatorParameters::uniform_beam(links, LENGTH_M, RIGIDITY_NM2);
@@ -69,13 +65,12 @@ fn pure_end_moment_bends_every_rung_to_the_arc() {
     }
 }
 
-/// (P L^2 / EI, lateral / L, axial / L): the elastica by independent Runge-Kutta shooting, see `elastica`
-/// below.
+/// P L^2 / EI.
 const LOADS: [f64; 7] = [0.25, 0.5, 1.0, 2.0, 4.0, 6.0, 10.0];
 
-/// Tip of the elastica under a transverse dead force at the tip, divided by L: theta'' = -a cos theta,
-/// theta(0) = 0, theta'(1) = 0, by shooting with RK4 in 4000 steps.
-fn elastica(a: f64) -> [f64; 2] {
+/// Tip of the elastica under a transverse dead force at the tip, divided by L, and its angle: theta'' = -a
+/// cos theta, theta(0) = 0, theta'(1) = 0, by shooting with RK4 in 4000 steps.
+fn elastica(a: f64) -> [f64; 3] {
     let shoot = |k0: f64| {
         let n = 4000;
         let h = 1.0 / n as f64;
@@ -97,7 +92,7 @@ fn elastica(a: f64) -> [f64; 2] {
         if shoot(middle)[1] > 0.0 { high = middle } else { low = middle }
     }
     let y = shoot(0.5 * (low + high));
-    [y[2], y[3]]
+    [y[2], y[3], y[0]]
 }
 
 #[test]
@@ -108,11 +103,11 @@ fn tip_force_follows_the_elastica() {
     for (a, lateral, shortening) in
         [(1.0, 0.30172, 0.05643), (5.0, 0.71379, 0.38763), (10.0, 0.81061, 0.55500)]
     {
-        let [x, z] = elastica(a);
+        let [x, z, _] = elastica(a);
         assert!((x - lateral).abs() < 6e-6 && (1.0 - z - shortening).abs() < 6e-6, "{a}: {x} {z}");
     }
     for a in LOADS {
-        let [x, z] = elastica(a);
+        let [x, z, angle_rad] = elastica(a);
         let exact = Vector3::new(x, 0.0, z) * LENGTH_M;
         let force_n = Vector3::x() * (a * RIGIDITY_NM2 / (LENGTH_M * LENGTH_M));
         for rung in [Rung::Planar, Rung::Spatial, Rung::Full] {
@@ -121,6 +116,8 @@ fn tip_force_follows_the_elastica() {
             let errors = [16, 32, 64].map(|links| links / coarser).map(|links| {
                 let mut m = new(rung, beam(links));
                 settle(&mut m, SLACK, Wrench { force_n, ..Wrench::zero() }, 700);
+                let off_rad = (m.bend_rad() - angle_rad).abs();
+                assert!(off_rad < 3e-3 * (32.0 / links as f64).powi(2), "{links}: {off_rad} rad");
                 (tip(&m) - exact).norm()
             });
             let um = errors.map(|e| e * 1e6);
@@ -247,18 +244,9 @@ fn one_freedom_a_flexure_is_the_planar_rung() {
 
 /// One step against a wall at x = 6 mm; the tip afterwards.
 fn stepped<M: ManipulatorModel>(m: &mut M, tendon: TendonCommand) -> Vector3<f64> {
-    let planes = wall(m);
+    let planes = wall_at(m, 0.006);
     m.step(1e-3, &StepInput { base: rest(), tendon, tip_wrench: Wrench::zero(), contacts: &planes }).unwrap();
     tip(m)
-}
-
-fn wall<M: ManipulatorModel>(m: &M) -> Vec<ContactPlane> {
-    let normal = Unit::new_unchecked(-Vector3::x());
-    let near = |(sphere_index, s): (usize, &simulation::manipulator::ProxySphere)| {
-        let gap_m = 0.006 - s.centre_m.x - s.radius_m;
-        (gap_m < 1e-3).then_some(ContactPlane::hard(sphere_index, s.centre_m, normal, gap_m))
-    };
-    m.proxy_spheres().iter().enumerate().filter_map(near).collect()
 }
 
 #[test]
@@ -274,7 +262,9 @@ fn natural_frequencies_are_the_cantilevers() {
             let mut p = beam(if rung == Rung::Planar { 32 } else { 40 });
             p.damping_ratio = 0.0;
             p.tube_radii_m = [1e-5, 0.0];
-            let hz = ringing_hz(new(rung, static_shape_load(p)), mode, exact);
+            // An undamped swing.
+            let p = ManipulatorParameters { integrator: Integrator::Hybrid, ..p };
+            let hz = ringing_hz(new(rung, p), mode, exact);
             println!(
                 "{} mode {mode}: {hz:.2} Hz, beam {exact:.2} Hz, {:+.3} %",
                 rung.name(),
@@ -285,11 +275,6 @@ fn natural_frequencies_are_the_cantilevers() {
             assert!((hz / exact - 1.0).abs() < [1e-3, 4e-3, 1.2e-2][mode], "{hz} {exact}");
         }
     }
-}
-
-/// Hybrid integration for an undamped swing.
-fn static_shape_load(p: ManipulatorParameters) -> ManipulatorParameters {
-    ManipulatorParameters { integrator: Integrator::Hybrid, ..p }
 }
 
 /// Drives the straight tool at its tip with a small force at and around the beam's expected frequency.

@@ -2,17 +2,14 @@
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot build its tool has failed")]
 
-use nalgebra::{Isometry3, Vector3};
+use crate::common::rest;
+use nalgebra::Vector3;
 use simulation::manipulator::{
-    BaseMotion, Manipulator, ManipulatorModel, ManipulatorParameters, StepInput, TendonCommand, Wrench,
+    Manipulator, ManipulatorModel, ManipulatorParameters, StepInput, TendonCommand, Wrench,
 };
 
 const LENGTH_M: f64 = 0.035;
 const RIGIDITY_NM2: f64 = 1.3369e-3;
-
-fn rest() -> BaseMotion {
-    BaseMotion::at_rest(Isometry3::identity())
-}
 
 fn input(tendon: TendonCommand, tip_wrench: Wrench) -> StepInput<'static> {
     StepInput { base: rest(), tendon, tip_wrench, contacts: &[] }
@@ -70,47 +67,6 @@ fn end_moment_bends_to_a_circle() {
         last = to_arc;
     }
     assert!(last < 10e-6);
-}
-
-/// (a = P L^2 / EI, lateral / L, axial / L, tip angle) of the elastica under a dead tip force (Bisshopp and
-/// Drucker 1945, Large deflection of cantilever beams, Q. Appl. Math. 3, 272), integrated to 12 digits; at a
-/// = 1 and 10 the values agree with Mattiasson 1981 (Int. J. Numer. Methods Eng. 17, 145).
-const ELASTICA: [(f64, f64, f64, f64); 6] = [
-    (0.5, 0.16214, 0.98408, 0.24453),
-    (1.0, 0.30172, 0.94357, 0.46135),
-    (2.0, 0.49346, 0.83936, 0.78175),
-    (4.0, 0.66996, 0.67106, 1.12124),
-    (6.0, 0.74457, 0.56541, 1.28370),
-    (10.0, 0.81061, 0.44500, 1.43029),
-];
-
-#[test]
-fn dead_tip_load_follows_the_elastica() {
-    for (a, lateral, axial, angle) in ELASTICA {
-        let force = a * RIGIDITY_NM2 / (LENGTH_M * LENGTH_M);
-        let wrench = Wrench { force_n: Vector3::new(force, 0.0, 0.0), ..Wrench::zero() };
-        let mut errors = [0.0; 2];
-        for (k, joints) in [16, 32].into_iter().enumerate() {
-            let m = settle(beam(joints), &input(TendonCommand::Force([0.0; 2]), wrench), 800);
-            let t = tip(&m);
-            errors[k] = (t.x - lateral * LENGTH_M).hypot(t.z - axial * LENGTH_M);
-            if joints == 32 {
-                println!(
-                    "elastica a={a}: tip error {:.2} um (n=16: {:.2}), angle error {:.6} rad, residual rate \
-                     {:.1e}",
-                    errors[1] * 1e6,
-                    errors[0] * 1e6,
-                    m.bend_rad() - angle,
-                    m.joint_velocities_rad_per_s().iter().fold(0.0f64, |s, v| s.max(v.abs()))
-                );
-                assert!((m.bend_rad() - angle).abs() < 3e-3);
-            }
-        }
-        // A prototype with 26 hinges was off by 21 um at a = 10; 32 hinges stay below that. The table has 5
-        // digits: 0.2 um.
-        assert!(errors[1] < 20e-6, "a={a}: {}", errors[1]);
-        assert!(errors[1] < errors[0] / 3.0 || errors[1] < 0.5e-6, "order at a={a}: {errors:?}");
-    }
 }
 
 #[test]

@@ -4,21 +4,18 @@
 
 use crate::common;
 
+use crate::common::rest;
 use crate::common::tunnel::{RAMP_S, latched};
-use nalgebra::{Isometry3, Unit, Vector3};
+use nalgebra::{Unit, Vector3};
 use simulation::Simulation;
 use simulation::contact_plane::ContactPlane;
 use simulation::manipulator::{
-    AnyManipulator, BaseMotion, Integrator, ManipulatorModel, ManipulatorParameters, MomentModes, Rung,
-    StepInput, TendonCommand, TendonReach, TendonRoute, Wrench,
+    AnyManipulator, Integrator, ManipulatorModel, ManipulatorParameters, MomentModes, Rung, StepInput,
+    TendonCommand, TendonReach, TendonRoute, Wrench,
 };
 
 /// Position of the first flexure, m.
 const FIRST_M: f64 = 36.02972e-3;
-
-fn rest() -> BaseMotion {
-    BaseMotion::at_rest(Isometry3::identity())
-}
 
 /// The 27 flexures, critically damped, with stops out of reach and without friction: statics.
 fn tool() -> ManipulatorParameters {

@@ -7,9 +7,9 @@ use crate::common;
 use std::path::{Path, PathBuf};
 
 use crate::common::arm::{Uniform, rest_to_rest_s};
-use crate::common::bone;
+use crate::common::{bone, latched};
 use messages::{
-    ArmMode, ArmProtectiveStop, Command, CommandSource, Latched, LatchedCommand, State, TubeMode,
+    ArmMode, ArmProtectiveStop, Command, Latched, SOURCE_FRESH, SOURCE_HELD, SOURCE_NONE, State, TubeMode,
 };
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use scene::Scene;
@@ -188,13 +188,6 @@ fn spheres_are_as_thick_as_the_outer_tube_where_it_covers_them() {
     assert!(refused.contains("outer_tube.end_m"), "{refused}");
 }
 
-fn latched(tick: u64, source: CommandSource, command: Command) -> Latched {
-    let mut latched = Latched { tick, controller_count: 1, ..Latched::zeroed() };
-    latched.commands[0] =
-        LatchedCommand { source: source.code(), controller_index: 0, age_ticks: 0, command };
-    latched
-}
-
 fn move_tube(deployed_mm: f64, roll_deg: f64, speed_mm_per_s: f64) -> Command {
     Command {
         sequence: 1,
@@ -213,11 +206,11 @@ fn drive(
     most: u64,
     mut look: impl FnMut(&State) -> bool,
 ) -> u64 {
-    let mut source = CommandSource::Fresh;
+    let mut source = SOURCE_FRESH;
     for ticks in 1..=most {
         let tick = simulation.state().tick;
-        simulation.step(&latched(tick, source, command)).unwrap();
-        source = CommandSource::Held;
+        simulation.step(&latched(tick, source, 0, command)).unwrap();
+        source = SOURCE_HELD;
         if !look(simulation.state()) {
             return ticks;
         }
@@ -343,7 +336,7 @@ fn any_commands_keep_travel_and_limits_and_a_keyframe_and_a_snapshot_continue() 
     let on = |simulation: &mut Simulation| {
         for _ in 0..500 {
             let tick = simulation.state().tick;
-            simulation.step(&latched(tick, CommandSource::Held, command)).unwrap();
+            simulation.step(&latched(tick, SOURCE_HELD, 0, command)).unwrap();
         }
         simulation.state().hash
     };
@@ -358,8 +351,7 @@ fn any_commands_keep_travel_and_limits_and_a_keyframe_and_a_snapshot_continue() 
     .unwrap();
     assert!(of_another.restore_keyframe(&bytes[..length]).is_err(), "another tool");
 
-    let reset =
-        Latched { reset: 1, ..latched(simulation.state().tick, CommandSource::None, Command::zeroed()) };
+    let reset = Latched { reset: 1, ..latched(simulation.state().tick, SOURCE_NONE, 0, Command::zeroed()) };
     simulation.step(&reset).unwrap();
     assert_eq!((simulation.state().tube_deployed_m, simulation.state().tube_roll_rad), (0.0, 0.0));
 }

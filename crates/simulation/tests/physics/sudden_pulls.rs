@@ -7,18 +7,7 @@
 use messages::{Command, CommandSource, Latched, TendonMode};
 use simulation::{CtView, Simulation};
 
-use crate::common::{bone, scene};
-
-/// Random numbers in (0, 1): a 64-bit linear congruential generator with the multiplier of Steele and Vigna
-/// 2021.
-struct Draw(u64);
-
-impl Draw {
-    fn next(&mut self) -> f64 {
-        self.0 = self.0.wrapping_mul(0xd134_2543_de82_ef95).wrapping_add(1);
-        (self.0 >> 11) as f64 / (1u64 << 53) as f64
-    }
-}
+use crate::common::{Draw, bone, scene};
 
 #[test]
 fn a_suddenly_pulled_tool_stays_in_its_hole() {

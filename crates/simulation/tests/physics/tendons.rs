@@ -1,16 +1,15 @@
 //! Any number of tendons, in channels anywhere in the cross-section, against closed forms.
 #![allow(clippy::unwrap_used, reason = "a helper that fails is a failed test")]
 
-use messages::{Command, Latched, LatchedCommand, SOURCE_FRESH, TENDON_SERVO_JF, TENDON_SERVO_JP};
-use nalgebra::{Isometry3, Unit, Vector3};
+use messages::{Command, SOURCE_FRESH, TENDON_SERVO_JF, TENDON_SERVO_JP};
+use nalgebra::Vector3;
 use simulation::Simulation;
-use simulation::contact_plane::ContactPlane;
 use simulation::manipulator::{
-    AnyManipulator, BaseMotion, Integrator, ManipulatorModel, ManipulatorParameters, ProxySphere, Rung,
-    StepInput, TendonCommand, TendonRoute, Wrench,
+    AnyManipulator, Integrator, ManipulatorModel, ManipulatorParameters, Rung, StepInput, TendonCommand,
+    TendonRoute, Wrench,
 };
 
-use crate::common::{scene, try_scene};
+use crate::common::{latched, rest, scene, try_scene, wall_at};
 
 const LENGTH_M: f64 = 0.035;
 const RIGIDITY_NM2: f64 = 1.3369e-3;
@@ -35,7 +34,7 @@ fn settled(
     tendon: TendonCommand,
     moment_nm: Vector3<f64>,
 ) -> AnyManipulator {
-    let base = BaseMotion::at_rest(Isometry3::identity());
+    let base = rest();
     let mut m = AnyManipulator::new(rung, p, &base).unwrap();
     let tip_wrench = Wrench { torque_nm: moment_nm, ..Wrench::zero() };
     for _ in 0..400 {
@@ -138,7 +137,7 @@ fn equal_pulls_buckle_at_the_critical_tension() {
             p.tendon.gap_m = 1.0e-3;
             p.damping_ratio = 0.05;
             let critical = 2.0 * p.joint_stiffness_nm_per_rad[0] / p.tendon.gap_m;
-            let base = BaseMotion::at_rest(Isometry3::identity());
+            let base = rest();
             let mut m = AnyManipulator::new(rung, p, &base).unwrap();
             let tendon = TendonCommand::Force([share * critical; 2]);
             for k in 0..1500 {
@@ -159,7 +158,7 @@ fn left_swinging_rad_per_s(
     pull: impl Fn(f64) -> TendonCommand,
     dt_s: f64,
 ) -> f64 {
-    let base = BaseMotion::at_rest(Isometry3::identity());
+    let base = rest();
     let mut m = AnyManipulator::new(rung, p, &base).unwrap();
     let steps = (2.5 / dt_s) as usize;
     let mut fastest = 0.0_f64;
@@ -229,7 +228,7 @@ fn bend_at_rest(p: &ManipulatorParameters, tension_n: f64, sliding: f64) -> (f64
 /// solver, the stops did not converge in 40 Gauss-Seidel sweeps.
 #[test]
 fn a_wall_takes_a_tool_off_its_stops_within_the_tolerance() {
-    let base = BaseMotion::at_rest(Isometry3::identity());
+    let base = rest();
     let p = ManipulatorParameters::jhu_27();
     for rung in [Rung::Planar, Rung::Spatial] {
         for dt_s in [1e-3, 5e-3] {
@@ -259,16 +258,6 @@ fn a_wall_takes_a_tool_off_its_stops_within_the_tolerance() {
     }
 }
 
-/// A wall that faces -x.
-fn wall_at(m: &AnyManipulator, x_m: f64) -> Vec<ContactPlane> {
-    let normal = Unit::new_unchecked(-Vector3::x());
-    let near = |(sphere_index, s): (usize, &ProxySphere)| {
-        let gap_m = x_m - s.centre_m.x - s.radius_m;
-        (gap_m < 1e-3).then_some(ContactPlane::hard(sphere_index, s.centre_m, normal, gap_m))
-    };
-    m.proxy_spheres().iter().enumerate().filter_map(near).collect()
-}
-
 /// Released slowly from 14 N, where flexures are on their stops: the tool follows the law with the sliding
 /// state of the play operator. The stops hold flexures that would reverse the tendon if they were free.
 #[test]
@@ -288,7 +277,7 @@ fn a_tendon_that_is_let_out_follows_the_play_operator_off_the_stops() {
         };
         for rung in [Rung::Planar, Rung::Spatial] {
             for dt_s in [1e-3, 5e-3] {
-                let base = BaseMotion::at_rest(Isometry3::identity());
+                let base = rest();
                 let mut m = AnyManipulator::new(rung, p.clone(), &base).unwrap();
                 let steps = (8.0 / dt_s) as usize;
                 let mut worst_deg = 0.0_f64;
@@ -318,7 +307,7 @@ fn the_pair_as_channels_is_the_pair() {
     let d = p.tendon.offset_m;
     let named =
         ManipulatorParameters { tendon_routes: Some(vec![[d, 0.0].into(), [-d, 0.0].into()]), ..p.clone() };
-    let base = BaseMotion::at_rest(Isometry3::identity());
+    let base = rest();
     for rung in Rung::ALL {
         let [mut a, mut b] = [&p, &named].map(|p| AnyManipulator::new(rung, p.clone(), &base).unwrap());
         for k in 0..60 {
@@ -360,16 +349,12 @@ across_mm = -2.165
     let mut simulation = Simulation::new(&scene, None).unwrap();
     assert_eq!(simulation.state().tendon_count, 3);
     let start = simulation.state().t_world_burr.position_m;
-    let mut latched = Latched { controller_count: 1, ..Latched::zeroed() };
     let mut go = |mode: u32, values: [f64; 4]| {
         let mut command = Command { sequence: 1, tendon_mode: mode, ..Command::zeroed() };
         command.tendon_force_n = values;
         command.tendon_displacement_m = values;
         for tick in 0..300 {
-            latched.tick = tick;
-            latched.commands[0] =
-                LatchedCommand { source: SOURCE_FRESH, controller_index: 0, age_ticks: 0, command };
-            simulation.step(&latched).unwrap();
+            simulation.step(&latched(tick, SOURCE_FRESH, 0, command)).unwrap();
         }
         *simulation.state()
     };

@@ -3,7 +3,8 @@
 
 use std::path::Path;
 
-use messages::{Command, Latched, LatchedCommand, SOURCE_FRESH, SOURCE_HELD, TENDON_SERVO_JF};
+use crate::common::held;
+use messages::{Command, TENDON_SERVO_JF};
 use scene::Scene;
 use simulation::Simulation;
 use test_support::scenes::TOOL;
@@ -20,10 +21,7 @@ fn hash(tables: &str) -> [u64; 2] {
         ..Command::zeroed()
     };
     for tick in 0..300 {
-        let mut latched = Latched { tick, controller_count: 1, ..Latched::zeroed() };
-        let source = if tick == 0 { SOURCE_FRESH } else { SOURCE_HELD };
-        latched.commands[0] = LatchedCommand { source, controller_index: 0, age_ticks: tick, command };
-        simulation.step(&latched).unwrap();
+        simulation.step(&held(tick, command)).unwrap();
     }
     simulation.state().hash
 }

@@ -1,34 +1,15 @@
 //! The whole tick: arm, manipulator, bone, burr.
 
-use messages::{
-    ARM_MOVE_CP, BURR_SPEED, Command, ContactPart, Latched, LatchedCommand, SOURCE_FRESH, SOURCE_HELD, State,
-    TENDON_SERVO_JF,
-};
+use messages::{Command, ContactPart, Latched, SOURCE_HELD, State};
 use nalgebra::Vector3;
 use simulation::{CtView, Simulation, SimulationError};
 use zerocopy::IntoBytes;
 
-use crate::common::{TUNNEL, bone, scene};
+use crate::common::{TUNNEL, bone, feed_along_z, held, scene};
 
 /// Feeds 1.5 mm/s along +z from the start with the burr on and 3 N on tendon 0.
 fn latched(tick: u64, start: &State) -> Latched {
-    let mut goal = start.t_world_flange;
-    goal.position_m[2] += 0.02;
-    let command = Command {
-        sequence: 1,
-        tendon_mode: TENDON_SERVO_JF,
-        tendon_force_n: [3.0, 0.0, 0.0, 0.0],
-        arm_mode: ARM_MOVE_CP,
-        t_world_base: goal,
-        arm_speed_m_per_s: 1.5e-3,
-        burr_mode: BURR_SPEED,
-        burr_speed_rad_per_s: 800.0,
-        ..Command::zeroed()
-    };
-    let source = if tick == 0 { SOURCE_FRESH } else { SOURCE_HELD };
-    let mut latched = Latched { tick, controller_count: 1, ..Latched::zeroed() };
-    latched.commands[0] = LatchedCommand { source, controller_index: 0, age_ticks: tick, command };
-    latched
+    held(tick, Command { arm_speed_m_per_s: 1.5e-3, ..feed_along_z(start) })
 }
 
 /// A tunnel like [`TUNNEL`], but in the CT itself, made of whole voxels.

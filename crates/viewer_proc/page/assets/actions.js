@@ -19,7 +19,14 @@ export class Actions {
   constructor(actions) {
     this.actions = actions;
     this.byId = new Map(actions.map((action) => [action.id, action]));
-    this.byKey = new Map(actions.flatMap((action) => action.keys.map((key) => [key.toLowerCase(), action])));
+    /** @type {Map<string, Action>} */
+    this.byKey = new Map();
+    for (const action of actions) {
+      for (const key of action.keys.map((key) => key.toLowerCase())) {
+        if (this.byKey.has(key)) console.error(`key ${key}: both ${this.byKey.get(key).id} and ${action.id}`);
+        this.byKey.set(key, action);
+      }
+    }
     this.down = new Map();
   }
 

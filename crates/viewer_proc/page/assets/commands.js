@@ -67,10 +67,11 @@ export function commands(page) {
     svg: () => save(new Blob([plotsSvg(plots, page.theme.colours)], { type: "image/svg+xml" }), fileName(model.info?.scene?.name ?? "", "plots", "svg")),
     png: async () => save(await plotsPng(plots, page.theme.colours), fileName(model.info?.scene?.name ?? "", "plots", "png")),
     // The browser clears the canvas after showing it, so it is drawn and captured at once.
-    view: () => (view.draw(model), view.canvas.toBlob((blob) => save(blob, fileName(model.info?.scene?.name ?? "", "view", "png")))),
+    view: () => ((view.sharp = true), view.draw(model), view.canvas.toBlob((blob) => save(blob, fileName(model.info?.scene?.name ?? "", "view", "png")))),
   };
   const film = () => {
     const runs = page.film.toggle(view.canvas, fileName(model.info?.scene?.name ?? "", "view", "webm"));
+    view.filmed = runs;
     element("film").textContent = runs ? "Stop the video" : "Video (WebM)";
   };
   const isPlan = () => model.info?.kind === "plan";
@@ -130,7 +131,7 @@ export function commands(page) {
     { id: "bone", group: "View", keys: ["b"], text: "bone: section, glass, solid, hidden", when: drawn,
       run: () => (element("bone-mode").textContent = `Bone: ${view.nextBoneMode()}`) },
     { id: "longer", group: "View", keys: ["["], text: "longer time axis", run: () => plots.changeWindow(1) },
-    { id: "whole", group: "View", keys: ["0"], text: "reset the time axis: the last seconds, or the whole log", run: () => (plots.axis.reset(), page.changed()) },
+    { id: "whole", group: "View", keys: ["\\"], text: "reset the time axis: the last seconds, or the whole log", run: () => (plots.axis.reset(), page.changed()) },
     { id: "field", group: "View", keys: ["/"], text: "choose a field to plot", run: () => plots.picker.open() },
     { id: "shorter", group: "View", keys: ["]"], text: "shorter time axis", run: () => plots.changeWindow(-1) },
     { id: "save-csv", group: "View", keys: [], text: "plots as CSV", run: saved.csv },

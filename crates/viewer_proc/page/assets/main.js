@@ -37,7 +37,8 @@ const READ_ONLY = "Read-only: to control the run, open the page with the address
 
 /** An element of `index.html`, of a kind known here. @param {string} id @returns {any} */
 const element = (id) => document.getElementById(id);
-const token = new URLSearchParams(location.hash.slice(1)).get("token") ?? undefined;
+const address = new URLSearchParams(location.hash.slice(1));
+const token = address.get("token") ?? undefined;
 
 const notices = new Notices(element("notices"), element("banner"));
 const model = new Model();
@@ -251,7 +252,9 @@ connection.on("/event", (...message) => {
   notices.add(level, text);
 });
 connection.on("/view/info", takeInfo);
-connection.on("/view/surface", (data) => (page.view?.surface.update(data), changed("scene")));
+// A picture rendered in software takes as long as its surface has triangles.
+const isCoarse = (address.get("surface") ?? (page.view?.software ? "coarse" : "fine")) === "coarse";
+connection.on(isCoarse ? "/view/surface_coarse" : "/view/surface", (data) => (page.view?.surface.update(data), changed("scene")));
 connection.on("/view/arm", (data) => (page.view?.arm.update(data), changed("scene")));
 connection.on("/view/parts", (data) => showParts(json(data)));
 connection.on("/view/playback", takePlayback);

@@ -1,6 +1,7 @@
 // Messages for the user: a list that screen readers follow, and a banner for what must not be missed.
 
 const KEPT = 200;
+const NUMBERS = /[+-]?\d+(\.\d+)?/g;
 const WORDS = { info: "note", warning: "warning", error: "error" };
 
 export class Notices {
@@ -12,21 +13,21 @@ export class Notices {
     this.banners = new Map();
   }
 
-  /** @param {"info" | "warning" | "error"} level @param {string} text */
+  /** Adds a message on top. A message that repeats the last one, or a note that differs from an earlier one
+   * only in its numbers, replaces it and is counted: a note with every frame would hide the rest.
+   * @param {"info" | "warning" | "error"} level @param {string} text */
   add(level, text) {
-    const previous = /** @type {HTMLElement | null} */ (this.list.firstElementChild);
-    if (previous?.dataset.text === text) {
-      const count = Number(previous.dataset.count ?? 1) + 1;
-      previous.dataset.count = String(count);
-      previous.lastElementChild.textContent = ` × ${count}`;
-      return;
-    }
+    const key = level === "info" ? text.replace(NUMBERS, "#") : text;
+    const items = /** @type {HTMLElement[]} */ ([...this.list.children]);
+    const earlier = level === "info" ? items.find((item) => item.dataset.key === key) : items.slice(0, 1).find((item) => item.dataset.key === key);
+    const count = Number(earlier?.dataset.count ?? 0) + 1;
+    earlier?.remove();
     const item = document.createElement("li");
-    item.dataset.text = text;
+    Object.assign(item.dataset, { key, count });
     const word = item.appendChild(document.createElement("span"));
     word.className = `level ${level}`;
     word.textContent = WORDS[level] ?? level;
-    item.append(text, document.createElement("span"));
+    item.append(count > 1 ? `${text} × ${count}` : text);
     this.list.prepend(item);
     while (this.list.children.length > KEPT) this.list.lastElementChild.remove();
   }

@@ -22,8 +22,8 @@ function fromZ(direction) {
 /** Instances by shape. */
 export class PartsList {
   constructor() {
-    /** @type {Record<"cylinder" | "cone" | "sphere" | "cube", number[]>} */
-    this.shapes = { cylinder: [], cone: [], sphere: [], cube: [] };
+    /** `rod` and `bead`: cylinders and spheres of thin lines. @type {Record<"cylinder" | "cone" | "sphere" | "cube" | "rod" | "bead", number[]>} */
+    this.shapes = { cylinder: [], cone: [], sphere: [], cube: [], rod: [], bead: [] };
   }
 
   /** @param {Vector} centre @param {number} radius metres @param {Colour} colour */
@@ -32,11 +32,11 @@ export class PartsList {
   }
 
   /** A closed cylinder between two points. @param {Vector} from @param {Vector} to @param {number} radius @param {Colour} colour */
-  cylinder(from, to, radius, colour) {
+  cylinder(from, to, radius, colour, shape = this.shapes.cylinder) {
     const along = subtract(to, from);
     const span = length(along);
     if (span < 1e-9) return;
-    this.shapes.cylinder.push(...from, ...fromZ(unit(along)), radius, radius, span, ...colour);
+    shape.push(...from, ...fromZ(unit(along)), radius, radius, span, ...colour);
   }
 
   /** A cylinder with rounded ends. @param {Vector} from @param {Vector} to @param {number} radius @param {Colour} colour */
@@ -44,6 +44,10 @@ export class PartsList {
     this.cylinder(from, to, radius, colour);
     this.sphere(from, radius, colour);
     this.sphere(to, radius, colour);
+  }
+
+  #bead(centre, radius, colour) {
+    this.shapes.bead.push(...centre, 0, 0, 0, 1, radius, radius, radius, ...colour);
   }
 
   /** @param {Pose} pose @param {Vector} halfExtents @param {Colour} colour */
@@ -61,13 +65,14 @@ export class PartsList {
     this.shapes.cone.push(...neck, ...fromZ(unit(along)), radius * 2.4, radius * 2.4, head, ...colour);
   }
 
-  /** A polyline of thin capsules; `dash` draws every other piece of that length, measured along the whole
+  /** A thin polyline with rounded corners and ends; `dash` draws every other piece of that length, measured along the whole
    * line. */
   path(points, radius, colour, dash = 0) {
+    if (dash === 0) for (const point of points) this.#bead(point, radius, colour);
     let passed = 0;
     for (let i = 1; i < points.length; i++) {
       if (dash === 0) {
-        this.capsule(points[i - 1], points[i], radius, colour);
+        this.cylinder(points[i - 1], points[i], radius, colour, this.shapes.rod);
         continue;
       }
       const along = subtract(points[i], points[i - 1]);
@@ -76,7 +81,7 @@ export class PartsList {
       const end = passed + span;
       for (let k = 2 * Math.floor(passed / (2 * dash)); k * dash < end; k += 2) {
         const [from, to] = [Math.max(passed, k * dash), Math.min(end, (k + 1) * dash)];
-        if (to > from) this.cylinder(at(from), at(to), radius, colour);
+        if (to > from) this.cylinder(at(from), at(to), radius, colour, this.shapes.rod);
       }
       passed = end;
     }

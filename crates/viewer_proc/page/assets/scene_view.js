@@ -6,13 +6,17 @@ import { PartsList } from "/assets/parts_list.js";
 import { addFrustum, addPlannedTool } from "/assets/plan_view.js";
 import { cameraRay, nearest, pick } from "/assets/pick.js";
 import { PART_FRAGMENT, PART_VERTEX, SURFACE_FRAGMENT, SURFACE_VERTEX } from "/assets/shaders.js";
-import { cone, cube, cylinder, sphere } from "/assets/shapes.js";
+import { AROUND_THIN, cone, cube, cylinder, sphere } from "/assets/shapes.js";
 import { Surface } from "/assets/surface.js";
 import { COLOURS, addArm, addBodies, addContacts, addTool, bendingPlane, burrBalls } from "/assets/tool_model.js";
 import { transform } from "/assets/vector.js";
 
 /** Display modes of the bone. */
 export const BONE_MODES = ["section", "glass", "solid", "hidden"];
+/** A view rendered in software has this share of its pixels along a side while it changes, and all of them once it
+ * has been still for this long. */
+const MOVING_RATIO = 0.6;
+const STILL_MS = 250;
 /** Within this distance from the line of sight to the tool, the arm is faded. */
 const FADE_M = 0.03;
 /** @typedef {import("/assets/vector.js").Vector} Vector */
@@ -41,12 +45,12 @@ export class SceneView {
     this.gl = gl;
     this.camera = new Camera(changed);
     this.camera.listen(canvas);
-    this.surface = new Surface(gl);
+    this.surface = new Surface(gl, this.software);
     /** Links of the arm that have a mesh, by the frame they move with. */
     this.arm = new Surface(gl);
     this.parts = program(gl, PART_VERTEX, PART_FRAGMENT);
     this.bone = program(gl, SURFACE_VERTEX, SURFACE_FRAGMENT);
-    const shapes = { cylinder: cylinder(), cone: cone(), sphere: sphere(), cube: cube() };
+    const shapes = { cylinder: cylinder(), cone: cone(), sphere: sphere(), cube: cube(), rod: cylinder(AROUND_THIN), bead: sphere(AROUND_THIN) };
     this.shapes = Object.fromEntries(Object.entries(shapes).map(([name, shape]) => [name, new InstancedShape(gl, shape)]));
     this.boneMode = BONE_MODES[0];
     /** Cross-hair and distances. @type {import("/assets/cursor.js").Cursor | undefined} */
@@ -55,6 +59,11 @@ export class SceneView {
     this.measures = undefined;
     this.dark = false;
     this.pictures = 0;
+    /** Whether the next picture has every pixel, and whether all have, for a video. */
+    this.sharp = false;
+    this.filmed = false;
+    /** @type {ReturnType<typeof setTimeout> | undefined} */
+    this.stillness = undefined;
     gl.enable(gl.DEPTH_TEST);
     // Colours are premultiplied by their opacity.
     gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
@@ -66,8 +75,18 @@ export class SceneView {
     return this.boneMode;
   }
 
+  /** Pixels per pixel of the page. */
+  #ratio() {
+    if (!this.software) return Math.min(window.devicePixelRatio || 1, 2);
+    clearTimeout(this.stillness);
+    if (this.sharp || this.filmed) return 1;
+    this.stillness = setTimeout(() => ((this.sharp = true), this.changed()), STILL_MS);
+    return MOVING_RATIO;
+  }
+
   #resize() {
-    const ratio = this.software ? 1 : Math.min(window.devicePixelRatio || 1, 2);
+    const ratio = this.#ratio();
+    this.sharp = false;
     const [width, height] = [this.canvas.clientWidth, this.canvas.clientHeight].map((n) => Math.max(1, Math.round(n * ratio)));
     if (this.canvas.width !== width || this.canvas.height !== height) Object.assign(this.canvas, { width, height });
     this.gl.viewport(0, 0, width, height);
@@ -114,7 +133,7 @@ export class SceneView {
     if (info?.scene?.target_m) list.target(info.scene.target_m, 0.004, COLOURS.target);
     addFrustum(list, info);
     if (this.cursor?.point && !this.cursor.follows) list.target(this.cursor.point, 0.006, COLOURS.cursor);
-    for (const { from, to } of this.measures?.lines ?? []) list.capsule(from, to, 0.0005, COLOURS.measure);
+    for (const { from, to } of this.measures?.lines ?? []) list.path([from, to], 0.0005, COLOURS.measure);
     if (this.measures?.begun) list.sphere(this.measures.begun, 0.001, COLOURS.measure);
     return list;
   }

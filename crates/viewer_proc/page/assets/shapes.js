@@ -2,67 +2,69 @@
 
 /** @typedef {{positions: number[], normals: number[], indices: number[]}} Shape */
 
-const AROUND = 24;
+/** Corners around a shape, and around the parts of a thin line, which is a few pixels wide. */
+export const AROUND = 24;
+export const AROUND_THIN = 8;
 
 /** A ring of points between two radii along z; `slope` is the normal's z. */
-function ring(shape, radiusLow, radiusHigh, zLow, zHigh, slope) {
+function ring(shape, around, radiusLow, radiusHigh, zLow, zHigh, slope) {
   const start = shape.positions.length / 3;
-  for (let i = 0; i <= AROUND; i++) {
-    const angle = (2 * Math.PI * i) / AROUND;
+  for (let i = 0; i <= around; i++) {
+    const angle = (2 * Math.PI * i) / around;
     const [c, s] = [Math.cos(angle), Math.sin(angle)];
     shape.positions.push(radiusLow * c, radiusLow * s, zLow, radiusHigh * c, radiusHigh * s, zHigh);
     shape.normals.push(c, s, slope, c, s, slope);
     const at = start + 2 * i;
-    if (i < AROUND) shape.indices.push(at, at + 2, at + 1, at + 1, at + 2, at + 3);
+    if (i < around) shape.indices.push(at, at + 2, at + 1, at + 1, at + 2, at + 3);
   }
 }
 
 /** A disc perpendicular to z. @param {number} up +1 or -1: direction of its normal */
-function disc(shape, z, up) {
+function disc(shape, around, z, up) {
   const start = shape.positions.length / 3;
   shape.positions.push(0, 0, z);
   shape.normals.push(0, 0, up);
-  for (let i = 0; i <= AROUND; i++) {
-    const angle = (up * 2 * Math.PI * i) / AROUND;
+  for (let i = 0; i <= around; i++) {
+    const angle = (up * 2 * Math.PI * i) / around;
     shape.positions.push(Math.cos(angle), Math.sin(angle), z);
     shape.normals.push(0, 0, up);
-    if (i < AROUND) shape.indices.push(start, start + 1 + i, start + 2 + i);
+    if (i < around) shape.indices.push(start, start + 1 + i, start + 2 + i);
   }
 }
 
 const empty = () => ({ positions: [], normals: [], indices: [] });
 
 /** Radius 1, from z = 0 to z = 1, closed. @returns {Shape} */
-export function cylinder() {
+export function cylinder(around = AROUND) {
   const shape = empty();
-  ring(shape, 1, 1, 0, 1, 0);
-  disc(shape, 0, -1);
-  disc(shape, 1, 1);
+  ring(shape, around, 1, 1, 0, 1, 0);
+  disc(shape, around, 0, -1);
+  disc(shape, around, 1, 1);
   return shape;
 }
 
 /** Radius 1 at z = 0, a point at z = 1. @returns {Shape} */
 export function cone() {
   const shape = empty();
-  ring(shape, 1, 0, 0, 1, 1);
-  disc(shape, 0, -1);
+  ring(shape, AROUND, 1, 0, 0, 1, 1);
+  disc(shape, AROUND, 0, -1);
   return shape;
 }
 
 /** Radius 1 about the origin. @returns {Shape} */
-export function sphere() {
+export function sphere(around = AROUND) {
   const shape = empty();
-  const rows = AROUND / 2;
+  const rows = around / 2;
   for (let row = 0; row <= rows; row++) {
     const polar = (Math.PI * row) / rows;
-    for (let i = 0; i <= AROUND; i++) {
-      const angle = (2 * Math.PI * i) / AROUND;
+    for (let i = 0; i <= around; i++) {
+      const angle = (2 * Math.PI * i) / around;
       const point = [Math.sin(polar) * Math.cos(angle), Math.sin(polar) * Math.sin(angle), Math.cos(polar)];
       shape.positions.push(...point);
       shape.normals.push(...point);
-      if (row === rows || i === AROUND) continue;
-      const at = row * (AROUND + 1) + i;
-      shape.indices.push(at, at + AROUND + 1, at + 1, at + 1, at + AROUND + 1, at + AROUND + 2);
+      if (row === rows || i === around) continue;
+      const at = row * (around + 1) + i;
+      shape.indices.push(at, at + around + 1, at + 1, at + 1, at + around + 1, at + around + 2);
     }
   }
   return shape;

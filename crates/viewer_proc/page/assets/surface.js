@@ -28,9 +28,13 @@ export function decodeMesh(data) {
 }
 
 export class Surface {
-  /** @param {WebGL2RenderingContext} gl */
-  constructor(gl) {
+  /** @param {WebGL2RenderingContext} gl @param {boolean} [merges] draws all blocks at once: in software, a call costs as
+   * much as a thousand triangles */
+  constructor(gl, merges = false) {
     this.gl = gl;
+    this.merges = merges;
+    /** All blocks in one, if they are merged and none has changed since. @type {object | undefined} */
+    this.merged = undefined;
     /** @type {Map<number, object>} */
     this.blocks = new Map();
     this.triangles = 0;
@@ -45,9 +49,16 @@ export class Surface {
     const block = this.blocks.get(id);
     if (!block) return;
     this.triangles -= block.indexCount / 3;
-    this.gl.deleteVertexArray(block.vertexArray);
-    for (const buffer of block.buffers) this.gl.deleteBuffer(buffer);
+    this.#free(block);
     this.blocks.delete(id);
+    this.#free(this.merged);
+    this.merged = undefined;
+  }
+
+  #free(drawn) {
+    if (!drawn?.vertexArray) return;
+    this.gl.deleteVertexArray(drawn.vertexArray);
+    for (const buffer of drawn.buffers) this.gl.deleteBuffer(buffer);
   }
 
   /** Replaces a block's mesh; an empty one removes it. @param {DataView} data */
@@ -57,27 +68,54 @@ export class Surface {
     this.#remove(mesh.block);
     this.updates += 1;
     if (mesh.indexCount === 0) return;
+    const { origin, scale, indexCount, positions, normals, indices } = mesh;
+    // Positions and indices are kept for picking, and everything for merging.
+    const kept = { origin, scale, indexCount, positions, indices, normals: this.merges ? normals : undefined };
+    this.blocks.set(mesh.block, this.merges ? kept : { ...kept, ...this.#upload(positions, gl.UNSIGNED_SHORT, 6, normals, indices) });
+    this.#free(this.merged);
+    this.merged = undefined;
+    this.triangles += indexCount / 3;
+  }
+
+  /** @param {Uint16Array | Float32Array} positions @param {number} type of a position @param {number} stride bytes per vertex */
+  #upload(positions, type, stride, normals, indices) {
+    const { gl } = this;
     const vertexArray = gl.createVertexArray();
     gl.bindVertexArray(vertexArray);
-    const buffers = [mesh.positions, mesh.normals, mesh.indices].map((content, i) => {
+    const buffers = [positions, normals, indices].map((content, i) => {
       const buffer = gl.createBuffer();
       const target = i === 2 ? gl.ELEMENT_ARRAY_BUFFER : gl.ARRAY_BUFFER;
       gl.bindBuffer(target, buffer);
       gl.bufferData(target, content, gl.STATIC_DRAW);
-      if (i === 0) gl.vertexAttribPointer(0, 3, gl.UNSIGNED_SHORT, false, 6, 0);
+      if (i === 0) gl.vertexAttribPointer(0, 3, type, false, stride, 0);
       if (i === 1) gl.vertexAttribPointer(1, 3, gl.BYTE, true, 4, 0);
       if (i < 2) gl.enableVertexAttribArray(i);
       return buffer;
     });
-    const { origin, scale, indexCount, positions, indices } = mesh;
-    // Positions and indices are kept for picking.
-    this.blocks.set(mesh.block, { vertexArray, buffers, origin, scale, indexCount, positions, indices });
-    this.triangles += indexCount / 3;
+    return { vertexArray, buffers };
+  }
+
+  /** Copies all blocks into one, in metres. */
+  #merge() {
+    const all = [...this.blocks.values()];
+    const vertices = all.reduce((sum, block) => sum + block.positions.length / 3, 0);
+    const [positions, normals, indices] = [new Float32Array(3 * vertices), new Int8Array(4 * vertices), new Uint32Array(3 * this.triangles)];
+    let [vertex, index] = [0, 0];
+    for (const block of all) {
+      normals.set(block.normals, 4 * vertex);
+      for (let i = 0; i < block.positions.length; i++) positions[3 * vertex + i] = block.origin[i % 3] + block.scale * block.positions[i];
+      for (let i = 0; i < block.indexCount; i++) indices[index + i] = vertex + block.indices[i];
+      vertex += block.positions.length / 3;
+      index += block.indexCount;
+    }
+    return { origin: [0, 0, 0], scale: 1, indexCount: index, ...this.#upload(positions, this.gl.FLOAT, 12, normals, indices) };
   }
 
   /** Draws every block with the program in use. @param {Record<string, WebGLUniformLocation>} uniforms */
   draw(uniforms) {
-    for (const block of this.blocks.values()) {
+    if (this.merges && this.blocks.size > 0) this.merged ??= this.#merge();
+    for (const block of this.merges ? [this.merged] : this.blocks.values()) {
+      if (!block) continue;
       this.gl.uniform3fv(uniforms.u_origin, block.origin);
       this.gl.uniform1f(uniforms.u_scale, block.scale);
       this.gl.bindVertexArray(block.vertexArray);

@@ -7,11 +7,13 @@
 //! together exactly.
 
 pub mod bone;
+pub mod coarse;
 pub mod field;
 pub mod link;
 pub mod mesh;
 pub mod nets;
 
+pub use coarse::CoarseBone;
 pub use field::{Field, Voxel};
 pub use link::link_mesh;
 pub use mesh::BlockMesh;

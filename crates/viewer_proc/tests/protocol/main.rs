@@ -24,8 +24,8 @@ use viewer_proc::slice::{ENCODING, MOST_UNDER_WAY};
 use zerocopy::IntoBytes;
 
 use running::{
-    Running, call_bytes, channel, close_code, http, next_data, next_response, next_text, say, subscribe,
-    with, with_server,
+    Running, call_bytes, channel, close_code, http, next_data, next_response, next_text, options, say,
+    subscribe, with, with_server,
 };
 
 #[test]
@@ -43,9 +43,7 @@ fn channels_have_the_logs_topics_and_schemas_and_deliver_their_messages() {
         }
         let state = State { tick: 42, ..State::zeroed() };
         subscribe(&mut socket, 7, channel(&channels, Topic::State.name())).await;
-        while !running.board.wants(Topic::State.name()) {
-            tokio::time::sleep(Duration::from_millis(1)).await;
-        }
+        running.states_are_wanted(true).await;
         running.board.publish_cdr(Topic::State.name(), 42_000_000, &[state.as_bytes()]);
         let (subscription, time_ns, payload) = next_data(&mut socket).await;
         assert_eq!((subscription, time_ns), (7, 42_000_000));
@@ -72,9 +70,7 @@ fn channels_have_the_logs_topics_and_schemas_and_deliver_their_messages() {
         }
 
         say(&mut socket, json!({"op": "unsubscribe", "subscriptionIds": [7]})).await;
-        while running.board.wants(Topic::State.name()) {
-            tokio::time::sleep(Duration::from_millis(1)).await;
-        }
+        running.states_are_wanted(false).await;
     });
 }
 
@@ -94,12 +90,7 @@ fn only_a_client_with_the_token_commands() {
             .send(call_bytes(1, 6, &json!({"token": running.token, "action": "step", "ticks": 3})))
             .await
             .unwrap();
-        let call = loop {
-            match running.called.try_recv() {
-                Ok(call) => break call,
-                Err(_) => tokio::time::sleep(Duration::from_millis(1)).await,
-            }
-        };
+        let call = running.next_call().await;
         let Request::Control(control) = &call.request else { panic!("{call:?}") };
         assert_eq!((control.action, control.ticks), (Action::Step, Some(3)));
         call.answer.send(Err("pause first".to_owned())).unwrap();
@@ -262,12 +253,8 @@ fn watchers_take_no_place_from_an_owner() {
         owner.send(call_bytes(SLICE, 2, &slice(4))).await.unwrap();
         let mut taken = Vec::new();
         while taken.len() < 2 {
-            match running.called.try_recv() {
-                Ok(call) if call.is_owner => taken.push(call),
-                // Requests of watchers that arrived before the owner's.
-                Ok(_) => {}
-                Err(_) => tokio::time::sleep(Duration::from_millis(1)).await,
-            }
+            // Requests of watchers may have arrived before the owner's.
+            taken.extend(Some(running.next_call().await).filter(|call| call.is_owner));
         }
         assert!(matches!(taken[0].request, Request::Control(_)), "{taken:?}");
         assert!(matches!(taken[1].request, Request::Slice(_)), "{taken:?}");
@@ -343,9 +330,7 @@ fn hostile_clients_are_told_and_closed_and_others_go_on() {
         broken.write_all(b"GET /ws HTTP/1.1\r\nHost: ").await.unwrap();
         drop(broken);
 
-        while !running.board.wants(Topic::State.name()) {
-            tokio::time::sleep(Duration::from_millis(1)).await;
-        }
+        running.states_are_wanted(true).await;
         running.board.publish_cdr(Topic::State.name(), 1, &[b"still here"]);
         assert!(next_data(&mut good).await.2.ends_with(b"still here"));
     });
@@ -356,9 +341,7 @@ fn a_client_that_never_reads_holds_nobody_up_and_is_told_what_it_lost() {
     with_server(async |running| {
         let (mut lazy, channels) = running.client().await;
         subscribe(&mut lazy, 1, channel(&channels, Topic::State.name())).await;
-        while !running.board.wants(Topic::State.name()) {
-            tokio::time::sleep(Duration::from_millis(1)).await;
-        }
+        running.states_are_wanted(true).await;
         // Much more than its queue and the sockets' buffers hold; publishing never blocks.
         let big = vec![0; 1 << 20];
         let count = 10 * (Limits::default().stream_bytes >> 20) as u64;
@@ -418,9 +401,7 @@ fn a_client_has_few_slices_under_way_and_the_rest_is_refused() {
             );
         }
         socket.send(call_bytes(SLICE, 1000, &slice(512))).await.unwrap();
-        while running.called.try_recv().is_err() {
-            tokio::time::sleep(Duration::from_millis(1)).await;
-        }
+        running.next_call().await;
     });
 }
 
@@ -438,12 +419,7 @@ fn what_is_no_slice_is_refused_and_a_slice_needs_no_token_of_who_may_watch() {
             assert!(response["error"].as_str().unwrap().contains(why), "{response}, expected `{why}`");
         }
         socket.send(call_bytes(SLICE, 6, &slice(4))).await.unwrap();
-        let call = loop {
-            match running.called.try_recv() {
-                Ok(call) => break call,
-                Err(_) => tokio::time::sleep(Duration::from_millis(1)).await,
-            }
-        };
+        let call = running.next_call().await;
         call.refuse("there is no CT");
         assert_eq!(next_response(&mut socket).await, (6, json!({"ok": false, "error": "there is no CT"})));
     });
@@ -462,15 +438,7 @@ fn clients_hear_that_the_viewer_ends() {
 fn a_port_in_use_is_named() {
     let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
     let port = taken.local_addr().unwrap().port();
-    let options = ServerOptions {
-        bind: "127.0.0.1".parse().unwrap(),
-        port,
-        allow_origin: Vec::new(),
-        allow_host: Vec::new(),
-        watch_by_anyone: false,
-        page_folder: None,
-    };
-    let error = ListeningPort::open(&options).unwrap_err();
+    let error = ListeningPort::open(&ServerOptions { port, ..options(false) }).unwrap_err();
     assert!(error.is_bad_input());
     let text = error.to_string();
     assert!(text.contains(&format!("127.0.0.1:{port}")) && text.contains("--port"), "{text}");

@@ -7,6 +7,7 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use futures_util::{SinkExt, StreamExt};
+use run_log::Topic;
 use serde_json::{Value, json};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpStream;
@@ -16,11 +17,22 @@ use tokio_tungstenite::tungstenite::{Error, Message};
 use tokio_tungstenite::{WebSocketStream, client_async};
 use viewer_proc::ServerOptions;
 use viewer_proc::board::Board;
-use viewer_proc::calls::{Calls, call_queue};
+use viewer_proc::calls::{Call, Calls, call_queue};
 use viewer_proc::channels::Channels;
 use viewer_proc::server::{ListeningPort, Server};
 
 const LIMIT: Duration = Duration::from_secs(20);
+
+pub fn options(watch_by_anyone: bool) -> ServerOptions {
+    ServerOptions {
+        bind: "127.0.0.1".parse().unwrap(),
+        port: 0,
+        allow_origin: vec!["http://studio.example".to_owned()],
+        allow_host: vec!["tunnel.example:9000".parse().unwrap()],
+        watch_by_anyone,
+        page_folder: None,
+    }
+}
 
 pub struct Running {
     pub address: std::net::SocketAddr,
@@ -36,20 +48,29 @@ impl Running {
         let board = Arc::new(Board::new(Channels::new(&["viewer".to_owned()], &[])));
         let (calls, called) = call_queue(8);
         let over = Arc::new(AtomicBool::new(false));
-        let options = ServerOptions {
-            bind: "127.0.0.1".parse().unwrap(),
-            port: 0,
-            allow_origin: vec!["http://studio.example".to_owned()],
-            allow_host: vec!["tunnel.example:9000".parse().unwrap()],
-            watch_by_anyone,
-            page_folder: None,
-        };
-        let door = ListeningPort::open(&options).unwrap();
+        let door = ListeningPort::open(&options(watch_by_anyone)).unwrap();
         let server = Server::behind(&door, "test", Arc::clone(&board), calls, Arc::clone(&over)).unwrap();
         let (address, token) = (door.address(), door.token().to_owned());
         assert_eq!(door.url(), format!("http://{address}/#token={token}"));
         let serving = Some(std::thread::spawn(move || server.serve().unwrap()));
         Running { address, token, board, over, called, serving }
+    }
+
+    /// Returns the next call that has arrived.
+    pub async fn next_call(&self) -> Call {
+        loop {
+            match self.called.try_recv() {
+                Ok(call) => return call,
+                Err(_) => tokio::time::sleep(Duration::from_millis(1)).await,
+            }
+        }
+    }
+
+    /// Waits until somebody has subscribed to the states, or nobody.
+    pub async fn states_are_wanted(&self, wanted: bool) {
+        while self.board.wants(Topic::State.name()) != wanted {
+            tokio::time::sleep(Duration::from_millis(1)).await;
+        }
     }
 
     pub async fn tcp(&self) -> TcpStream {

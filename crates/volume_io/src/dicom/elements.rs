@@ -22,6 +22,7 @@ const USED: &[(Tag, &[u8; 2])] = &[
     (Tag(0x0008, 0x0060), b"CS"),
     (Tag(0x0008, 0x103e), b"LO"),
     (Tag(0x0018, 0x0050), b"DS"),
+    (Tag(0x0018, 0x0088), b"DS"),
     (Tag(0x0018, 0x1060), b"DS"),
     (Tag(0x0018, 0x1120), b"DS"),
     (Tag(0x0020, 0x000e), b"UI"),

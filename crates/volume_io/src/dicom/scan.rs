@@ -15,7 +15,8 @@ use std::path::Path;
 const MAX_DEPTH: usize = 16;
 /// Largest number of elements and items that are collected, since each takes up to 30 times its bytes in the
 /// file: an enhanced image has 16 per frame.
-const MOST_KEPT: usize = 32 * voxel_grid::MAX_VOXELS_ALONG_AXIS;
+const MOST_KEPT: usize = 1 << 21;
+const _: () = assert!(MOST_KEPT == 32 * voxel_grid::MAX_VOXELS_ALONG_AXIS);
 const UNDEFINED: u32 = 0xffff_ffff;
 const ITEM: Tag = Tag(0xfffe, 0xe000);
 const ITEM_END: Tag = Tag(0xfffe, 0xe00d);

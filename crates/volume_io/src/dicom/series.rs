@@ -150,6 +150,13 @@ fn described(volume: Volume, slices: &[Slice], mut notes: Vec<String>) -> (Volum
     files.dedup();
     let frames = if first.frames > 1 { format!(", {} frames", slices.len()) } else { String::new() };
     let format = format!("DICOM series of {} files ({}{frames})", files.len(), first.transfer.name);
+    if slices.iter().any(|slice| !slice.has_own_position) {
+        notes.push(
+            "only the first frame has a position: the others are stacked along the normal, by \
+             SpacingBetweenSlices (0018,0088)"
+                .to_owned(),
+        );
+    }
     let one_scale = slices.iter().all(|slice| slice.scale == first.scale);
     let stored_as = if one_scale {
         format!("slope {}, intercept {}", first.scale.slope, first.scale.intercept)

@@ -18,6 +18,7 @@ const SHARED_GROUPS: Tag = Tag(0x5200, 0x9229);
 const FRAME_GROUPS: Tag = Tag(0x5200, 0x9230);
 const PLANE_POSITION: Tag = Tag(0x0020, 0x9113);
 const PLANE_ORIENTATION: Tag = Tag(0x0020, 0x9116);
+const SPACING_BETWEEN_SLICES: Tag = Tag(0x0018, 0x0088);
 const PIXEL_MEASURES: Tag = Tag(0x0028, 0x9110);
 const VALUE_TRANSFORMATION: Tag = Tag(0x0028, 0x9145);
 
@@ -33,6 +34,8 @@ pub(super) struct Slice {
     pub rows: usize,
     pub columns: usize,
     pub position_mm: [f64; 3],
+    /// Whether the file states its position, instead of that of the first frame.
+    pub has_own_position: bool,
     /// Direction of increasing column index, then of increasing row index, LPS.
     pub orientation: [f64; 6],
     /// Distance between rows, then between columns.
@@ -117,15 +120,22 @@ fn read_headers(file: &DicomFile, fields: Fields<'_>) -> Result<Vec<Slice>, Volu
     fields.refuse_other_layouts()?;
     let frames = frame_count(fields)?;
     let groups = fields.items(FRAME_GROUPS);
-    if groups.len() == 0 && frames == 1 {
-        return Ok(vec![slice(file, fields, &Groups::plain(fields), FrameNumber { index: 0, count: 1 })?]);
+    if groups.len() == 0 {
+        let first = || slice(file, fields, &Groups::plain(fields), FrameNumber { index: 0, count: frames });
+        if frames == 1 {
+            return Ok(vec![first()?]);
+        }
+        if let Some(step_mm) = fields.optional(SPACING_BETWEEN_SLICES, "SpacingBetweenSlices")? {
+            return Ok(stacked(&first()?, step_mm));
+        }
     }
     if groups.len() != frames {
         return Err(VolumeError::unsupported(
             fields.path,
             "(0028,0008) NumberOfFrames",
             format!("{frames}, with the positions of {} frames", groups.len()),
-            "one slice per file, or an enhanced CT with the position of every frame",
+            "one slice per file, the position of every frame (enhanced CT), or SpacingBetweenSlices \
+             (0018,0088)",
         ));
     }
     let shared = fields.item(SHARED_GROUPS);
@@ -135,6 +145,20 @@ fn read_headers(file: &DicomFile, fields: Fields<'_>) -> Result<Vec<Slice>, Volu
         slice(file, fields, &Groups { own, shared, image: fields }, number)
     })
     .collect()
+}
+
+/// Returns the frames of a classic image, which gives the position of the first one and the distance of the
+/// others along the normal.
+fn stacked(first: &Slice, step_mm: f64) -> Vec<Slice> {
+    let [a, b, c, d, e, f] = first.orientation;
+    let normal = [b * f - c * e, c * d - a * f, a * e - b * d];
+    let frame = |index: usize| Slice {
+        frame: index,
+        position_mm: [0, 1, 2].map(|i| first.position_mm[i] + index as f64 * step_mm * normal[i]),
+        has_own_position: index == 0,
+        ..first.clone()
+    };
+    (0..first.frames).map(frame).collect()
 }
 
 /// Where the elements of a frame are: in its own functional groups, in the shared ones, or in the classic
@@ -194,6 +218,7 @@ fn slice(
         rows: size(Tag(0x0028, 0x0010), "Rows")?,
         columns: size(Tag(0x0028, 0x0011), "Columns")?,
         position_mm: groups.get(PLANE_POSITION).numbers(Tag(0x0020, 0x0032), "ImagePositionPatient")?,
+        has_own_position: true,
         orientation: groups.get(PLANE_ORIENTATION).numbers(Tag(0x0020, 0x0037), "ImageOrientationPatient")?,
         pixel_spacing_mm: measures.numbers(Tag(0x0028, 0x0030), "PixelSpacing")?,
         slice_thickness_mm: measures.optional(Tag(0x0018, 0x0050), "SliceThickness")?,

@@ -101,11 +101,14 @@ impl Header<'_> {
             let stated = StatedGeometry { spacing_m, origin_m, axes: vectors };
             return placement(self.path, names, stated, notes);
         }
-        let Some(text) = self.get("spacings") else {
-            let expected = "`space directions` or `spacings`: the voxel size";
-            return Err(wrong(self.path, "space directions", "", expected));
+        let spacing = match self.get("spacings") {
+            Some(text) => self.per_axis(axes, "spacings", text)?,
+            // As other readers do.
+            None => {
+                notes.push(format!("no `spacings` given; assuming voxels of {} mm", unit_m * 1e3));
+                [1.0; 3]
+            }
         };
-        let spacing = self.per_axis(axes, "spacings", text)?;
         let origin = match self.get("space origin") {
             Some(text) => self.vector("space origin", text)?,
             None => self.axis_minima(axes, spacing, notes)?,

@@ -4,6 +4,7 @@
 use crate::error::VolumeError;
 use crate::volume::grid_of;
 use std::path::Path;
+use std::sync::{Mutex, PoisonError};
 use voxel_grid::{Volume, VoxelGrid};
 
 /// Edge of the cubes in which a field may skip work, voxels.
@@ -46,14 +47,18 @@ pub fn fill<F: Field>(grid: VoxelGrid, field: &F, threads: usize) -> Volume {
     for (slab, voxels) in hu.chunks_mut(slab_voxels).enumerate() {
         shares[slab % threads].push((slab, voxels));
     }
-    std::thread::scope(|scope| {
-        for share in shares {
-            scope.spawn(move || {
-                for (slab, voxels) in share {
-                    fill_slab(grid, field, slab, voxels);
-                }
-            });
+    let shares: Vec<Mutex<Vec<(usize, &mut [i16])>>> = shares.into_iter().map(Mutex::new).collect();
+    let fill_share = |share: &Mutex<Vec<(usize, &mut [i16])>>| {
+        for (slab, voxels) in std::mem::take(&mut *share.lock().unwrap_or_else(PoisonError::into_inner)) {
+            fill_slab(grid, field, slab, voxels);
         }
+    };
+    std::thread::scope(|scope| {
+        for share in &shares[1..] {
+            // What has no thread is filled below.
+            let _ = std::thread::Builder::new().spawn_scoped(scope, || fill_share(share));
+        }
+        shares.iter().for_each(fill_share);
     });
     Volume { grid, hu }
 }

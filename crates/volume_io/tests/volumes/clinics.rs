@@ -4,14 +4,12 @@
 #![allow(clippy::unwrap_used)]
 
 use crate::common::dicom_bytes::{DicomSlice, write_series};
+use crate::common::{read_bytes, series, store};
 use std::path::{Path, PathBuf};
 use volume_io::{Label, ReadOptions, SliceHandling, VolumeError, read, read_as};
 
 fn refuse(bytes: &[u8]) -> VolumeError {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("v.dcm");
-    std::fs::write(&path, bytes).unwrap();
-    let error = read(&path).unwrap_err();
+    let error = read_bytes("v.dcm", bytes).unwrap_err();
     println!("{error}");
     error
 }
@@ -48,12 +46,10 @@ fn a_folder_of_several_series_lists_them_and_takes_the_one_named() {
 
 #[test]
 fn a_label_that_is_not_there_is_refused_with_those_that_are() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("v.seg.nrrd");
     let header = "NRRD0005\ntype: uchar\ndimension: 3\nsizes: 2 2 1\nspace: LPS\nspace directions: (1,0,0) \
                   (0,1,0) (0,0,1)\n\
                   encoding: raw\nSegment0_Name:=femur\nSegment0_LabelValue:=2\nSegment0_Layer:=0\n\n";
-    std::fs::write(&path, [header.as_bytes(), &[0, 2, 2, 0]].concat()).unwrap();
+    let (_folder, path) = store("v.seg.nrrd", &[header.as_bytes(), &[0, 2, 2, 0]].concat());
     let read = |label| read_as(&path, &ReadOptions { label: Some(label), ..ReadOptions::default() });
     assert_eq!(read(Label::Name("femur".into())).unwrap().0.hu, [0, 1, 1, 0]);
     assert_eq!(read(Label::Value(2)).unwrap().0.hu, [0, 1, 1, 0]);
@@ -67,12 +63,10 @@ fn a_label_that_is_not_there_is_refused_with_those_that_are() {
 /// bone.
 #[test]
 fn a_segment_without_a_layer_is_the_layer_of_its_index() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("old.seg.nrrd");
     let header = "NRRD0004\ntype: uchar\ndimension: 4\nsizes: 2 2 2 1\nspace: LPS\nkinds: list domain \
                   domain domain\nspace directions: none (1,0,0) (0,1,0) (0,0,1)\nencoding: raw\n\
                   Segment0_Name:=femur\nSegment1_Name:=implant\n\n";
-    std::fs::write(&path, [header.as_bytes(), &[1, 0, 0, 1, 0, 1, 0, 1]].concat()).unwrap();
+    let (_folder, path) = store("old.seg.nrrd", &[header.as_bytes(), &[1, 0, 0, 1, 0, 1, 0, 1]].concat());
     let read = |name: &str| {
         let options = ReadOptions { label: Some(Label::Name(name.into())), ..ReadOptions::default() };
         read_as(&path, &options).unwrap().0.hu
@@ -152,10 +146,7 @@ fn a_deflated_data_set_that_grows_without_end_is_refused() {
         encoder.write_all(data).unwrap();
         [&slice[..begin], &encoder.finish().unwrap()].concat()
     };
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("v.dcm");
-    std::fs::write(&path, deflated(&slice[begin..])).unwrap();
-    assert!(read(&path).unwrap().hu.iter().all(|hu| *hu == 0));
+    assert!(read_bytes("v.dcm", &deflated(&slice[begin..])).unwrap().hu.iter().all(|hu| *hu == 0));
     // Zeros are no data set; inflating must stop at the largest file size.
     refuse(&deflated(&vec![0; 64 << 20]));
 }
@@ -163,11 +154,9 @@ fn a_deflated_data_set_that_grows_without_end_is_refused() {
 /// Regression: MR slices in a CT's series were read as Hounsfield units if the first slice was CT.
 #[test]
 fn a_series_of_two_modalities_is_refused() {
-    let folder = tempfile::tempdir().unwrap();
     let mut slices = stack(&[0.0, 2.0, 4.0]);
     slices[2].modality = "MR";
-    write_series(folder.path(), &slices);
-    let error = read(folder.path()).unwrap_err();
+    let error = read(series(&slices).path()).unwrap_err();
     let said = error.to_string();
     assert!(matches!(error, VolumeError::MixedSeries { .. }), "{said}");
     assert!(said.contains("Modality") && said.contains("002.dcm"), "{said}");
@@ -176,11 +165,9 @@ fn a_series_of_two_modalities_is_refused() {
 /// Regression: `volume info` reported only the slope of the first slice.
 #[test]
 fn slices_of_several_slopes_are_each_scaled_by_their_own_and_it_is_said() {
-    let folder = tempfile::tempdir().unwrap();
     let mut slices = stack(&[0.0, 2.0]);
     slices[1].slope = "2";
-    write_series(folder.path(), &slices);
-    let (volume, info) = read_as(folder.path(), &ReadOptions::default()).unwrap();
+    let (volume, info) = read_as(series(&slices).path(), &ReadOptions::default()).unwrap();
     assert_eq!((volume.hu[0], volume.hu[20]), (0, 1024));
     assert!(info.to_string().contains("slope and intercept of each slice"), "{info}");
 }
@@ -189,11 +176,9 @@ fn slices_of_several_slopes_are_each_scaled_by_their_own_and_it_is_said() {
 #[test]
 fn values_that_need_not_be_hounsfield_units_are_said() {
     let noted = |change: fn(&mut DicomSlice)| {
-        let folder = tempfile::tempdir().unwrap();
         let mut slices = stack(&[0.0, 2.0]);
         slices.iter_mut().for_each(change);
-        write_series(folder.path(), &slices);
-        read_as(folder.path(), &ReadOptions::default()).unwrap().1.to_string()
+        read_as(series(&slices).path(), &ReadOptions::default()).unwrap().1.to_string()
     };
     let without = noted(|slice| slice.intercept = None);
     assert!(without.contains("no RescaleIntercept (0028,1052)"), "{without}");
@@ -209,11 +194,9 @@ fn values_that_need_not_be_hounsfield_units_are_said() {
 #[test]
 fn a_rescale_that_only_some_slices_have_is_refused_unless_it_changes_nothing() {
     let with = |intercepts: [Option<&'static str>; 2]| {
-        let folder = tempfile::tempdir().unwrap();
         let mut slices = stack(&[0.0, 2.0]);
         (slices[0].intercept, slices[1].intercept) = (intercepts[0], intercepts[1]);
-        write_series(folder.path(), &slices);
-        read_as(folder.path(), &ReadOptions::default()).map(|(_, info)| info.notes.join("; "))
+        read_as(series(&slices).path(), &ReadOptions::default()).map(|(_, info)| info.notes.join("; "))
     };
     for intercepts in [[None, Some("-1024")], [Some("-1024"), None]] {
         let error = with(intercepts).unwrap_err();
@@ -228,9 +211,7 @@ fn a_rescale_that_only_some_slices_have_is_refused_unless_it_changes_nothing() {
 #[test]
 fn slice_distances_that_add_up_are_refused_or_said() {
     let at = |z_mm: &[f64]| {
-        let folder = tempfile::tempdir().unwrap();
-        write_series(folder.path(), &stack(z_mm));
-        read_as(folder.path(), &ReadOptions::default()).map(|(_, info)| info.notes.join("; "))
+        read_as(series(&stack(z_mm)).path(), &ReadOptions::default()).map(|(_, info)| info.notes.join("; "))
     };
     let of_two_steps = |count: usize, step: f64| -> Vec<f64> {
         (0..=2 * count).map(|i| i as f64 + (i.saturating_sub(count)) as f64 * (step - 1.0)).collect()
@@ -247,12 +228,10 @@ fn slice_distances_that_add_up_are_refused_or_said() {
 #[test]
 fn a_wide_gap_is_not_filled_and_the_worst_slice_is_named() {
     let rectified = |z_mm: &[f64]| {
-        let folder = tempfile::tempdir().unwrap();
         let mut slices = stack(z_mm);
         slices[2].stored = 1524;
-        write_series(folder.path(), &slices);
         let options = ReadOptions { slices: SliceHandling::Rectify, ..ReadOptions::default() };
-        read_as(folder.path(), &options).map(|(_, info)| info.notes.join("; "))
+        read_as(series(&slices).path(), &options).map(|(_, info)| info.notes.join("; "))
     };
     let error = rectified(&[0.0, 1.0, 2.0, 3.0, 8.5, 9.5]).unwrap_err();
     assert!(matches!(error, VolumeError::Gap { .. }), "{error}");
@@ -299,8 +278,7 @@ fn inserted(bytes: &[u8], next: &[u8], element: &[u8]) -> Vec<u8> {
 /// another series spoiled the named one.
 #[test]
 fn an_unreadable_file_is_refused_in_the_series_and_noted_beside_it() {
-    let folder = tempfile::tempdir().unwrap();
-    write_series(folder.path(), &stack(&[0.0, 2.0]));
+    let folder = series(&stack(&[0.0, 2.0]));
     let first = folder.path().join("000.dcm");
     let bad = folder.path().join("bad.dcm");
     let read = |path: &Path, series: Option<&str>| {

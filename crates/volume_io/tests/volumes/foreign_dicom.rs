@@ -3,19 +3,13 @@
 // Helpers of tests may fail a test.
 #![allow(clippy::unwrap_used, clippy::panic)]
 
-use crate::common::dicom_bytes::{DicomSlice, LOSSLESS_JPEG, jpeg_2000, write_series};
+use crate::common::dicom_bytes::{DicomSlice, LOSSLESS_JPEG, jpeg_2000};
+use crate::common::{read_bytes, series};
 use std::path::Path;
-use volume_io::{ReadOptions, VolumeError, read, read_as};
+use volume_io::{ReadOptions, VolumeError, read_as};
 use voxel_grid::Volume;
 
 const PATIENT_POSITION: &[u8] = b"\x18\0\x50\0DS";
-
-fn read_bytes(bytes: &[u8]) -> Result<Volume, VolumeError> {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("v.dcm");
-    std::fs::write(&path, bytes).unwrap();
-    read(&path)
-}
 
 /// The bytes of the usual slice with an element before the one that starts with `next`.
 fn with(next: &[u8], element: &[u8]) -> Vec<u8> {
@@ -25,8 +19,8 @@ fn with(next: &[u8], element: &[u8]) -> Vec<u8> {
 }
 
 fn same_as_usual(name: &str, bytes: &[u8]) {
-    let usual = read_bytes(&DicomSlice::default().bytes()).unwrap();
-    let given = read_bytes(bytes).unwrap_or_else(|error| panic!("{name}: {error}"));
+    let usual = read_bytes("v.dcm", &DicomSlice::default().bytes()).unwrap();
+    let given = read_bytes("v.dcm", bytes).unwrap_or_else(|error| panic!("{name}: {error}"));
     assert_eq!(given, usual, "{name}");
 }
 
@@ -87,7 +81,7 @@ fn integer_pixels_of_64_bits_are_refused() {
     bytes[at + 8] = 64;
     let columns = bytes.windows(6).position(|window| window == b"\x28\0\x11\0US").unwrap();
     bytes[columns + 8] = 5;
-    let said = read_bytes(&bytes).unwrap_err().to_string();
+    let said = read_bytes("v.dcm", &bytes).unwrap_err().to_string();
     assert!(said.contains("BitsAllocated") && said.contains("8, 16 or 32"), "{said}");
 }
 
@@ -102,8 +96,8 @@ fn float_pixels_of_both_widths_are_read() {
     for (head, pixels) in [(b"\xe0\x7f\x08\0OF\0\0", floats), (b"\xe0\x7f\x09\0OD\0\0", doubles)] {
         let length = (pixels.len() as u32).to_le_bytes();
         let file = |pixels: &[u8]| [&usual[..at], head, &length, pixels].concat();
-        assert_eq!(read_bytes(&file(&pixels)).unwrap().hu, values);
-        let cut = read_bytes(&file(&pixels[1..]));
+        assert_eq!(read_bytes("v.dcm", &file(&pixels)).unwrap().hu, values);
+        let cut = read_bytes("v.dcm", &file(&pixels[1..]));
         assert!(matches!(cut, Err(VolumeError::Truncated { .. })), "{cut:?}");
     }
 }
@@ -114,7 +108,7 @@ fn endless_items_of_a_used_sequence_are_refused() {
     let head = b"\0\x52\x30\x92SQ\0\0\xff\xff\xff\xff";
     let items = b"\xfe\xff\0\xe0\0\0\0\0".repeat((1 << 21) + 1);
     let file = with(b"\xe0\x7f\x10\0OW", &[head, items.as_slice(), b"\xfe\xff\xdd\xe0\0\0\0\0"].concat());
-    let said = read_bytes(&file).unwrap_err().to_string();
+    let said = read_bytes("v.dcm", &file).unwrap_err().to_string();
     assert!(said.contains("more than 2097152 elements and items"), "{said}");
 }
 
@@ -130,10 +124,10 @@ fn padded_frames_are_read() {
     let frame = &LOSSLESS_JPEG[..52];
     for padding in [b"\xff\xff".as_slice(), b"  ", b"\0 ", b"\xff\xd9", b"\0\0\xff\xd9\0"] {
         let slice = packed("1.2.840.10008.1.2.4.70", &[frame, padding].concat());
-        assert_eq!(read_bytes(&slice.bytes()).unwrap().hu, vec![0; 20], "{padding:?}");
+        assert_eq!(read_bytes("v.dcm", &slice.bytes()).unwrap().hu, vec![0; 20], "{padding:?}");
     }
     let cut = packed("1.2.840.10008.1.2.4.70", &[&frame[..50], b"  "].concat());
-    assert!(matches!(read_bytes(&cut.bytes()), Err(VolumeError::Corrupt { .. })));
+    assert!(matches!(read_bytes("v.dcm", &cut.bytes()), Err(VolumeError::Corrupt { .. })));
 }
 
 /// Regression: a JP2 file as a frame was refused.
@@ -146,14 +140,14 @@ fn a_jp2_container_is_read_as_its_codestream() {
     };
     let bare = jpeg_2000(4, 5);
     let signature = b"\0\0\0\x0cjP  \r\n\x87\n\0\0\0\x14ftypjp2 \0\0\0\0jp2 ";
-    let expected = read_bytes(&slice(bare.clone()).bytes()).unwrap();
+    let expected = read_bytes("v.dcm", &slice(bare.clone()).bytes()).unwrap();
     let length = (bare.len() as u32 + 8).to_be_bytes();
     for head in [length, [0; 4]] {
         let boxed = [signature, head.as_slice(), b"jp2c", &bare].concat();
-        assert_eq!(read_bytes(&slice(boxed).bytes()).unwrap(), expected);
+        assert_eq!(read_bytes("v.dcm", &slice(boxed).bytes()).unwrap(), expected);
     }
     let huge = [signature, b"\xff\xff\xff\xffjp2c".as_slice(), &bare].concat();
-    assert!(matches!(read_bytes(&slice(huge).bytes()), Err(VolumeError::Corrupt { .. })));
+    assert!(matches!(read_bytes("v.dcm", &slice(huge).bytes()), Err(VolumeError::Corrupt { .. })));
 }
 
 fn choose(path: &Path, series: Option<&str>) -> Result<(Volume, String), VolumeError> {
@@ -251,10 +245,9 @@ fn a_phase_that_is_not_a_number_leaves_the_others_whole() {
 /// Some exporters give every slice a series of its own.
 #[test]
 fn series_of_one_slice_each_are_joined_on_request() {
-    let folder = tempfile::tempdir().unwrap();
     let slice =
         |series_uid, z| DicomSlice { series_uid, position_mm: [0.0, 0.0, z], ..DicomSlice::default() };
-    write_series(folder.path(), &[slice("1.2.3", 0.0), slice("1.2.4", 1.0), slice("1.2.5", 2.0)]);
+    let folder = series(&[slice("1.2.3", 0.0), slice("1.2.4", 1.0), slice("1.2.5", 2.0)]);
     let said = choose(folder.path(), None).unwrap_err().to_string();
     assert!(said.contains("`--series all`"), "{said}");
     let (volume, notes) = choose(folder.path(), Some("all")).unwrap();
@@ -264,10 +257,41 @@ fn series_of_one_slice_each_are_joined_on_request() {
 /// Regression: `--series` beside one file of another series was ignored.
 #[test]
 fn another_series_than_that_of_the_file_is_refused() {
-    let folder = tempfile::tempdir().unwrap();
-    write_series(folder.path(), &[DicomSlice::default()]);
+    let folder = series(&[DicomSlice::default()]);
     let path = folder.path().join("000.dcm");
     assert!(choose(&path, Some("1.2.3")).is_ok());
     let said = choose(&path, Some("1.2.9")).unwrap_err().to_string();
     assert!(said.contains("series 1.2.9 not found") && said.contains("1.2.3"), "{said}");
+}
+
+/// Regression: frames without functional groups were refused, though the file says how they lie.
+#[test]
+fn frames_of_a_classic_image_are_stacked_by_their_spacing() {
+    let usual = read_bytes(&DicomSlice::default().bytes()).unwrap();
+    let mut bytes = DicomSlice::default().bytes();
+    let mut insert = |next: &[u8], element: &[u8]| {
+        let at = bytes.windows(next.len()).position(|window| window == next).unwrap();
+        bytes.splice(at..at, element.iter().copied());
+    };
+    insert(b"\x28\0\x10\0US", b"\x28\0\x08\0IS\x02\x003 ");
+    let refused = {
+        let at = bytes.windows(6).position(|window| window == b"\xe0\x7f\x10\0OW").unwrap();
+        let length = u32::from_le_bytes(bytes[at + 8..at + 12].try_into().unwrap());
+        bytes[at + 8..at + 12].copy_from_slice(&(3 * length).to_le_bytes());
+        let pixels = bytes[at + 12..].to_vec();
+        bytes.extend([pixels.clone(), pixels].concat());
+        read_bytes(&bytes).unwrap_err().to_string()
+    };
+    assert!(refused.contains("SpacingBetweenSlices (0018,0088)"), "{refused}");
+    let at = bytes.windows(PATIENT_POSITION.len()).position(|window| window == PATIENT_POSITION).unwrap();
+    // Behind the slice thickness, of 10 bytes.
+    bytes.splice(at + 10..at + 10, b"\x18\0\x88\0DS\x04\x002.50".iter().copied());
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("v.dcm");
+    std::fs::write(&path, &bytes).unwrap();
+    let (volume, info) = read_as(&path, &ReadOptions::default()).unwrap();
+    assert_eq!(volume.hu, usual.hu.repeat(3));
+    assert_eq!((volume.grid.dims()[2], volume.grid.spacing_m()[2]), (3, 2.5e-3));
+    assert_eq!(volume.grid.origin_m(), usual.grid.origin_m());
+    assert!(info.notes.iter().any(|note| note.contains("only the first frame has a position")), "{info}");
 }

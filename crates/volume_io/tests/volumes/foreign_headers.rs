@@ -4,15 +4,13 @@
 #![allow(clippy::unwrap_used, clippy::panic)]
 
 use crate::common::nifti_bytes::NiftiBytes;
-use std::io::Write;
+use crate::common::{gzip, store};
 use volume_io::{ReadOptions, SliceHandling, VolumeError, read, read_as, read_with_info};
 use voxel_grid::Volume;
 
 /// The volume of a file, and the notes on it.
 fn taken(name: &str, bytes: &[u8]) -> (Volume, String) {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join(name);
-    std::fs::write(&path, bytes).unwrap();
+    let (_folder, path) = store(name, bytes);
     let (volume, info) = read_with_info(&path).unwrap_or_else(|error| panic!("{name}: {error}"));
     (volume, info.notes.join("; "))
 }
@@ -28,6 +26,11 @@ fn text_headers_of_other_programs_are_read() {
         taken("v.nrrd", &[b"NRRD0005\n", before, fields.as_bytes(), after, b"\n", &[7; 48]].concat())
     };
     let usual = nrrd(b"", "little", b"");
+    let without_sizes =
+        "NRRD0004\ntype: short\ndimension: 3\nsizes: 2 3 4\nencoding: raw\nendian: little\n\n";
+    let (volume, notes) = taken("v.nrrd", &[without_sizes.as_bytes(), &[7; 48]].concat());
+    assert_eq!((volume.grid.spacing_m(), volume.hu.len()), ([1e-3; 3], 24));
+    assert!(notes.contains("no `spacings` given; assuming voxels of 1 mm"), "{notes}");
     assert_eq!(nrrd(b"# Sch\xe4del\n", "Little", b"Patient:=M\xfcller\n"), usual);
     assert_eq!(nrrd(b"", "LITTLE", b"type: short\n"), usual);
     let mha = |more: &[u8]| {
@@ -88,9 +91,7 @@ fn a_nifti_stack_of_a_tilted_gantry_is_rectified_on_request() {
             20 * k + 6 * j - 3 * k
         })
         .collect();
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("v.nii");
-    std::fs::write(&path, NiftiBytes::new([4, 9, 7], affine, &voxels).0).unwrap();
+    let (_folder, path) = store("v.nii", &NiftiBytes::new([4, 9, 7], affine, &voxels).0);
     assert!(matches!(read(&path), Err(VolumeError::Sheared { .. })));
     let options = ReadOptions { slices: SliceHandling::Rectify, ..ReadOptions::default() };
     let (volume, info) = read_as(&path, &options).unwrap();
@@ -109,16 +110,21 @@ fn a_nifti_stack_of_a_tilted_gantry_is_rectified_on_request() {
 
 /// Regression: bytes behind a gzip stream made the file unreadable.
 #[test]
-fn bytes_behind_a_gzip_stream_are_ignored() {
+fn bytes_behind_a_gzip_stream_are_ignored_with_a_note() {
     let file = NiftiBytes::new(
         [2, 3, 4],
         [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]],
         &[7; 24],
     )
     .0;
-    let mut encoder = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
-    encoder.write_all(&file).unwrap();
-    let packed = encoder.finish().unwrap();
+    let packed = gzip(&file);
     let usual = taken("v.nii.gz", &packed);
-    assert_eq!(taken("v.nii.gz", &[&packed, b"trailing".as_slice()].concat()), usual);
+    assert_eq!(taken("v.nii.gz", &[&packed, [0; 512].as_slice()].concat()), usual, "padding");
+    let (volume, notes) = taken("v.nii.gz", &[&packed, b"trailing".as_slice()].concat());
+    assert_eq!(volume, usual.0);
+    assert!(
+        notes.contains("bytes after the gzip data are ignored") && usual.1.is_empty(),
+        "{notes}; {}",
+        usual.1
+    );
 }

@@ -3,44 +3,19 @@
 // Helpers of tests may fail a test.
 #![allow(clippy::unwrap_used)]
 
-use crate::common::dicom_bytes::{DicomSlice, LOSSLESS_JPEG, write_series};
+use crate::common::dicom_bytes::{DicomSlice, LOSSLESS_JPEG};
 use crate::common::nifti_bytes::NiftiBytes;
+use crate::common::{gzip, near, read_bytes, series, store};
 use proptest::prelude::*;
 use std::io::Write;
-use std::path::{Path, PathBuf};
-use tempfile::TempDir;
+use std::path::Path;
 use volume_io::{VolumeError, read, read_with_info, volume_hash, write_nrrd};
 use voxel_grid::{Volume, VoxelGrid};
-
-fn store(name: &str, bytes: &[u8]) -> (TempDir, PathBuf) {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join(name);
-    std::fs::write(&path, bytes).unwrap();
-    (folder, path)
-}
-
-fn read_bytes(name: &str, bytes: &[u8]) -> Result<Volume, VolumeError> {
-    let (_folder, path) = store(name, bytes);
-    read(path)
-}
-
-fn gzip(bytes: &[u8]) -> Vec<u8> {
-    let mut encoder = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
-    encoder.write_all(bytes).unwrap();
-    encoder.finish().unwrap()
-}
 
 fn zlib(bytes: &[u8]) -> Vec<u8> {
     let mut encoder = flate2::write::ZlibEncoder::new(Vec::new(), flate2::Compression::fast());
     encoder.write_all(bytes).unwrap();
     encoder.finish().unwrap()
-}
-
-fn near(a: &[f64], b: &[f64], tolerance: f64) {
-    assert!(
-        a.iter().zip(b).all(|(x, y)| (x - y).abs() <= tolerance),
-        "{a:?} is not {b:?} within {tolerance}"
-    );
 }
 
 /// Voxels 0, 1, 2, … of a 2 x 3 x 4 volume.
@@ -270,7 +245,6 @@ fn metaimage_local_and_detached() {
 
 #[test]
 fn dicom_series_geometry() {
-    let folder = tempfile::tempdir().unwrap();
     // Oblique: rows along −y, columns along −z, so slices stack along −x × … = (−y) × (−z) = +x.
     let slices: Vec<DicomSlice> = [4.0, 0.0, 2.0]
         .map(|x| DicomSlice {
@@ -280,7 +254,7 @@ fn dicom_series_geometry() {
             ..DicomSlice::default()
         })
         .to_vec();
-    write_series(folder.path(), &slices);
+    let folder = series(&slices);
     let volume = read(folder.path()).unwrap();
     assert_eq!(volume.grid.dims(), [5, 4, 3]);
     // PixelSpacing 2\3: rows 2 mm apart, columns 3 mm apart.
@@ -355,10 +329,8 @@ fn writing_refuses_an_inconsistent_volume() {
 #[test]
 fn a_gantry_tilt_in_the_tags_alone_is_noted() {
     let notes = |gantry_tilt| {
-        let folder = tempfile::tempdir().unwrap();
         let slice = |z| DicomSlice { position_mm: [0.0, 0.0, z], gantry_tilt, ..DicomSlice::default() };
-        write_series(folder.path(), &[slice(0.0), slice(2.0), slice(4.0)]);
-        read_with_info(folder.path()).unwrap().1.notes.join("; ")
+        read_with_info(series(&[slice(0.0), slice(2.0), slice(4.0)]).path()).unwrap().1.notes.join("; ")
     };
     assert!(
         notes(Some("-15.5"))

@@ -7,7 +7,8 @@
 #![allow(clippy::unwrap_used)]
 
 use crate::common::dicom_bytes::{DicomSlice, JPEG_2000_SYNTAXES, jpeg_2000, jpeg_2000_of};
-use volume_io::{VolumeError, read};
+use crate::common::read_bytes;
+use volume_io::VolumeError;
 use voxel_grid::Volume;
 
 /// Start bytes of segments and fields in [`jpeg_2000`].
@@ -27,10 +28,7 @@ fn slice(rows: u16, columns: u16, codestream: Vec<u8>) -> DicomSlice {
 }
 
 fn read_slice(slice: &DicomSlice) -> Result<Volume, VolumeError> {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("v.dcm");
-    std::fs::write(&path, slice.bytes()).unwrap();
-    read(&path)
+    read_bytes("v.dcm", &slice.bytes())
 }
 
 /// The error of a slice of 5 x 4 pixels with a changed codestream.

@@ -4,9 +4,10 @@
 // Helpers of tests may fail a test.
 #![allow(clippy::unwrap_used)]
 
-use crate::common::dicom_bytes::{DicomSlice, JPEG_2000_SYNTAXES, LOSSLESS_JPEG, jpeg_2000, write_series};
+use crate::common::dicom_bytes::{DicomSlice, JPEG_2000_SYNTAXES, LOSSLESS_JPEG, jpeg_2000};
 use crate::common::nifti_bytes::NiftiBytes;
 use crate::common::shared_data::shared;
+use crate::common::{series, store};
 use proptest::prelude::*;
 use std::path::Path;
 use volume_io::{read, write_nrrd};
@@ -30,9 +31,7 @@ fn attempt(name: &str, bytes: &[u8], header: usize, (changes, keep): &Damage) {
         bytes[at] = *value;
     }
     bytes.truncate((keep * bytes.len() as f64) as usize);
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join(name);
-    std::fs::write(&path, bytes).unwrap();
+    let (_folder, path) = store(name, &bytes);
     check(&path);
 }
 
@@ -159,12 +158,11 @@ proptest! {
 
     #[test]
     fn dicom_folders(damage in damage(), z_mm in prop::collection::vec(-5.0..5.0_f64, 1..5)) {
-        let folder = tempfile::tempdir().unwrap();
         let slices: Vec<DicomSlice> = z_mm
             .iter()
             .map(|z| DicomSlice { position_mm: [0.0, 0.0, *z], ..DicomSlice::default() })
             .collect();
-        write_series(folder.path(), &slices);
+        let folder = series(&slices);
         let path = folder.path().join("000.dcm");
         let mut bytes = std::fs::read(&path).unwrap();
         for (place, value) in &damage.0 {

@@ -4,18 +4,16 @@
 // Helpers of tests may fail a test.
 #![allow(clippy::unwrap_used)]
 
-use crate::common::dicom_bytes::{DicomSlice, LOSSLESS_JPEG, write_series};
+use crate::common::dicom_bytes::{DicomSlice, LOSSLESS_JPEG};
 use crate::common::nifti_bytes::NiftiBytes;
+use crate::common::{self, gzip, read_bytes, store};
 use volume_io::{VolumeError, read};
 use voxel_grid::MAX_VOXELS;
 
 const IDENTITY_MM: [[f32; 4]; 3] = [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]];
 
 fn refuse(name: &str, bytes: &[u8]) -> VolumeError {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join(name);
-    std::fs::write(&path, bytes).unwrap();
-    let error = read(&path).unwrap_err();
+    let error = read_bytes(name, bytes).unwrap_err();
     println!("{error}");
     assert!(error.to_string().contains(name), "the message names the file: {error}");
     error
@@ -43,9 +41,7 @@ fn metaimage(fields: &str) -> VolumeError {
 }
 
 fn series(slices: &[DicomSlice]) -> VolumeError {
-    let folder = tempfile::tempdir().unwrap();
-    write_series(folder.path(), slices);
-    let error = read(folder.path()).unwrap_err();
+    let error = read(common::series(slices).path()).unwrap_err();
     println!("{error}");
     error
 }
@@ -130,11 +126,9 @@ fn more_promised_than_there_is() {
     let meta = "NDims = 3\nElementSpacing = 1 1 1\n";
     assert!(matches!(metaimage(&format!("{meta}DimSize = 800 800 800")), VolumeError::Truncated { .. }));
     // A gzip stream of a few bytes cannot hold 512 million voxels: refused before anything is decoded.
-    let mut encoder = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
     let mut file = NiftiBytes::new([800, 800, 800], IDENTITY_MM, &[]);
     file.put(112, &1.0_f32.to_le_bytes());
-    std::io::Write::write_all(&mut encoder, &file.0).unwrap();
-    assert!(matches!(refuse("v.nii.gz", &encoder.finish().unwrap()), VolumeError::Truncated { .. }));
+    assert!(matches!(refuse("v.nii.gz", &gzip(&file.0)), VolumeError::Truncated { .. }));
 }
 
 /// After raw voxels, ITK and nibabel ignore trailing data; for other encodings, extra data mean a wrong
@@ -143,9 +137,7 @@ fn more_promised_than_there_is() {
 fn more_data_than_the_header_says_is_refused_or_noted() {
     let header = |error: VolumeError| assert!(matches!(error, VolumeError::Header { .. }), "{error}");
     let noted = |name: &str, bytes: &[u8]| {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join(name);
-        std::fs::write(&path, bytes).unwrap();
+        let (_folder, path) = store(name, bytes);
         let (volume, info) = volume_io::read_with_info(&path).unwrap();
         assert_eq!(volume.hu.len(), 24, "{name}");
         assert!(
@@ -153,11 +145,6 @@ fn more_data_than_the_header_says_is_refused_or_noted() {
             "{:?}",
             info.notes
         );
-    };
-    let gzip = |bytes: &[u8]| {
-        let mut encoder = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
-        std::io::Write::write_all(&mut encoder, bytes).unwrap();
-        encoder.finish().unwrap()
     };
     let nifti = |count: usize| NiftiBytes::new([2, 3, 4], IDENTITY_MM, &vec![7; count]).0;
     noted("v.nii", &nifti(27));
@@ -188,7 +175,6 @@ fn nrrd_header() {
     let header = |error: VolumeError, name: &str| {
         assert!(matches!(&error, VolumeError::Header { field, .. } if field.name == name), "{name}: {error}");
     };
-    header(nrrd(lps), "space directions");
     header(nrrd(&format!("{lps}space directions: (1,0,0) (0,1,0)")), "space directions");
     header(nrrd(&format!("{lps}space directions: (1,0,0) (0,1,0) none")), "space directions");
     header(nrrd("type: short\ndimension: 3\nsizes: 2 -3 4\nspacings: 1 1 1"), "sizes");
@@ -353,14 +339,7 @@ fn files_that_are_not_volumes_are_refused() {
     assert!(matches!(read(folder.path().join("absent.nii")), Err(VolumeError::Io { .. })));
     let detached = "NRRD0005\ntype: short\ndimension: 3\nsizes: 2 3 4\nspacings: 1 1 1\nendian: \
                     little\nencoding: raw\ndata file: gone.raw\n";
-    assert!(matches!(refuse_io("v.nhdr", detached.as_bytes()), VolumeError::Io { .. }));
+    // The message names the missing file instead of the header.
+    assert!(matches!(read_bytes("v.nhdr", detached.as_bytes()), Err(VolumeError::Io { .. })));
     assert!(matches!(read("/dev/null"), Err(VolumeError::NotAVolume { .. })));
-}
-
-/// As `refuse`, for a message that names the missing file instead of the header.
-fn refuse_io(name: &str, bytes: &[u8]) -> VolumeError {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join(name);
-    std::fs::write(&path, bytes).unwrap();
-    read(&path).unwrap_err()
 }

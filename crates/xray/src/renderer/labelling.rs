@@ -1,14 +1,16 @@
-//! Labels of a frame: one walk through the voxels per pixel.
+//! Labels of a frame: one walk through the voxels per pixel. The walks of the last frame are kept; in the
+//! next frame of the same C-arm only the rays that meet a voxel removed since then are walked again.
 
 use pulp::Arch;
 use rayon::prelude::*;
 use smallvec::SmallVec;
 
-use super::DrrRenderer;
+use super::standing::DirtyMarker;
+use super::{DrrRenderer, Projector};
 use crate::attenuation::Material;
 use crate::carm::{CArm, PixelBox};
 use crate::error::DrrError;
-use crate::grid::VolumeView;
+use crate::grid::{Grid, VolumeView};
 use crate::label_walk::{Piece, SlabWalk, Visit};
 use crate::labels::{Class, LabelRequest, Labels, keypoints};
 use crate::lanes::lanes;
@@ -18,14 +20,17 @@ use crate::siddon;
 use crate::solids::SolidLayer;
 use crate::tool::{PreparedPart, SeenPart, join_intervals};
 
+/// Rays that a thread walks at a time.
+const WALKED_TOGETHER: usize = 64;
+
 impl DrrRenderer {
-    /// Labels a frame of the current voxels. Depends on the same inputs as a frame, except for the seed;
-    /// neither reads nor changes a cache.
+    /// Labels a frame of the current voxels. Depends on the same inputs as a frame, except for the seed, and
+    /// not on earlier frames; does not change what [`DrrRenderer::render`] caches.
     ///
     /// # Errors
     /// The view has another grid, or the C-arm or the tool is invalid.
     pub fn labels(
-        &self,
+        &mut self,
         view: &VolumeView<'_>,
         c_arm: &CArm,
         request: &LabelRequest<'_>,
@@ -34,6 +39,8 @@ impl DrrRenderer {
         c_arm.validate()?;
         let prepared = request.tool.prepared().collect::<Result<Vec<PreparedPart>, DrrError>>()?;
         let fan = RayFan::new(&self.grid, c_arm);
+        let kept = self.labelled.take();
+        let kept = kept.filter(|kept| kept.c_arm == *c_arm && kept.bone_from_hu == request.bone_from_hu);
         let mut arm = SolidLayer::default();
         self.pool.install(|| arm.draw(request.tool.arm.as_ref(), c_arm, &fan));
         let labeller = Labeller {
@@ -49,11 +56,15 @@ impl DrrRenderer {
         };
         let columns = c_arm.columns as usize;
         let mut pixels = vec![PixelLabel::default(); c_arm.pixels()];
-        self.pool.install(|| {
-            pixels.par_chunks_mut(columns).enumerate().for_each(|(row, pixels)| {
-                Arch::new().dispatch(RowOfLabels { labeller: &labeller, row: row as u32, pixels });
+        let voxels = self.pool.install(|| {
+            let voxels = labeller.updated(kept, c_arm);
+            let rows = pixels.par_chunks_mut(columns).zip(voxels.along.par_chunks(columns)).enumerate();
+            rows.for_each(|(row, (pixels, voxels))| {
+                Arch::new().dispatch(RowOfLabels { labeller: &labeller, row: row as u32, voxels, pixels });
             });
+            voxels
         });
+        self.labelled = Some(voxels);
         let image = |of: fn(&PixelLabel) -> f32| pixels.iter().map(of).collect();
         Ok(Labels {
             columns: c_arm.columns,
@@ -126,9 +137,28 @@ pub(crate) struct PixelLabel {
     bone_depth_m: f32,
 }
 
+/// The voxels on the rays of a C-arm.
+pub(super) struct StandingLabels {
+    c_arm: CArm,
+    bone_from_hu: i16,
+    along: Vec<AlongVoxels>,
+    /// True for pixels in `dirty_list`.
+    dirty: Vec<bool>,
+    /// Pixels whose rays meet voxels removed since they were walked.
+    dirty_list: Vec<u32>,
+}
+
+impl StandingLabels {
+    /// Returns the marker of the pixels that a removed voxel affects.
+    pub fn marker(&mut self, grid: &Grid) -> DirtyMarker<'_> {
+        let Self { c_arm, dirty, dirty_list, .. } = self;
+        DirtyMarker::of(dirty, dirty_list, c_arm, grid, Projector::Siddon)
+    }
+}
+
 /// The voxels on a ray.
-#[derive(Default)]
-struct AlongVoxels {
+#[derive(Debug, Clone, Default)]
+pub(crate) struct AlongVoxels {
     /// Integrals of the renderer's layers.
     tissue: f64,
     cortical: f64,
@@ -189,26 +219,80 @@ pub(crate) struct Labeller<'a> {
 }
 
 lanes! {
-    /// Labels a row of pixels.
-    RowOfLabels { labeller: &'a Labeller<'a>, row: u32, pixels: &'a mut [PixelLabel] } -> () {
-        for (column, pixel) in pixels.iter_mut().enumerate() {
-            *pixel = labeller.label(column as u32, row);
+    /// Labels a row of pixels, given the voxels on its rays.
+    RowOfLabels {
+        labeller: &'a Labeller<'a>, row: u32, voxels: &'a [AlongVoxels], pixels: &'a mut [PixelLabel]
+    } -> () {
+        for ((column, pixel), voxels) in pixels.iter_mut().enumerate().zip(voxels) {
+            *pixel = labeller.label(column as u32, row, voxels);
+        }
+    }
+}
+
+lanes! {
+    /// Walks the rays of a row of pixels.
+    RowOfVoxels { labeller: &'a Labeller<'a>, row: u32, voxels: &'a mut [AlongVoxels] } -> () {
+        for (column, voxels) in voxels.iter_mut().enumerate() {
+            *voxels = labeller.along_voxels(&labeller.fan.index_ray(column as u32, row));
+        }
+    }
+}
+
+lanes! {
+    /// Walks the rays of some pixels.
+    SomeVoxels {
+        labeller: &'a Labeller<'a>, columns: u32, pixels: &'a [u32], voxels: &'a mut [AlongVoxels]
+    } -> () {
+        for (pixel, voxels) in pixels.iter().zip(voxels) {
+            let ray = labeller.fan.index_ray(pixel % columns, pixel / columns);
+            *voxels = labeller.along_voxels(&ray);
         }
     }
 }
 
 impl Labeller<'_> {
+    /// Returns the voxels on all rays; those of an earlier frame of the C-arm are walked again where voxels
+    /// were removed since.
+    fn updated(&self, kept: Option<StandingLabels>, c_arm: &CArm) -> StandingLabels {
+        let columns = c_arm.columns;
+        let Some(mut kept) = kept else {
+            let mut along = vec![AlongVoxels::default(); c_arm.pixels()];
+            along.par_chunks_mut(columns as usize).enumerate().for_each(|(row, voxels)| {
+                Arch::new().dispatch(RowOfVoxels { labeller: self, row: row as u32, voxels });
+            });
+            let (dirty, dirty_list) = (vec![false; c_arm.pixels()], Vec::new());
+            return StandingLabels {
+                c_arm: *c_arm,
+                bone_from_hu: self.bone_from_hu,
+                along,
+                dirty,
+                dirty_list,
+            };
+        };
+        let list = core::mem::take(&mut kept.dirty_list);
+        let mut again = vec![AlongVoxels::default(); list.len()];
+        list.par_chunks(WALKED_TOGETHER).zip(again.par_chunks_mut(WALKED_TOGETHER)).for_each(
+            |(pixels, voxels)| {
+                Arch::new().dispatch(SomeVoxels { labeller: self, columns, pixels, voxels });
+            },
+        );
+        for (&pixel, voxels) in list.iter().zip(again) {
+            kept.dirty[pixel as usize] = false;
+            kept.along[pixel as usize] = voxels;
+        }
+        kept
+    }
+
     #[inline(always)]
-    fn label(&self, column: u32, row: u32) -> PixelLabel {
+    fn label(&self, column: u32, row: u32, voxels: &AlongVoxels) -> PixelLabel {
         let ray = self.fan.world_ray(column, row);
         let index_ray = self.fan.index_ray_of(column, row, &ray);
-        let voxels = self.along_voxels(&index_ray);
         let mut tool = self.along_tool(column, row, &ray);
         if let Some([arm_m]) = self.arm.row(row as usize, column as usize, 1) {
             tool.metal += self.renderer.aluminium_per_m * arm_m;
             tool.lengths_m[Material::Aluminium.index()] += arm_m;
         }
-        let (anatomy, metal) = self.attenuations(&index_ray, &voxels, &mut tool);
+        let (anatomy, metal) = self.attenuations(&index_ray, voxels, &mut tool);
         let bit = |there: bool, class: Class| if there { class.bit() } else { 0 };
         let depth_m = |at: Option<f64>| at.map_or(f32::NAN, |at| (at * self.source_detector_m) as f32);
         PixelLabel {

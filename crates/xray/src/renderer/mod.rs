@@ -27,6 +27,7 @@ use crate::spectrum::SpectrumTable;
 use crate::tool::Tool;
 use crate::tool_layer::{DisplacedAnatomy, PlacedTool};
 use batch::Lane;
+use labelling::StandingLabels;
 use layer::{Layer, LayerWork};
 use standing::{CachedView, DirtyMarker};
 
@@ -47,6 +48,8 @@ pub struct DrrRenderer {
     standing: Option<CachedView>,
     /// Memory for the next one-off frame; while one is being rendered, the cached image.
     aside: Option<CachedView>,
+    /// The voxels on the rays of the last labelled frame.
+    labelled: Option<StandingLabels>,
     /// One per thread, created by the first batch.
     lanes: Vec<Mutex<Lane>>,
 }
@@ -98,6 +101,7 @@ impl DrrRenderer {
             pool,
             standing: None,
             aside: None,
+            labelled: None,
             lanes: Vec::new(),
         })
     }
@@ -156,6 +160,7 @@ impl DrrRenderer {
         self.removed.check(batch)?;
         let traced = self.standing.as_mut().filter(|s| s.traced && !s.anatomy.is_empty());
         let mut marker = traced.map(|s| DirtyMarker::new(s, &self.grid, self.parameters.projector));
+        let mut labelled = self.labelled.as_mut().map(|labelled| labelled.marker(&self.grid));
         let mut new = 0;
         for &index in batch {
             let linear = index as usize;
@@ -169,8 +174,13 @@ impl DrrRenderer {
             if let Some(bone) = &mut self.bone {
                 changed |= bone.remove(view, linear, voxel, hu)?;
             }
+            let centre_m = || self.grid.index_to_world(voxel.map(|v| v as f64));
             if let Some(marker) = marker.as_mut().filter(|_| changed) {
-                marker.mark(self.grid.index_to_world(voxel.map(|v| v as f64)));
+                marker.mark(centre_m());
+            }
+            // The length of bone and tunnel changes even where the attenuation does not.
+            if let Some(marker) = &mut labelled {
+                marker.mark(centre_m());
             }
         }
         Ok(new)
@@ -187,6 +197,7 @@ impl DrrRenderer {
             layer.restore(view);
         }
         self.standing = None;
+        self.labelled = None;
         Ok(())
     }
 

@@ -84,16 +84,27 @@ pub(super) struct DirtyMarker<'a> {
 
 impl<'a> DirtyMarker<'a> {
     pub fn new(standing: &'a mut CachedView, grid: &Grid, projector: Projector) -> Self {
+        Self::of(&mut standing.dirty, &mut standing.dirty_list, &standing.c_arm, grid, projector)
+    }
+
+    /// Marks in `dirty` and `list`, which belong to the image of this C-arm.
+    pub fn of(
+        dirty: &'a mut [bool],
+        list: &'a mut Vec<u32>,
+        c_arm: &CArm,
+        grid: &Grid,
+        projector: Projector,
+    ) -> Self {
         let reach = match projector {
             Projector::Siddon => REACH_SIDDON,
             _ => REACH_JOSEPH,
         };
         Self {
-            dirty: &mut standing.dirty,
-            list: &mut standing.dirty_list,
-            pinhole: standing.c_arm.pinhole(),
-            columns: standing.c_arm.columns,
-            rows: standing.c_arm.rows,
+            dirty,
+            list,
+            pinhole: c_arm.pinhole(),
+            columns: c_arm.columns,
+            rows: c_arm.rows,
             half_m: grid.axis_steps_m().map(|s| scale(s, reach)),
         }
     }

@@ -169,7 +169,7 @@ fn labels_of_another_grid_or_an_impossible_tool_are_refused() {
     let grid = Grid::centred([4, 4, 4], [1e-3; 3]).unwrap();
     let hu = vec![0; 64];
     let view = VolumeView::new(grid, &hu).unwrap();
-    let renderer = DrrRenderer::new(&view, DrrParameters::default(), &Desk).unwrap();
+    let mut renderer = DrrRenderer::new(&view, DrrParameters::default(), &Desk).unwrap();
     let wide = ToolPart::Sphere { centre_m: [0.0; 3], radius_m: 2.0, material: Material::Steel316L };
     let tool = Tool { parts: vec![wide], arm: None };
     let request = LabelRequest { tool: &tool, burr: 0, points_m: &[], bone_from_hu: 0 };
@@ -189,13 +189,53 @@ fn air_is_bone_if_asked_for() {
     let grid = Grid::centred([40, 40, 40], [1e-3; 3]).unwrap();
     let hu = vec![-1000; grid.voxels()];
     let view = VolumeView::new(grid, &hu).unwrap();
-    let renderer = DrrRenderer::new(&view, DrrParameters::default(), &Desk).unwrap();
+    let mut renderer = DrrRenderer::new(&view, DrrParameters::default(), &Desk).unwrap();
     let c_arm = c_arm(0.0, 0.0, 9, 0.009);
     let tool = Tool::default();
-    let length_m = |bone_from_hu| {
+    let mut length_m = |bone_from_hu| {
         let request = LabelRequest { tool: &tool, burr: 0, points_m: &[], bone_from_hu };
         renderer.labels(&view, &c_arm, &request).unwrap().bone_m[4 * 9 + 4]
     };
     assert!((length_m(-1000) - 0.04).abs() < 1e-9, "{}", length_m(-1000));
     assert_eq!(length_m(-999), 0.0);
+}
+
+/// The renderer keeps the walks through the voxels for the next frame of the C-arm: as many as there are
+/// pixels took a second for a frame of which removed voxels change a few hundred.
+#[test]
+fn labels_do_not_depend_on_earlier_frames() {
+    let (grid, hu, removed) = turned_volume();
+    let view = VolumeView::new(grid, &hu).unwrap();
+    let (c_arm, other) = (c_arm(44.0, 35.0, 90, 0.09), c_arm(10.0, 80.0, 64, 0.12));
+    let tool = whole_tool();
+    let request =
+        |bone_from_hu| LabelRequest { tool: &tool, burr: tool.parts.len() - 1, points_m: &[], bone_from_hu };
+    let fresh = |gone: &[u32], c_arm: &CArm, bone_from_hu| {
+        let mut renderer = DrrRenderer::new(&view, DrrParameters::default(), &Desk).unwrap();
+        renderer.remove(&view, gone).unwrap();
+        // Depths outside of bone are not numbers, which equal nothing.
+        format!("{:?}", renderer.labels(&view, c_arm, &request(bone_from_hu)).unwrap())
+    };
+    let mut renderer = DrrRenderer::new(&view, DrrParameters::default(), &Desk).unwrap();
+    let mut last = String::new();
+    for part in 0..4 {
+        let count = removed.len() * part / 3;
+        renderer.remove(&view, &removed[..count]).unwrap();
+        let frames = [
+            (&c_arm, BONE_FROM_HU),
+            (&c_arm, BONE_FROM_HU),
+            (&c_arm, 100),
+            (&other, 100),
+            (&c_arm, BONE_FROM_HU),
+        ];
+        for (c_arm, bone_from_hu) in if part == 2 { &frames[..] } else { &frames[..2] } {
+            let labels = format!("{:?}", renderer.labels(&view, c_arm, &request(*bone_from_hu)).unwrap());
+            assert!(labels == fresh(&removed[..count], c_arm, *bone_from_hu), "part {part}");
+            assert!(part == 0 || labels != last, "the removed voxels are not in the image");
+        }
+        last = format!("{:?}", renderer.labels(&view, &c_arm, &request(BONE_FROM_HU)).unwrap());
+    }
+    renderer.restore_all(&view).unwrap();
+    let labels = format!("{:?}", renderer.labels(&view, &c_arm, &request(BONE_FROM_HU)).unwrap());
+    assert!(labels == fresh(&[], &c_arm, BONE_FROM_HU), "all restored");
 }

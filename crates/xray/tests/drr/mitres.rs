@@ -75,22 +75,13 @@ fn the_metal_at_a_joint_is_that_of_the_ellipse_in_its_plane() {
 /// A straight tool has flat ends, bit-identical to parts without mitres.
 #[test]
 fn links_in_line_end_flat() {
-    let tool = tool_of(&bent(0.0).0, &STANDARD_RADII, &STANDARD_HOLDER, None);
-    assert!(
-        tool.parts
-            .iter()
-            .all(|part| matches!(part, ToolPart::Sphere { .. } | ToolPart::Tube { normals: None, .. })),
-        "{tool:?}"
-    );
-    assert_eq!(tool.parts.len(), 11);
-    // So oblique that a mitre would protrude by more than the tube's width.
-    let tool = tool_of(&bent(2.2).0, &STANDARD_RADII, &STANDARD_HOLDER, None);
-    assert!(
-        tool.parts
-            .iter()
-            .all(|part| matches!(part, ToolPart::Sphere { .. } | ToolPart::Tube { normals: None, .. })),
-        "{tool:?}"
-    );
+    let is_flat =
+        |part: &ToolPart| matches!(part, ToolPart::Sphere { .. } | ToolPart::Tube { normals: None, .. });
+    // In line, and so oblique that a mitre would protrude by more than the tube's width.
+    for turn_rad in [0.0, 2.2] {
+        let tool = tool_of(&bent(turn_rad).0, &STANDARD_RADII, &STANDARD_HOLDER, None);
+        assert!(tool.parts.len() == 11 && tool.parts.iter().all(is_flat), "{tool:?}");
+    }
 }
 
 /// With the base 200 mm in front of the flange, the shaft continues to the 60 mm holder: a straight ray along

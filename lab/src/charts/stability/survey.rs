@@ -6,6 +6,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use hub::in_process::{Answer, InProcess, InProcessError};
 use ipc_types::messages::{ArmMode, BurrMode, Command, TendonMode};
+use ipc_types::scene::ManipulatorRung;
 use rayon::prelude::*;
 use serde_json::json;
 use simulation::{CtView, Simulation, SimulationError, findings};
@@ -17,6 +18,8 @@ use trabecula::failure::Failure;
 
 /// Maximum speed of the burr without an explanation, m/s.
 const FAST_M_PER_S: f64 = 50.0;
+/// Largest angle past a stop, rad: 0.1 degrees.
+const MOST_PAST_STOP_RAD: f64 = 0.1 * core::f64::consts::PI / 180.0;
 /// Evaluated part of the rest.
 const JUDGED_S: f64 = 0.5 * REST_S;
 
@@ -37,6 +40,10 @@ enum Class {
     Fast,
     /// It oscillates at rest.
     Chatter,
+    /// A flexure passed its stop.
+    PastStop,
+    /// A tick created energy.
+    Creating,
 }
 
 impl Class {
@@ -49,6 +56,8 @@ impl Class {
             Class::NotFinite => "not finite",
             Class::Fast => "fast without a cause",
             Class::Chatter => "chatter at rest",
+            Class::PastStop => "past a stop",
+            Class::Creating => "energy created",
         }
     }
 }
@@ -75,8 +84,8 @@ struct Count {
 }
 
 /// Runs `count` scenes from `seed` on; prints each unsound one, and the counts. Returns the number that are
-/// not finite, fail with an error other than a lost tool, or are lost, chatter or are fast without a cause
-/// and without a warning.
+/// not finite, fail with an error other than a lost tool, or are lost, chatter, are fast without a cause,
+/// pass a stop or create energy without a warning.
 ///
 /// # Errors
 /// A scene cannot be drawn.
@@ -116,11 +125,14 @@ pub fn run(count: u64, seed: u64, sheet: &mut Sheet) -> Result<usize, Failure> {
     Ok(counts.iter().map(|(class, count)| wrong(*class, count)).sum())
 }
 
-/// Returns the number of unacceptable scenes: a warning excuses a lost solution, chatter or too fast a burr.
+/// Returns the number of unacceptable scenes: a warning excuses all but errors and numbers that are not
+/// finite.
 fn wrong(class: Class, count: &Count) -> usize {
     match class {
         Class::Sound | Class::Refused => 0,
-        Class::Lost | Class::Chatter | Class::Fast => count.all - count.warned,
+        Class::Lost | Class::Chatter | Class::Fast | Class::PastStop | Class::Creating => {
+            count.all - count.warned
+        }
         Class::Failed | Class::NotFinite => count.all,
     }
 }
@@ -185,8 +197,22 @@ fn verdict(watch: &Watch, drawn: &Drawn) -> Seen {
         let what = format!("{:.0} m/s, the tendons explain {explained:.0}", watch.fastest_m_per_s);
         return Seen { class: Class::Fast, what };
     }
-    watch.chatter().map_or(Seen { class: Class::Sound, what: String::new() }, |chatter| {
+    if let Some(chatter) = watch.chatter() {
         let (um, percent) = (chatter.to_and_fro_m * 1e6, chatter.turned_back * 100.0);
-        Seen { class: Class::Chatter, what: format!("{um:.0} um per tick, {percent:.0} % turn back") }
-    })
+        return Seen {
+            class: Class::Chatter,
+            what: format!("{um:.0} um per tick, {percent:.0} % turn back"),
+        };
+    }
+    // The modal model is known not to hold its stops, and a run says so.
+    if watch.past_stop_rad > MOST_PAST_STOP_RAD
+        && drawn.scene.manipulator.model != Some(ManipulatorRung::Modal)
+    {
+        let what = format!("{:.3} degrees", watch.past_stop_rad.to_degrees());
+        return Seen { class: Class::PastStop, what };
+    }
+    if watch.created_j > 0.0 {
+        return Seen { class: Class::Creating, what: format!("{:.3} mJ", watch.created_j * 1e3) };
+    }
+    Seen { class: Class::Sound, what: String::new() }
 }

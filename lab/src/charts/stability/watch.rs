@@ -33,6 +33,10 @@ pub struct Watch {
     pub fastest_m_per_s: f64,
     /// The first tick with a non-finite published number.
     pub not_finite: Option<u64>,
+    /// Largest angle of a flexure past its stop.
+    pub past_stop_rad: f64,
+    /// Energy that ticks created beyond the integrator's error, J.
+    pub created_j: f64,
 }
 
 impl Watch {
@@ -41,6 +45,8 @@ impl Watch {
         if !is_finite(state) {
             self.not_finite.get_or_insert(state.tick);
         }
+        self.past_stop_rad = self.past_stop_rad.max(state.stop_excess_rad);
+        self.created_j = state.energy_created_j;
         let burr = Vector3::from(state.t_world_burr.position_m);
         let moved = self.last.map_or(Vector3::zeros(), |last| burr - last);
         let dt_s = state.sim_time_s / state.tick as f64;
@@ -92,6 +98,8 @@ fn is_finite(state: &State) -> bool {
         state.stop_excess_rad,
         state.cutting_energy_j,
         state.crushing_energy_j,
+        state.tool_energy_j,
+        state.numerical_energy_j,
     ];
     lists.iter().all(|list| list.iter().all(|value| value.is_finite()))
         && single.iter().all(|value| value.is_finite())

@@ -194,6 +194,7 @@ fn a_scene_with_bodies_counts_a_wall() {
                 = \"fixed\", position_mm = [30.0, 0.0, 0.0] }]";
     let place = Place::new();
     let [without, with] = ["", body].map(|body| place.table(&scene(body, Some(RIGID))).rows);
+    assert!(with.len() == without.len() && with.iter().any(|row| row.settings.rung >= Rung::Spatial));
     for (without, with) in without.iter().zip(&with) {
         let is_planar = with.settings.rung < Rung::Spatial;
         assert_ne!(is_planar, with.free_path_mm.is_finite(), "{with:?}");

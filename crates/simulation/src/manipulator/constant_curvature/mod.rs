@@ -87,9 +87,11 @@ impl ConstantCurvature {
         let total: f64 = lumps.iter().map(|lump| lump.mass_kg).sum();
         let (edges_m, channels) = (p.cell_edges_m(), Channels::of(p));
         // The stops of the flexures act in series.
+        let one = p.stop_law();
         let stop = StopLaw {
-            limit_rad: joints * p.joint_limit_rad,
-            stiffness_nm_per_rad: p.joint_stop_stiffness_nm_per_rad / joints,
+            limit_rad: joints * one.limit_rad,
+            stiffness_nm_per_rad: one.stiffness_nm_per_rad / joints,
+            soft_rad: joints * one.soft_rad,
         };
         let room = StateSizes { freedoms: 4, stops: 1, contacts: MAX_CONTACTS };
         let common = Common::new(Rung::ConstantCurvature, parameters, base, total, first, room);
@@ -162,11 +164,9 @@ impl ManipulatorModel for ConstantCurvature {
         }
     }
 
-    fn straighten(&mut self) {
-        self.common.straighten();
-        self.follow_state();
-        let straight_rad = -self.rest_rad;
-        self.common.set_take_up(&self.channels, |t| self.channels.offset_m[t][0] * straight_rad);
+    fn update_take_up(&mut self) {
+        let bent_rad = self.deflection()[3];
+        self.common.set_take_up(&self.channels, |t| self.channels.offset_m[t][0] * bent_rad);
     }
 
     fn rest_rad(&self, joint: usize) -> f64 {
@@ -191,6 +191,19 @@ impl ManipulatorModel for ConstantCurvature {
         let (bend, from_rest, v) = (self.position()[3], self.deflection(), self.velocity());
         let elastic = from_rest.component_mul(&self.stiffness).dot(&from_rest);
         0.5 * (elastic + v.dot(&(mass_matrix(&self.lumps, &self.arc, bend) * v)))
+    }
+
+    fn damping_w(&self) -> f64 {
+        let v = self.velocity();
+        self.damping.component_mul(&v).dot(&v)
+    }
+
+    fn mass_moment_kg_m(&self) -> Vector3<f64> {
+        let q = self.position();
+        self.lumps.iter().fold(Vector3::zeros(), |sum, lump| {
+            let [x, z] = self.arc.place(lump.z_m, q[3]).point;
+            sum + Vector3::new(q[0] + x, q[1], q[2] + z) * lump.mass_kg
+        })
     }
 }
 

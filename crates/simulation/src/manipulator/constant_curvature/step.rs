@@ -179,7 +179,11 @@ impl ConstantCurvature {
         );
         let from_rest = q[BEND] - self.rest_rad;
         let last_nm = self.common.state.stop_torque_nm[0];
-        solver.collect_stop((dt, &self.stop), BEND, (from_rest, free[BEND]), last_nm);
+        if solver.is_empty() {
+            solver.collect_stop((dt, &self.stop), (BEND, false), (from_rest, free[BEND]), last_nm);
+        } else {
+            solver.collect_both_stops((dt, &self.stop), BEND, from_rest, last_nm);
+        }
         if solver.is_empty() {
             return free;
         }
@@ -201,7 +205,7 @@ impl ConstantCurvature {
     fn store(&mut self, dt: f64, drive: &BaseDrive, moment: &mut Vector3<f64>, report: &mut StepReport) {
         self.common.store_contacts(&self.contact, dt, drive, moment, report);
         let mut torque = 0.0;
-        self.contact.stop_torques(dt, |_, value| torque = value);
+        self.contact.stop_torques(dt, |_, value| torque += value);
         self.common.state.stop_torque_nm[0] = torque;
         report.stopped_joint_count = usize::from(torque != 0.0) * self.joint_count();
     }

@@ -34,6 +34,10 @@ const SEARCH_SHARE: f64 = 0.01;
 /// Maximum evaluations of a search.
 const SEARCH_EVALUATIONS: usize = 20;
 
+/// Residual, relative to the tolerance, beyond which a solve starts again from the free motion: the last
+/// tick's impulses can lead it far away, from where each step is short.
+const LOST_SHARE: f64 = 1.0e3;
+
 /// Outcome of a solve.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(in crate::manipulator) struct Outcome {
@@ -69,16 +73,29 @@ impl<const N: usize, O: Operator<N>> pulp::WithSimd for Problem<'_, N, O> {
 }
 
 impl<const N: usize, O: Operator<N>> Problem<'_, N, O> {
-    /// Iterates until every row satisfies its law within the tolerance, or the iteration limit is reached.
-    /// Leaves the impulses in the rows.
+    /// Iterates until every row satisfies its law within the tolerance, or the iteration limit is reached; in
+    /// that case, iterates again from the free motion. Leaves the impulses in the rows.
     #[inline(always)]
     fn solve<S: pulp::Simd>(&mut self, simd: S) -> Outcome {
         self.start(simd);
+        let mut outcome = self.iterate(simd, true);
+        if outcome.residual > LOST_SHARE * self.parameters.tolerance_m_per_s {
+            self.drop_impulses();
+            let again = self.iterate(simd, false);
+            outcome = Outcome { iterations: outcome.iterations + again.iterations, ..again };
+        }
+        self.settle();
+        outcome
+    }
+
+    /// Iterates from the present impulses; `warm` if they are the last tick's.
+    #[inline(always)]
+    fn iterate<S: pulp::Simd>(&mut self, simd: S, warm: bool) -> Outcome {
         let mut outcome = Outcome { iterations: 0, residual: f64::INFINITY };
         while outcome.residual > self.parameters.tolerance_m_per_s
             && outcome.iterations < self.parameters.max_iterations
         {
-            let first = outcome.iterations == 0;
+            let first = warm && outcome.iterations == 0;
             outcome.iterations += 1;
             self.newton_step(simd, first);
             let length = if first { 1.0 } else { self.search() };
@@ -90,8 +107,19 @@ impl<const N: usize, O: Operator<N>> Problem<'_, N, O> {
                 self.row.iter_mut().for_each(|row| row.renew(share));
             }
         }
-        self.settle();
         outcome
+    }
+
+    /// Returns to the free motion.
+    #[inline(always)]
+    fn drop_impulses(&mut self) {
+        for row in self.row.iter_mut() {
+            (row.impulse, row.speed) = ([0.0; 3], row.drive);
+            row.begin();
+        }
+        for row in self.stop.iter_mut() {
+            (row.stop.impulse, row.rate) = (0.0, row.free);
+        }
     }
 
     /// Computes the free speeds and mobilities of the rows, and the speeds under the last tick's impulses.
@@ -123,7 +151,7 @@ impl<const N: usize, O: Operator<N>> Problem<'_, N, O> {
         self.chain.mobilities(
             simd,
             |freedom, mobility| {
-                if next_stop < stop.len() && stop[next_stop].freedom == freedom {
+                while next_stop < stop.len() && stop[next_stop].freedom == freedom {
                     stop[next_stop].mobility = mobility + stop[next_stop].stop.compliance;
                     next_stop += 1;
                 }

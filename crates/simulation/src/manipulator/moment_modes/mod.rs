@@ -21,7 +21,7 @@ mod spheres;
 mod step;
 mod tendons;
 
-use nalgebra::Isometry3;
+use nalgebra::{Isometry3, Vector3};
 
 use super::common::{Common, StateSizes};
 use super::contact::{ContactSolver, Dense, Factor};
@@ -205,6 +205,10 @@ impl<const N: usize> ManipulatorModel for MomentModes<N> {
         // Projects onto the modes, which are orthonormal under the compliance.
         self.common.state.position.copy_from_slice(&self.basis.project(&moment));
         self.follow_state();
+        self.update_take_up();
+    }
+
+    fn update_take_up(&mut self) {
         let Self { common, tendons: Tendons { channels, .. }, bent, .. } = self;
         common.set_take_up(channels, |t| bent.take_up_m(channels, t));
     }
@@ -237,6 +241,20 @@ impl<const N: usize> ManipulatorModel for MomentModes<N> {
             energy += 0.5 * (self.links.mass_kg[l] * squared + self.links.inertia_kg_m2[l] * omega * omega);
         }
         energy
+    }
+
+    fn damping_w(&self) -> f64 {
+        let [_, v] = self.freedoms();
+        let modes: f64 = v[MOUNT..].iter().map(|rate| self.damping_s * rate * rate).sum();
+        self.common.mount_damping_w() + modes
+    }
+
+    fn mass_moment_kg_m(&self) -> Vector3<f64> {
+        let across_m = self.common.state.position[1];
+        (0..=self.links.joints).fold(Vector3::zeros(), |sum, link| {
+            let [x, z] = self.shape.point(link, self.links.centre_m[link]);
+            sum + Vector3::new(x, across_m, z) * self.links.mass_kg[link]
+        })
     }
 }
 

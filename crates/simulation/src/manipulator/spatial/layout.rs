@@ -94,6 +94,15 @@ impl<const D: usize> SpatialLayout<D> {
     pub fn bend(&self, joint: usize) -> usize {
         MOUNT + joint * D + Self::BEND
     }
+
+    /// Returns the indices of the coordinates that have stops: bending in the plane and, in space, across it.
+    pub fn stopped(&self) -> impl Iterator<Item = usize> + use<D> {
+        let bends = 1 + usize::from(D > 1);
+        (0..self.joints).flat_map(move |joint| {
+            let bend = MOUNT + joint * D + Self::BEND;
+            bend..bend + bends
+        })
+    }
 }
 
 /// Link poses in base axes.

@@ -18,7 +18,7 @@ mod loads;
 mod step;
 mod tendon;
 
-use nalgebra::{Isometry3, Rotation3, Translation3, UnitQuaternion};
+use nalgebra::{Isometry3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
 use super::common::{Common, StateSizes};
 use super::contact::ContactSolver;
@@ -158,9 +158,7 @@ impl<const D: usize> ManipulatorModel for SpatialChain<D> {
         }
     }
 
-    fn straighten(&mut self) {
-        self.common.straighten();
-        self.follow_state();
+    fn update_take_up(&mut self) {
         let Self { common, tendon, layout, .. } = self;
         let position = common.state.position.clone();
         common.set_take_up(&tendon.channels, |t| tendon.take_up(layout, &position, t));
@@ -197,6 +195,20 @@ impl<const D: usize> ManipulatorModel for SpatialChain<D> {
 
     fn energy_j(&self) -> f64 {
         self.energy_of(&self.configuration, &self.common.state.position, &self.common.state.velocity)
+    }
+
+    fn damping_w(&self) -> f64 {
+        self.damping
+            .iter()
+            .zip(&self.common.state.velocity)
+            .map(|(damping, rate)| damping * rate * rate)
+            .sum()
+    }
+
+    fn mass_moment_kg_m(&self) -> Vector3<f64> {
+        self.layout.body.iter().enumerate().fold(Vector3::zeros(), |sum, (link, body)| {
+            sum + self.configuration.point(link, body.centre_m) * body.mass_kg
+        })
     }
 }
 

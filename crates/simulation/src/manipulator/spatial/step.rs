@@ -14,7 +14,7 @@ use crate::manipulator::geometry::SphereLayout;
 use crate::manipulator::loads::Frame;
 use crate::manipulator::parameters::Integrator;
 use crate::manipulator::state::{StepInput, StepReport};
-use crate::manipulator::step::{FREE_SHARE, GAMMA, MAX_ROUNDS, Stage};
+use crate::manipulator::step::{FREE_SHARE, GAMMA, MAX_ROUNDS, Stage, Stops};
 use crate::manipulator::tendon::turns;
 
 /// Work vectors of a step, one entry per degree of freedom.
@@ -181,16 +181,21 @@ impl<const D: usize> SpatialChain<D> {
         self.stage(motion, h, input, frame, Stage::Start, Diagonals { stiffness, diagonal });
         expected.copy_from_slice(before);
         self.common.state.position = q;
-        let mut round = 1;
+        let (mut round, mut stops) = (1, Stops::Near);
         loop {
             self.free_velocity(dt, h, work);
-            self.with_contacts(dt, input, drive, work, report);
+            self.with_contacts(dt, input, drive, (work, stops), report);
             let Work { after, expected, stiffness, diagonal, .. } = &mut *work;
             let turned =
                 !self.explicit && turns(&self.tendon.slides_on, &self.tendon.slope, [expected, after]);
+            let passed = !self.explicit && stops == Stops::Near && self.passes_stop(dt, after);
             let released = self.pressed.release(dt, after, &self.common.state.stop_torque_nm);
-            if round == MAX_ROUNDS || !(turned || released) {
+            if !(turned || released || passed) || (round >= MAX_ROUNDS && !passed) {
                 break;
+            }
+            if passed {
+                stops = Stops::All;
+                self.pressed.clear();
             }
             if turned {
                 expected.copy_from_slice(after);
@@ -201,9 +206,24 @@ impl<const D: usize> SpatialChain<D> {
             self.common.state.position = q;
             round += 1;
         }
+        if !self.explicit {
+            let law = self.common.parameters.stop_law();
+            for k in self.layout.stopped() {
+                work.after[k] = law.held(dt, self.common.state.position[k] - self.rest[k], work.after[k]);
+            }
+        }
         self.store_results(dt, drive, &work.after, report);
         let Work { after, next, .. } = work;
         fill(next, |i| self.common.state.position[i] + dt * after[i]);
+    }
+
+    /// Returns true if a flexure ends past a stop that was not part of the solve.
+    fn passes_stop(&self, dt: f64, after: &[f64]) -> bool {
+        let law = self.common.parameters.stop_law();
+        self.layout.stopped().any(|k| {
+            let listed = |side| self.contact.has_hard_stop(k, side);
+            law.is_passed(dt, self.common.state.position[k] - self.rest[k], after[k], listed)
+        })
     }
 
     /// Computes the velocities after the step without contacts, in `work.after`.
@@ -223,7 +243,7 @@ impl<const D: usize> SpatialChain<D> {
         dt: f64,
         input: &StepInput,
         drive: &BaseDrive,
-        work: &mut Work,
+        (work, stops): (&mut Work, Stops),
         report: &mut StepReport,
     ) {
         let step = self.common.contact_step(dt, drive, input);
@@ -244,11 +264,12 @@ impl<const D: usize> SpatialChain<D> {
             },
         );
         let law = self.common.parameters.stop_law();
-        for joint in 0..layout.joints {
-            let bend = layout.bend(joint);
-            for k in (bend..=if D > 1 { bend + 1 } else { bend }).filter(|k| !self.pressed.has(*k)) {
-                let moving = (state.position[k] - self.rest[k], work.after[k]);
-                solver.collect_stop((dt, &law), k, moving, state.stop_torque_nm[k]);
+        for k in layout.stopped() {
+            let (at, last_nm) = (state.position[k] - self.rest[k], state.stop_torque_nm[k]);
+            let flexure = (k, self.pressed.has(k));
+            match stops {
+                Stops::Near => solver.collect_stop((dt, &law), flexure, (at, work.after[k]), last_nm),
+                Stops::All => solver.collect_both_stops((dt, &law), k, at, last_nm),
             }
         }
         if solver.is_empty() {
@@ -275,7 +296,7 @@ impl<const D: usize> SpatialChain<D> {
     fn store_results(&mut self, dt: f64, drive: &BaseDrive, after: &[f64], report: &mut StepReport) {
         let torque = &mut self.common.state.stop_torque_nm;
         torque.fill(0.0);
-        report.stopped_joint_count = self.contact.stop_torques(dt, |freedom, value| torque[freedom] = value);
+        report.stopped_joint_count = self.contact.stop_torques(dt, |freedom, value| torque[freedom] += value);
         report.stopped_joint_count += self.pressed.store(dt, after, torque);
         self.common.store_contacts(&self.contact, dt, drive, &mut self.loads.moment, report);
     }

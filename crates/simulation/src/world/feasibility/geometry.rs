@@ -139,8 +139,16 @@ pub(super) fn shaft_in_bone(start: &Start) -> Option<String> {
     })
 }
 
-/// Advice for an arm in bone.
-const FARTHER: &str = "move the tool farther from the flange, e.g. [0.0, 0.0, 200.0]";
+/// Least distance of the tool from the flange to advise, mm.
+const FAR_ENOUGH_MM: f64 = 200.0;
+/// By how much to increase a larger one, mm.
+const FARTHER_MM: f64 = 100.0;
+
+/// Returns the advice for an arm in bone.
+fn farther([x, y, z]: [f64; 3]) -> String {
+    let z = FAR_ENOUGH_MM.max(z + FARTHER_MM);
+    format!("move the tool farther from the flange, e.g. [{x:?}, {y:?}, {z:?}]")
+}
 
 /// Returns the part of the arm deepest in bone, with its depth in mm.
 fn deepest(parts: impl Iterator<Item = (&'static str, f64)>) -> Option<(&'static str, f64)> {
@@ -149,10 +157,11 @@ fn deepest(parts: impl Iterator<Item = (&'static str, f64)>) -> Option<(&'static
 
 pub(super) fn arm_in_bone(start: &Start) -> Option<String> {
     let (name, depth_mm) = deepest(start.simulation.pieces_in_bone())?;
-    let [x, y, z] = start.scene.arm.tool_position_mm;
+    let position_mm @ [x, y, z] = start.scene.arm.tool_position_mm;
     Some(format!(
         "is [{x}, {y}, {z}]: the arm's {name} starts {depth_mm:.0} mm inside bone (the arm does not \
-         collide); {FARTHER}"
+         collide); {}",
+        farther(position_mm)
     ))
 }
 
@@ -162,10 +171,11 @@ pub(super) fn arm_in_bone_at_end(start: &Start) -> Option<String> {
     let ahead_m = t_world_tool.rotation * Vector3::new(0.0, 0.0, length_m);
     let at_end = nalgebra::Translation3::from(ahead_m) * t_world_tool;
     let (name, depth_mm) = deepest(start.simulation.pieces_in_bone_at(&at_end)?.into_iter())?;
-    let [x, y, z] = start.scene.arm.tool_position_mm;
+    let position_mm @ [x, y, z] = start.scene.arm.tool_position_mm;
     Some(format!(
         "is [{x}, {y}, {z}]: the arm's {name} ends {depth_mm:.0} mm inside bone (the arm does not collide); \
-         {FARTHER}"
+         {}",
+        farther(position_mm)
     ))
 }
 

@@ -3,7 +3,8 @@
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use scene::Scene;
 use simulation::arm::{
-    Arm, ArmCommand, ArmParameters, ArmState, COMFORTABLE_Q_RAD, initial_q_rad, place_base_for,
+    Arm, ArmCommand, ArmParameters, ArmState, COMFORTABLE_Q_RAD, Joints, initial_q_rad, place_base_for,
+    six_joints,
 };
 use std::path::Path;
 
@@ -19,6 +20,10 @@ impl Uniform {
         z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
         z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
         low + (high - low) * ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
+    }
+
+    pub fn joints(&mut self, range: f64) -> Joints {
+        six_joints(std::array::from_fn(|_| self.between(-range, range)))
     }
 
     pub fn vector(&mut self, range: f64) -> Vector3<f64> {

@@ -8,10 +8,15 @@ pub mod tunnel;
 
 use std::path::Path;
 
-use messages::{ARM_MOVE_CP, BURR_SPEED, Command, State, TENDON_SERVO_JF};
-use nalgebra::Vector3;
+use messages::{
+    ARM_MOVE_CP, BURR_SPEED, Command, Latched, LatchedCommand, SOURCE_FRESH, SOURCE_HELD, State,
+    TENDON_SERVO_JF,
+};
+use nalgebra::{Isometry3, Unit, Vector3};
 use scene::{Scene, SceneError};
 use simulation::bone::GridGeometry;
+use simulation::contact_plane::ContactPlane;
+use simulation::manipulator::{BaseMotion, ManipulatorModel, ProxySphere};
 use test_support::scenes::TOOL;
 
 /// A tunnel in [`bone`], tight around the tool.
@@ -24,6 +29,42 @@ from_mm = [0.0, 0.0, -110.0]
 to_mm = [0.0, 0.0, 0.0]
 diameter_mm = 6.6
 "#;
+
+/// A linear congruential generator with 64 bits (Steele and Vigna 2021): numbers from 0 to 1.
+pub struct Draw(pub u64);
+
+impl Draw {
+    pub fn next(&mut self) -> f64 {
+        self.0 = self.0.wrapping_mul(0xd134_2543_de82_ef95).wrapping_add(1);
+        (self.0 >> 11) as f64 / (1u64 << 53) as f64
+    }
+}
+
+/// u_k with a command of the only controller.
+pub fn latched(tick: u64, source: u32, age_ticks: u64, command: Command) -> Latched {
+    let mut latched = Latched { tick, controller_count: 1, ..Latched::zeroed() };
+    latched.commands[0] = LatchedCommand { source, controller_index: 0, age_ticks, command };
+    latched
+}
+
+/// u_k with a command sent at tick 0 and then held.
+pub fn held(tick: u64, command: Command) -> Latched {
+    latched(tick, if tick == 0 { SOURCE_FRESH } else { SOURCE_HELD }, tick, command)
+}
+
+pub fn rest() -> BaseMotion {
+    BaseMotion::at_rest(Isometry3::identity())
+}
+
+/// The spheres near a wall that faces -x.
+pub fn wall_at<M: ManipulatorModel>(m: &M, x_m: f64) -> Vec<ContactPlane> {
+    let normal = Unit::new_unchecked(-Vector3::x());
+    let near = |(sphere_index, s): (usize, &ProxySphere)| {
+        let gap_m = x_m - s.centre_m.x - s.radius_m;
+        (gap_m < 1e-3).then_some(ContactPlane::hard(sphere_index, s.centre_m, normal, gap_m))
+    };
+    m.proxy_spheres().iter().enumerate().filter_map(near).collect()
+}
 
 /// A scene with that tool.
 pub fn try_scene(text: &str) -> Result<Scene, SceneError> {

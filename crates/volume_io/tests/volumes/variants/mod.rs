@@ -3,7 +3,6 @@
 //!
 //! `make.py` writes the files with pydicom, GDCM, dcmtk, SimpleITK, pynrrd and nibabel, and the results of
 //! those readers. With `WRITE_TABLE=1` this test writes the table instead of comparing it.
-//! readers make of them. With `WRITE_TABLE=1` this test writes the table instead of comparing it.
 
 // Helpers of tests may fail a test.
 #![allow(clippy::unwrap_used)]

@@ -1,6 +1,6 @@
 //! Builds each deliberately broken version of the hub and runs the schedules until one fails.
 //!
-//! `cargo run --release -p hub_simulator --example hub_mutants [-- PART OF A NAME]`: exits with 1 if a mutant
+//! `cargo run --release -p hub_schedules --example hub_mutants [-- PART OF A NAME]`: exits with 1 if a mutant
 //! survives ten thousand seeds.
 
 use std::collections::BTreeMap;
@@ -8,7 +8,7 @@ use std::error::Error;
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
 
-use hub_simulator::mutants::{MUTANTS, Mutant};
+use hub_schedules::mutants::{MUTANTS, Mutant};
 use serde_json::Value;
 use test_support::limited::Limited;
 
@@ -79,7 +79,7 @@ fn needed_folders(root: &Path) -> Result<Vec<String>, Box<dyn Error>> {
         .map(|package| (package["name"].to_string(), package))
         .collect();
     let mut folders: Vec<String> = Vec::new();
-    let mut open = vec![Value::from("hub_simulator").to_string()];
+    let mut open = vec![Value::from("hub_schedules").to_string()];
     while let Some(name) = open.pop() {
         let package = packages.get(&name).ok_or_else(|| format!("the workspace has no crate {name}"))?;
         let manifest = Path::new(package["manifest_path"].as_str().unwrap_or_default());
@@ -138,7 +138,7 @@ fn try_one(mutant: &Mutant, root: &Path, place: &Path) -> Result<Option<String>,
     }
     std::fs::write(&target, right.replace(mutant.right, mutant.wrong))?;
     let built = Command::new(cargo())
-        .args(["build", "--release", "--offline", "--quiet", "-p", "hub_simulator", "--bin", "hub_simulator"])
+        .args(["build", "--release", "--offline", "--quiet", "-p", "hub_schedules", "--bin", "hub_schedules"])
         .env("RUSTFLAGS", "-Awarnings")
         // Most mutants are found within a hundred seeds, so a build that takes seconds saves more than a fast
         // program.
@@ -153,7 +153,7 @@ fn try_one(mutant: &Mutant, root: &Path, place: &Path) -> Result<Option<String>,
         return Err(format!("`{}` does not compile:\n{cause}", mutant.name).into());
     }
     // A hub that never returns is found too: by the limit, with a panic that reports it.
-    let played = Command::new(place.join("target/release/hub_simulator"))
+    let played = Command::new(place.join("target/release/hub_schedules"))
         .args(["--count", &SEEDS.to_string()])
         .limited_output()?;
     std::fs::write(target, right)?;

@@ -1,11 +1,11 @@
 //! The hub under seeded schedules.
 //!
-//! [`SchedulePlan::of`] derives everything from a seed: the scene, how fast every program is, and what goes wrong
-//! when. [`run`] plays the plan against a [`hub::Hub`] with a clock and queues in memory, and checks every
-//! step with an [`oracle`] that knows nothing of the hub except what passes between it and its surroundings.
-//! Among these are a DRR process and controllers that decide with [`delivery::x_ray`], and a viewer that
-//! decides with [`delivery::viewer`], as the real ones do. [`shrink`] reduces a failing plan to what is
-//! needed for the failure.
+//! [`SchedulePlan::of`] derives everything from a seed: the scene, how fast every program is, and what goes
+//! wrong when. [`run`] plays the plan against a [`hub::Hub`] with a clock and queues in memory, and checks
+//! every step with an [`oracle`] that knows nothing of the hub except what passes between it and its
+//! surroundings. Among these are a DRR process and controllers that decide with [`delivery::x_ray`], and a
+//! viewer that decides with [`delivery::viewer`], as the real ones do. [`shrink`] reduces a failing plan to
+//! what is needed for the failure.
 //!
 //! The rules are in [`oracle`]: the order of publication; that a replay gives the same hashes; the latch's
 //! rules; that no tick runs while the run is paused, stopped or ending; that no consumer falls too far
@@ -21,8 +21,8 @@
 //! those published.
 //!
 //! ```
-//! let plan = hub_simulator::SchedulePlan::of(7);
-//! assert!(hub_simulator::run(&plan).is_ok());
+//! let plan = hub_schedules::SchedulePlan::of(7);
+//! assert!(hub_schedules::run(&plan).is_ok());
 //! ```
 
 mod actors;

@@ -18,14 +18,27 @@ pub(super) struct Slot {
     released: bool,
     last_sequence: u64,
     last_state_tick: u64,
+    /// Whether its first refusal must be, or has been, reported.
+    refusal: Refusal,
+}
+
+/// Whether a controller's first refusal has been reported.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+enum Refusal {
+    /// None of its commands has been refused.
+    #[default]
+    None,
+    /// To be reported before anything else is taken, published or waited for.
+    Due,
+    Reported,
 }
 
 impl Oracle {
     /// Records that the hub takes a command.
     pub fn command(&mut self, index: ControllerIndex, incoming: &IncomingMessage<Command>, form: Form) {
+        self.first_refusals_are_reported();
         let IncomingMessage::Message(command, connection) = incoming else {
-            self.refused += 1;
-            return;
+            return self.refuses(index);
         };
         let slot = &mut self.controllers[index.slot()];
         if slot.connection != Some(*connection) {
@@ -36,11 +49,35 @@ impl Oracle {
             && command.state_tick >= slot.last_state_tick
             && command.state_tick <= self.tick;
         if !(form == Form::Whole && in_order) {
-            self.refused += 1;
-            return;
+            return self.refuses(index);
         }
         (slot.last_sequence, slot.last_state_tick) = (command.sequence, command.state_tick);
         (slot.newest, slot.fresh, slot.released) = (Some(*command), true, false);
+    }
+
+    fn refuses(&mut self, index: ControllerIndex) {
+        self.refused += 1;
+        let refusal = &mut self.controllers[index.slot()].refusal;
+        if *refusal == Refusal::None {
+            *refusal = Refusal::Due;
+        }
+    }
+
+    /// Records an event that reports a refused command.
+    pub(super) fn refusal_is_reported(&mut self, text: &str) {
+        let name = text.strip_prefix("controller `c").and_then(|rest| rest.split_once('`'));
+        let slot = name.and_then(|(index, _)| self.controllers.get_mut(index.parse::<usize>().ok()?));
+        // The plant refuses commands too: those that the latch accepted.
+        if let Some(slot) = slot.filter(|slot| slot.refusal == Refusal::Due) {
+            slot.refusal = Refusal::Reported;
+        }
+    }
+
+    /// Checks that a controller's first refused command was reported at once: a run that waits for a valid
+    /// one would otherwise be silent until its time is up.
+    pub fn first_refusals_are_reported(&mut self) {
+        let due = self.controllers.iter().position(|slot| slot.refusal == Refusal::Due);
+        expect!(self, due.is_none(), format!("the first refusal of controller {due:?} is not reported"));
     }
 
     /// Checks a controller's part of u_k.

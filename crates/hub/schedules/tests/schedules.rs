@@ -1,8 +1,8 @@
-//! A hundred thousand schedules; for more, run `cargo run --release -p hub_simulator -- --count 10000000`.
+//! A hundred thousand schedules; for more, run `cargo run --release -p hub_schedules -- --count 10000000`.
 
 use std::time::Instant;
 
-use hub_simulator::{SchedulePlan, play, run, shrink};
+use hub_schedules::{SchedulePlan, play, run, shrink};
 
 #[test]
 fn the_hub_keeps_its_rules_in_a_hundred_thousand_schedules() {

@@ -209,6 +209,7 @@ impl Oracle {
     /// Records that the hub publishes u_k.
     pub fn latch(&mut self, latched: &Latched, plant: PlantPlan, now_ns: u64) {
         self.passed_over();
+        self.first_refusals_are_reported();
         expect!(
             self,
             self.shown && self.latched.is_none() && !self.ended,
@@ -409,6 +410,9 @@ impl Oracle {
             expect!(self, note.text.starts_with(&text), format!("an event reads `{}`", note.text));
         }
         self.invalid_notes += u64::from(note.code == EventCode::ModelNotValid);
+        if note.code == EventCode::CommandRefused {
+            self.refusal_is_reported(note.text);
+        }
         let limited = [EventCode::CommandRefused, EventCode::MessagesLost, EventCode::RequestRefused];
         if !limited.contains(&note.code) {
             return;

@@ -4,7 +4,7 @@ use std::process::ExitCode;
 use std::time::Instant;
 
 use clap::Parser;
-use hub_simulator::{SchedulePlan, ScheduleStats, play, run, shrink};
+use hub_schedules::{SchedulePlan, ScheduleStats, play, run, shrink};
 
 /// Plays seeded schedules against the hub; a failing seed is printed with its smallest failing plan.
 #[derive(Debug, Parser)]

@@ -401,6 +401,7 @@ impl World {
             self.oracle.fail(format!("controller {index} sleeps although a state waits: it was not woken"));
         }
         self.check_frame_waits();
+        self.oracle.first_refusals_are_reported();
         let waits = wait.on == WakeCondition::Report;
         if waits && self.consumers.iter().any(|consumer| consumer.asleep && consumer.waiting > 0) {
             self.oracle.fail("the hub waits for a consumer that was not woken".to_owned());

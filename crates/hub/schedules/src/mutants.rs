@@ -65,6 +65,9 @@ mutants! {
         "            restores = Restores::Drilled;\n" => "";
     "warnings are not limited" in "hub/src/rate_limit.rs":
         "let allowed = self.sent < WARNINGS;" => "let allowed = true;";
+    "a refused command is not reported" in "hub/src/machine/commands.rs":
+        "                    self.warn(env, index, EventCode::CommandRefused, &text)?;\n"
+        => "                    drop(text);\n";
     "refused commands are latched anyway" in "hub/src/latch.rs":
         "        self.check(controller, command, tick)?;\n" => "";
     "one frame request too many is queued" in "delivery/src/x_ray/schedule.rs":
