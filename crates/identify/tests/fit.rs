@@ -166,3 +166,15 @@ fn a_rough_model_ends_near_its_optimum() {
     let found = fit(&mut model, &[rough], &[0.9], METHOD).unwrap();
     assert!((found.best.values[0] - 0.4).abs() < 2e-3, "{:?}", found.best.values);
 }
+
+/// Ripples of 3e-4 with slopes up to 9 hide the slope of 1 from differences over 1e-5; over wider steps they
+/// average out, and the fit goes on. It ends within a ripple of the optimum.
+#[test]
+fn ripples_on_a_model_do_not_stop_the_fit() {
+    let mut model = Closed(|p: &[f64]| {
+        let rippled = p[0] + 3e-4 * (3e4 * p[0]).sin();
+        Ok((0..20).map(|i| 10.0 * (rippled - 0.4) * (1.0 + i as f64)).collect())
+    });
+    let found = fit(&mut model, &[parameter("a", 0.0, 1.0)], &[0.9], METHOD).unwrap();
+    assert!((found.best.values[0] - 0.4).abs() < 1e-3, "{:?}", found.best.values);
+}
