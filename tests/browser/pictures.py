@@ -22,8 +22,8 @@ SCENE = ROOT / "configs/femur_curved_drilling.toml"
 SIZE = {"width": 1440, "height": 900}
 # Simulated time at which the burr is well inside the head, and the bend nearly complete.
 SHOWN_AT_S = 17.5
-# The page draws in software, on the cores that the run needs: at half speed it gets every message. It pauses by itself,
-# because a question from outside may come too late.
+# The page draws in software, on the cores that the run needs: at half speed it gets every message. It pauses
+# by itself, because a question from outside may come too late.
 SLOWLY = """(seconds) => {
     const control = (request) => trabecula.call("/control", request);
     const look = () => trabecula.model.time >= seconds ? control({ action: "pause" }) : setTimeout(look, 20);

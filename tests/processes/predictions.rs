@@ -1,5 +1,5 @@
-//! `scene check --simulate`: what is predicted is what happens, and what goes wrong is said before, in the run
-//! and in the exit code.
+//! `scene check --simulate`: what is predicted is what happens, and what goes wrong is said before, in
+//! the run and in the exit code.
 
 use serde_json::Value;
 
@@ -20,8 +20,8 @@ fn predicted_and_run(place: &Place, text: &str) -> (Value, Value) {
     (predicted, serde_json::from_str(ended).unwrap())
 }
 
-/// Feed, tension, model and feedback by shape and by image differ; the hash of the last state and every figure
-/// of the plan are the same.
+/// Feed, tension, model and feedback by shape and by image differ; the hash of the last state and every
+/// figure of the plan are the same.
 #[test]
 fn a_run_in_lockstep_is_predicted_bit_for_bit() {
     let place = Place::new();

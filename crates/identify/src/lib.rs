@@ -25,7 +25,8 @@
 //! }
 //!
 //! let parameter = |key: &str| Parameter {
-//!     key: key.to_owned(), min: -10.0, max: 10.0, scale: Default::default(), start: None, step: None, prior: None,
+//!     key: key.to_owned(), min: -10.0, max: 10.0, scale: Default::default(), start: None, step: None,
+//!     prior: None,
 //! };
 //! let parameters = [parameter("offset"), parameter("slope")];
 //! let method = Method { starts: 1, seed: 0, iterations: 50, huber: None };

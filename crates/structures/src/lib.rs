@@ -68,8 +68,8 @@ impl Structure {
         Clearance { distance_m: self.shape.distance_m(&centre_m) - radius_m, sphere }
     }
 
-    /// From the tip on, because it is usually the nearest: a distance changes by no more than its point moves,
-    /// so a sphere too close to the one measured last cannot be nearer than the nearest so far.
+    /// From the tip on, because it is usually the nearest: a distance changes by no more than its point
+    /// moves, so a sphere too close to the one measured last cannot be nearer than the nearest so far.
     fn nearest_of_all<I>(&self, spheres: I) -> Option<Clearance>
     where
         I: DoubleEndedIterator<Item = (Vector3<f64>, f64)> + ExactSizeIterator,

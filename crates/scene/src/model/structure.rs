@@ -55,8 +55,8 @@ pub enum StructureAction {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum BuiltInStructure {
-    /// Everything outside of the bone, with its marrow and pores, as it was before the pilot holes. The tool's
-    /// own entrance does not count.
+    /// Everything outside of the bone, with its marrow and pores, as it was before the pilot holes. The
+    /// tool's own entrance does not count.
     OutsideOfBone,
 }
 

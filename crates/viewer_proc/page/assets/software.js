@@ -1,5 +1,5 @@
-// Whether the browser renders in software: then pictures have fewer triangles and pixels (scene_view.js), and 2D canvases
-// are drawn by the processor at once, instead of by an emulated graphics card.
+// Whether the browser renders in software: then pictures have fewer triangles and pixels (scene_view.js), and
+// 2D canvases are drawn by the processor at once, instead of by an emulated graphics card.
 
 export const SOFTWARE = (() => {
   const gl = document.createElement("canvas").getContext("webgl2");
