@@ -35,7 +35,7 @@ extern "C" {
 
 /* Layouts of the messages below: what a program passes to trb_connect. */
 #define TRB_LAYOUTS \
-    "State=c7838dd30ed27c36;" \
+    "State=215c061c6e429c7c;" \
     "Command=bb53201b525a9c96;" \
     "Latched=81124c23facff698;" \
     "Removed=5ce3babf608d61af;" \
@@ -135,7 +135,6 @@ extern "C" {
 #define TRB_SENSOR_ENCODERS 3
 #define TRB_SENSOR_LOAD_CELL 4
 #define TRB_SENSOR_FORCE_TORQUE 5
-#define TRB_SENSOR_CLEARANCE 6
 #define TRB_SEVERITY_INFO 0
 #define TRB_SEVERITY_WARNING 1
 #define TRB_SEVERITY_ERROR 2
@@ -155,10 +154,6 @@ extern "C" {
 #define TRB_EVENT_ARM_IN_BONE 14
 #define TRB_EVENT_MODEL_NOT_VALID 15
 #define TRB_EVENT_ENERGY_CREATED 16
-#define TRB_EVENT_BREACH 17
-#define TRB_EVENT_PROTECTIVE_STOP 18
-#define TRB_EVENT_STRUCTURE_MARGIN 19
-#define TRB_EVENT_STRUCTURE_BREACH 20
 #define TRB_SENDER_LAUNCHER 0
 #define TRB_SENDER_PHYSICS 1
 #define TRB_SENDER_DRR 2
@@ -311,6 +306,30 @@ typedef struct trb_state {
     double cutting_energy_j;
     /* Energy that bone absorbed where it was crushed, since the start. */
     double crushing_energy_j;
+    /* Energy of the tool: kinetic, relative to its base, and elastic, in flexures, mount, tendons,
+     * contacts and stops. */
+    double tool_energy_j;
+    /* Work of the tendons' actuators on the tool since the start. */
+    double tendon_work_j;
+    /* Work of the arm on the tool since the start, by moving its base or sliding its outer tube. */
+    double arm_work_j;
+    /* Work of gravity on the tool since the start. */
+    double gravity_work_j;
+    /* Work of the burr's motor since the start: the energy spent on cutting, and the work of the side
+     * force of cutting on the tool. */
+    double motor_work_j;
+    /* Work of free bodies on the tool since the start. */
+    double body_work_j;
+    /* Energy lost to the friction of contacts with bone since the start. */
+    double friction_energy_j;
+    /* Energy lost to the damping of flexures and mount since the start. */
+    double damping_energy_j;
+    /* Remainder of the ledger since the start: energy lost to the integrator, impacts, the friction of
+     * tendons in their channels, and the feed against cut bone. */
+    double numerical_energy_j;
+    /* Energy that ticks created beyond the error of the integrator, since the start; 0 if every tick's
+     * ledger closes. */
+    double energy_created_j;
     /* Tension at the proximal end of each tendon. */
     double tendon_tension_n[4];
     /* Displacement of each tendon from its straight, unloaded length; positive when pulled. */
@@ -381,26 +400,36 @@ TRB_ASSERT(offsetof(trb_state, stop_excess_rad) == 648, "trb_state.stop_excess_r
 TRB_ASSERT(offsetof(trb_state, contact_residual_m_per_s) == 656, "trb_state.contact_residual_m_per_s");
 TRB_ASSERT(offsetof(trb_state, cutting_energy_j) == 664, "trb_state.cutting_energy_j");
 TRB_ASSERT(offsetof(trb_state, crushing_energy_j) == 672, "trb_state.crushing_energy_j");
-TRB_ASSERT(offsetof(trb_state, tendon_tension_n) == 680, "trb_state.tendon_tension_n");
-TRB_ASSERT(offsetof(trb_state, tendon_displacement_m) == 712, "trb_state.tendon_displacement_m");
-TRB_ASSERT(offsetof(trb_state, tube_deployed_m) == 744, "trb_state.tube_deployed_m");
-TRB_ASSERT(offsetof(trb_state, tube_deploying_m_per_s) == 752, "trb_state.tube_deploying_m_per_s");
-TRB_ASSERT(offsetof(trb_state, tube_roll_rad) == 760, "trb_state.tube_roll_rad");
-TRB_ASSERT(offsetof(trb_state, tube_rolling_rad_per_s) == 768, "trb_state.tube_rolling_rad_per_s");
-TRB_ASSERT(offsetof(trb_state, t_world_base) == 776, "trb_state.t_world_base");
-TRB_ASSERT(offsetof(trb_state, t_world_tip) == 832, "trb_state.t_world_tip");
-TRB_ASSERT(offsetof(trb_state, t_world_burr) == 888, "trb_state.t_world_burr");
-TRB_ASSERT(offsetof(trb_state, t_world_link) == 944, "trb_state.t_world_link");
-TRB_ASSERT(offsetof(trb_state, arm_joint_position_rad) == 2736, "trb_state.arm_joint_position_rad");
-TRB_ASSERT(offsetof(trb_state, arm_joint_velocity_rad_per_s) == 2792, "trb_state.arm_joint_velocity_rad_per_s");
-TRB_ASSERT(offsetof(trb_state, arm_joint_deflection_rad) == 2848, "trb_state.arm_joint_deflection_rad");
-TRB_ASSERT(offsetof(trb_state, arm_manipulability_m3) == 2904, "trb_state.arm_manipulability_m3");
-TRB_ASSERT(offsetof(trb_state, t_world_flange) == 2912, "trb_state.t_world_flange");
-TRB_ASSERT(offsetof(trb_state, flange_wrench) == 2968, "trb_state.flange_wrench");
-TRB_ASSERT(offsetof(trb_state, t_world_body) == 3016, "trb_state.t_world_body");
-TRB_ASSERT(offsetof(trb_state, contacts) == 3240, "trb_state.contacts");
-TRB_ASSERT(offsetof(trb_state, applied) == 7080, "trb_state.applied");
-TRB_ASSERT(sizeof(trb_state) == 7176, "trb_state");
+TRB_ASSERT(offsetof(trb_state, tool_energy_j) == 680, "trb_state.tool_energy_j");
+TRB_ASSERT(offsetof(trb_state, tendon_work_j) == 688, "trb_state.tendon_work_j");
+TRB_ASSERT(offsetof(trb_state, arm_work_j) == 696, "trb_state.arm_work_j");
+TRB_ASSERT(offsetof(trb_state, gravity_work_j) == 704, "trb_state.gravity_work_j");
+TRB_ASSERT(offsetof(trb_state, motor_work_j) == 712, "trb_state.motor_work_j");
+TRB_ASSERT(offsetof(trb_state, body_work_j) == 720, "trb_state.body_work_j");
+TRB_ASSERT(offsetof(trb_state, friction_energy_j) == 728, "trb_state.friction_energy_j");
+TRB_ASSERT(offsetof(trb_state, damping_energy_j) == 736, "trb_state.damping_energy_j");
+TRB_ASSERT(offsetof(trb_state, numerical_energy_j) == 744, "trb_state.numerical_energy_j");
+TRB_ASSERT(offsetof(trb_state, energy_created_j) == 752, "trb_state.energy_created_j");
+TRB_ASSERT(offsetof(trb_state, tendon_tension_n) == 760, "trb_state.tendon_tension_n");
+TRB_ASSERT(offsetof(trb_state, tendon_displacement_m) == 792, "trb_state.tendon_displacement_m");
+TRB_ASSERT(offsetof(trb_state, tube_deployed_m) == 824, "trb_state.tube_deployed_m");
+TRB_ASSERT(offsetof(trb_state, tube_deploying_m_per_s) == 832, "trb_state.tube_deploying_m_per_s");
+TRB_ASSERT(offsetof(trb_state, tube_roll_rad) == 840, "trb_state.tube_roll_rad");
+TRB_ASSERT(offsetof(trb_state, tube_rolling_rad_per_s) == 848, "trb_state.tube_rolling_rad_per_s");
+TRB_ASSERT(offsetof(trb_state, t_world_base) == 856, "trb_state.t_world_base");
+TRB_ASSERT(offsetof(trb_state, t_world_tip) == 912, "trb_state.t_world_tip");
+TRB_ASSERT(offsetof(trb_state, t_world_burr) == 968, "trb_state.t_world_burr");
+TRB_ASSERT(offsetof(trb_state, t_world_link) == 1024, "trb_state.t_world_link");
+TRB_ASSERT(offsetof(trb_state, arm_joint_position_rad) == 2816, "trb_state.arm_joint_position_rad");
+TRB_ASSERT(offsetof(trb_state, arm_joint_velocity_rad_per_s) == 2872, "trb_state.arm_joint_velocity_rad_per_s");
+TRB_ASSERT(offsetof(trb_state, arm_joint_deflection_rad) == 2928, "trb_state.arm_joint_deflection_rad");
+TRB_ASSERT(offsetof(trb_state, arm_manipulability_m3) == 2984, "trb_state.arm_manipulability_m3");
+TRB_ASSERT(offsetof(trb_state, t_world_flange) == 2992, "trb_state.t_world_flange");
+TRB_ASSERT(offsetof(trb_state, flange_wrench) == 3048, "trb_state.flange_wrench");
+TRB_ASSERT(offsetof(trb_state, t_world_body) == 3096, "trb_state.t_world_body");
+TRB_ASSERT(offsetof(trb_state, contacts) == 3320, "trb_state.contacts");
+TRB_ASSERT(offsetof(trb_state, applied) == 7160, "trb_state.applied");
+TRB_ASSERT(sizeof(trb_state) == 7256, "trb_state");
 
 /* A controller's command. Mode names follow CRTK. Mode 0 leaves tendons, arm, burr or tube at their
  * previous command; a controller may drive only what the scene's `drives` allows. */
@@ -524,8 +553,8 @@ TRB_ASSERT(offsetof(trb_removed, voxel_index_length) == 28, "trb_removed.voxel_i
 TRB_ASSERT(sizeof(trb_removed) == 32, "trb_removed");
 
 /* One reading of a sensor in the scene. Published before the state of the tick at which it arrives,
- * and only in scenes with a `[[sensor]]` or a `[[structure]]`. `kind` determines what the values mean;
- * docs/sensors.md lists their order and units. */
+ * and only in scenes with a `[[sensor]]`. `kind` determines what the values mean; docs/sensors.md
+ * lists their order and units. */
 typedef struct trb_sensor_reading {
     /* `State.tick` of the state with which the reading arrives. */
     uint64_t tick;
@@ -533,9 +562,9 @@ typedef struct trb_sensor_reading {
     uint64_t sample_tick;
     /* Sequence number of the readings of all sensors: 1, 2, 3 and so on. */
     uint64_t sequence;
-    /* Index of the sensor in the scene, from 0; of the clearances, the number of sensors. */
+    /* Index of the sensor in the scene, from 0. */
     uint32_t sensor_index;
-    /* 1 fbg, 2 tracker, 3 encoders, 4 load_cell, 5 force_torque, 6 clearance. */
+    /* 1 fbg, 2 tracker, 3 encoders, 4 load_cell, 5 force_torque. */
     uint32_t kind;
     /* 1 if the reading is valid, 0 if it dropped out or the tracker does not see its marker; the values
      * are then 0. */

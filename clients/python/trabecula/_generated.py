@@ -13,7 +13,7 @@ from ._view import ArrayField, ElementsField, View, field, nested
 VERSION = "0.1.0"
 
 LAYOUTS = (
-    "State=c7838dd30ed27c36;"
+    "State=215c061c6e429c7c;"
     "Command=bb53201b525a9c96;"
     "Latched=81124c23facff698;"
     "Removed=5ce3babf608d61af;"
@@ -279,7 +279,6 @@ class SensorKind(IntEnum):
     ENCODERS = 3
     LOAD_CELL = 4
     FORCE_TORQUE = 5
-    CLEARANCE = 6
 
 
 SENSOR_FBG = SensorKind.FBG
@@ -287,7 +286,6 @@ SENSOR_TRACKER = SensorKind.TRACKER
 SENSOR_ENCODERS = SensorKind.ENCODERS
 SENSOR_LOAD_CELL = SensorKind.LOAD_CELL
 SENSOR_FORCE_TORQUE = SensorKind.FORCE_TORQUE
-SENSOR_CLEARANCE = SensorKind.CLEARANCE
 
 
 class Severity(IntEnum):
@@ -322,10 +320,6 @@ class EventCode(IntEnum):
     ARM_IN_BONE = 14
     MODEL_NOT_VALID = 15
     ENERGY_CREATED = 16
-    BREACH = 17
-    PROTECTIVE_STOP = 18
-    STRUCTURE_MARGIN = 19
-    STRUCTURE_BREACH = 20
 
 
 EVENT_COMMAND_REFUSED = EventCode.COMMAND_REFUSED
@@ -344,10 +338,6 @@ EVENT_SIMULATION_FAILED = EventCode.SIMULATION_FAILED
 EVENT_ARM_IN_BONE = EventCode.ARM_IN_BONE
 EVENT_MODEL_NOT_VALID = EventCode.MODEL_NOT_VALID
 EVENT_ENERGY_CREATED = EventCode.ENERGY_CREATED
-EVENT_BREACH = EventCode.BREACH
-EVENT_PROTECTIVE_STOP = EventCode.PROTECTIVE_STOP
-EVENT_STRUCTURE_MARGIN = EventCode.STRUCTURE_MARGIN
-EVENT_STRUCTURE_BREACH = EventCode.STRUCTURE_BREACH
 
 
 class Pose(View):
@@ -441,10 +431,10 @@ class State(View):
 
     dtype = np.dtype(
         {
-            "names": ["tick", "sim_time_s", "hash", "removed_total", "removed_in_tick", "joint_count", "tendon_count", "contact_count", "contact_total", "controller_count", "body_count", "contact_iterations", "arm_mode", "arm_status", "arm_joint_count", "arm_protective_stop", "joint_position_rad", "joint_velocity_rad_per_s", "bend_rad", "burr_speed_rad_per_s", "drive_shaft_wind_up_rad", "burr_force_n", "wall_force_n", "strength_share", "stop_excess_rad", "contact_residual_m_per_s", "cutting_energy_j", "crushing_energy_j", "tendon_tension_n", "tendon_displacement_m", "tube_deployed_m", "tube_deploying_m_per_s", "tube_roll_rad", "tube_rolling_rad_per_s", "t_world_base", "t_world_tip", "t_world_burr", "t_world_link", "arm_joint_position_rad", "arm_joint_velocity_rad_per_s", "arm_joint_deflection_rad", "arm_manipulability_m3", "t_world_flange", "flange_wrench", "t_world_body", "contacts", "applied"],
-            "formats": ["<u8", "<f8", ("<u8", (2,)), "<u8", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", ("<f8", (32,)), ("<f8", (32,)), "<f8", "<f8", "<f8", "<f8", "<f8", "<f8", "<f8", "<f8", "<f8", "<f8", ("<f8", (4,)), ("<f8", (4,)), "<f8", "<f8", "<f8", "<f8", Pose.dtype, Pose.dtype, Pose.dtype, (Pose.dtype, (32,)), ("<f8", (7,)), ("<f8", (7,)), ("<f8", (7,)), "<f8", Pose.dtype, Wrench.dtype, (Pose.dtype, (4,)), (Contact.dtype, (40,)), (AppliedCommand.dtype, (4,))],
-            "offsets": [0, 8, 16, 32, 40, 44, 48, 52, 56, 60, 64, 68, 72, 76, 80, 84, 88, 344, 600, 608, 616, 624, 632, 640, 648, 656, 664, 672, 680, 712, 744, 752, 760, 768, 776, 832, 888, 944, 2736, 2792, 2848, 2904, 2912, 2968, 3016, 3240, 7080],
-            "itemsize": 7176,
+            "names": ["tick", "sim_time_s", "hash", "removed_total", "removed_in_tick", "joint_count", "tendon_count", "contact_count", "contact_total", "controller_count", "body_count", "contact_iterations", "arm_mode", "arm_status", "arm_joint_count", "arm_protective_stop", "joint_position_rad", "joint_velocity_rad_per_s", "bend_rad", "burr_speed_rad_per_s", "drive_shaft_wind_up_rad", "burr_force_n", "wall_force_n", "strength_share", "stop_excess_rad", "contact_residual_m_per_s", "cutting_energy_j", "crushing_energy_j", "tool_energy_j", "tendon_work_j", "arm_work_j", "gravity_work_j", "motor_work_j", "body_work_j", "friction_energy_j", "damping_energy_j", "numerical_energy_j", "energy_created_j", "tendon_tension_n", "tendon_displacement_m", "tube_deployed_m", "tube_deploying_m_per_s", "tube_roll_rad", "tube_rolling_rad_per_s", "t_world_base", "t_world_tip", "t_world_burr", "t_world_link", "arm_joint_position_rad", "arm_joint_velocity_rad_per_s", "arm_joint_deflection_rad", "arm_manipulability_m3", "t_world_flange", "flange_wrench", "t_world_body", "contacts", "applied"],
+            "formats": ["<u8", "<f8", ("<u8", (2,)), "<u8", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", ("<f8", (32,)), ("<f8", (32,)), "<f8", "<f8", "<f8", "<f8", "<f8", "<f8", "<f8", "<f8", "<f8", "<f8", "<f8", "<f8", "<f8", "<f8", "<f8", "<f8", "<f8", "<f8", "<f8", "<f8", ("<f8", (4,)), ("<f8", (4,)), "<f8", "<f8", "<f8", "<f8", Pose.dtype, Pose.dtype, Pose.dtype, (Pose.dtype, (32,)), ("<f8", (7,)), ("<f8", (7,)), ("<f8", (7,)), "<f8", Pose.dtype, Wrench.dtype, (Pose.dtype, (4,)), (Contact.dtype, (40,)), (AppliedCommand.dtype, (4,))],
+            "offsets": [0, 8, 16, 32, 40, 44, 48, 52, 56, 60, 64, 68, 72, 76, 80, 84, 88, 344, 600, 608, 616, 624, 632, 640, 648, 656, 664, 672, 680, 688, 696, 704, 712, 720, 728, 736, 744, 752, 760, 792, 824, 832, 840, 848, 856, 912, 968, 1024, 2816, 2872, 2928, 2984, 2992, 3048, 3096, 3320, 7160],
+            "itemsize": 7256,
         }
     )
     tick: int = field("<Q", 0, "Number of ticks since the start of the run; a reset does not change it.")
@@ -475,22 +465,32 @@ class State(View):
     contact_residual_m_per_s: float = field("<d", 656, "Largest residual of a contact (m/s) or a stop (rad/s) after the solver's iterations: the speed by which it violates its law.")
     cutting_energy_j: float = field("<d", 664, "Energy spent on cutting since the start.")
     crushing_energy_j: float = field("<d", 672, "Energy that bone absorbed where it was crushed, since the start.")
+    tool_energy_j: float = field("<d", 680, "Energy of the tool: kinetic, relative to its base, and elastic, in flexures, mount, tendons, contacts and stops.")
+    tendon_work_j: float = field("<d", 688, "Work of the tendons' actuators on the tool since the start.")
+    arm_work_j: float = field("<d", 696, "Work of the arm on the tool since the start, by moving its base or sliding its outer tube.")
+    gravity_work_j: float = field("<d", 704, "Work of gravity on the tool since the start.")
+    motor_work_j: float = field("<d", 712, "Work of the burr's motor since the start: the energy spent on cutting, and the work of the side force of cutting on the tool.")
+    body_work_j: float = field("<d", 720, "Work of free bodies on the tool since the start.")
+    friction_energy_j: float = field("<d", 728, "Energy lost to the friction of contacts with bone since the start.")
+    damping_energy_j: float = field("<d", 736, "Energy lost to the damping of flexures and mount since the start.")
+    numerical_energy_j: float = field("<d", 744, "Remainder of the ledger since the start: energy lost to the integrator, impacts, the friction of tendons in their channels, and the feed against cut bone.")
+    energy_created_j: float = field("<d", 752, "Energy that ticks created beyond the error of the integrator, since the start; 0 if every tick's ledger closes.")
     tendon_tension_n = ArrayField(np.float64, "Tension at the proximal end of each tendon.", "tendon_count")
     tendon_displacement_m = ArrayField(np.float64, "Displacement of each tendon from its straight, unloaded length; positive when pulled.", "tendon_count")
-    tube_deployed_m: float = field("<d", 744, "How far the tube has slid out of the outer tube; 0 for a tool without one.")
-    tube_deploying_m_per_s: float = field("<d", 752, "Rate of change of `tube_deployed_m`.")
-    tube_roll_rad: float = field("<d", 760, "Angle of the tube about its own axis in the outer tube, from +x toward +y of the tool base.")
-    tube_rolling_rad_per_s: float = field("<d", 768, "Rate of change of `tube_roll_rad`.")
-    t_world_base: Pose = nested(Pose, 776, "Pose of the tool base (start of the rigid shaft, or of the outer tube), including the mount's deflection; +z along the straight tool, +x toward tendon 0.")
-    t_world_tip: Pose = nested(Pose, 832, "Pose of the tip, the front of the burr: its centre plus its radius along the last link's +z.")
-    t_world_burr: Pose = nested(Pose, 888, "Pose of the burr: its centre, axes of the last link.")
+    tube_deployed_m: float = field("<d", 824, "How far the tube has slid out of the outer tube; 0 for a tool without one.")
+    tube_deploying_m_per_s: float = field("<d", 832, "Rate of change of `tube_deployed_m`.")
+    tube_roll_rad: float = field("<d", 840, "Angle of the tube about its own axis in the outer tube, from +x toward +y of the tool base.")
+    tube_rolling_rad_per_s: float = field("<d", 848, "Rate of change of `tube_roll_rad`.")
+    t_world_base: Pose = nested(Pose, 856, "Pose of the tool base (start of the rigid shaft, or of the outer tube), including the mount's deflection; +z along the straight tool, +x toward tendon 0.")
+    t_world_tip: Pose = nested(Pose, 912, "Pose of the tip, the front of the burr: its centre plus its radius along the last link's +z.")
+    t_world_burr: Pose = nested(Pose, 968, "Pose of the burr: its centre, axes of the last link.")
     t_world_link = ElementsField(Pose, "Pose of each link just after its flexure, base to tip.", "joint_count")
     arm_joint_position_rad = ArrayField(np.float64, "Arm joint angles, base to wrist.", "arm_joint_count")
     arm_joint_velocity_rad_per_s = ArrayField(np.float64, "Arm joint velocities.", "arm_joint_count")
     arm_joint_deflection_rad = ArrayField(np.float64, "Elastic deflection of the arm's joints, included in `arm_joint_position_rad`; 0 without joint compliance.", "arm_joint_count")
-    arm_manipulability_m3: float = field("<d", 2904, "Distance from singularity: Yoshikawa's manipulability in m³, |det J| of six joints and the root of det(J Jᵀ) of seven; for the UR5 mostly 0.05 to 0.1.")
-    t_world_flange: Pose = nested(Pose, 2912, "Pose of the arm's flange.")
-    flange_wrench: Wrench = nested(Wrench, 2968, "Wrench that the tool exerts on the flange, about the tool base, world axes.")
+    arm_manipulability_m3: float = field("<d", 2984, "Distance from singularity: Yoshikawa's manipulability in m³, |det J| of six joints and the root of det(J Jᵀ) of seven; for the UR5 mostly 0.05 to 0.1.")
+    t_world_flange: Pose = nested(Pose, 2992, "Pose of the arm's flange.")
+    flange_wrench: Wrench = nested(Wrench, 3048, "Wrench that the tool exerts on the flange, about the tool base, world axes.")
     t_world_body = ElementsField(Pose, "Pose of each rigid body, in the scene's order.", "body_count")
     contacts = ElementsField(Contact, "Contacts that carry force, in the order of their spheres.", "contact_count")
     applied = ElementsField(AppliedCommand, "The command of each controller that this tick applied.", "controller_count")
@@ -602,8 +602,8 @@ class Removed(View):
 
 class SensorReading(View):
     """One reading of a sensor in the scene. Published before the state of the tick at which it
-    arrives, and only in scenes with a `[[sensor]]` or a `[[structure]]`. `kind` determines
-    what the values mean; docs/sensors.md lists their order and units.
+    arrives, and only in scenes with a `[[sensor]]`. `kind` determines what the values mean;
+    docs/sensors.md lists their order and units.
     """
 
     if not TYPE_CHECKING:
@@ -620,8 +620,8 @@ class SensorReading(View):
     tick: int = field("<Q", 0, "`State.tick` of the state with which the reading arrives.")
     sample_tick: int = field("<Q", 8, "`State.tick` of the state that it measures.")
     sequence: int = field("<Q", 16, "Sequence number of the readings of all sensors: 1, 2, 3 and so on.")
-    sensor_index: int = field("<I", 24, "Index of the sensor in the scene, from 0; of the clearances, the number of sensors.")
-    kind: SensorKind = field("<I", 28, "1 fbg, 2 tracker, 3 encoders, 4 load_cell, 5 force_torque, 6 clearance.", SensorKind)
+    sensor_index: int = field("<I", 24, "Index of the sensor in the scene, from 0.")
+    kind: SensorKind = field("<I", 28, "1 fbg, 2 tracker, 3 encoders, 4 load_cell, 5 force_torque.", SensorKind)
     valid: int = field("<I", 32, "1 if the reading is valid, 0 if it dropped out or the tracker does not see its marker; the values are then 0.")
     value_count: int = field("<I", 36, "Number of used entries of `value`.")
     value = ArrayField(np.float64, "Measured values.", "value_count")
@@ -1187,7 +1187,6 @@ __all__ = [
     "SENSOR_ENCODERS",
     "SENSOR_LOAD_CELL",
     "SENSOR_FORCE_TORQUE",
-    "SENSOR_CLEARANCE",
     "SEVERITY_INFO",
     "SEVERITY_WARNING",
     "SEVERITY_ERROR",
@@ -1207,10 +1206,6 @@ __all__ = [
     "EVENT_ARM_IN_BONE",
     "EVENT_MODEL_NOT_VALID",
     "EVENT_ENERGY_CREATED",
-    "EVENT_BREACH",
-    "EVENT_PROTECTIVE_STOP",
-    "EVENT_STRUCTURE_MARGIN",
-    "EVENT_STRUCTURE_BREACH",
     "SENDER_LAUNCHER",
     "SENDER_PHYSICS",
     "SENDER_DRR",

@@ -50,10 +50,10 @@ fn the_base_gives_way_as_the_closed_form_says() {
         let (force, torque) =
             (Vector3::new(wrench[0], wrench[1], wrench[2]), wrench.fixed_rows::<3>(3).into());
         let mut joints = alone(STIFFNESS, 0.02);
-        let mut base = joints.base(&arm);
         for _ in 0..3_000 {
-            base = joints.step(&arm, &force, &torque).unwrap();
+            joints.step(&arm, &force, &torque).unwrap();
         }
+        let base = joints.base(&arm);
         let expected = jacobian * compliance * jacobian.transpose() * wrench;
         let moved = base.t_world_tool.translation.vector - arm.state().t_world_tool.translation.vector;
         let turned = (base.t_world_tool.rotation * arm.state().t_world_tool.rotation.inverse()).scaled_axis();

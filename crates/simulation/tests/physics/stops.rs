@@ -13,6 +13,8 @@ use crate::common::{bone, scene};
 /// Largest angle past a stop, degrees: half of it is the soft part of a stop, the rest its hard part under an
 /// impact or a jam.
 const MOST_PAST_DEG: f64 = 0.1;
+/// A solve that does not converge ends exactly there.
+const ROUNDING_DEG: f64 = 1e-9;
 
 /// Pulls a tool and returns its largest angle past a stop, degrees, and the last bend. `text` is the scene
 /// without name, run and tool.
@@ -50,7 +52,7 @@ fn a_soft_light_tool_is_not_thrown_past_its_stops() {
     for (text, dt_ms, tension_n) in [(soft, 1.0, 20.0), (softer, 5.0, 60.0)] {
         let [past_deg, bend_deg] = pull(text, dt_ms, tension_n, 0.0, false);
         println!("{tension_n} N: {past_deg:.4} degrees past a stop at most, bend {bend_deg:.1} degrees");
-        assert!(past_deg > 0.0 && past_deg < MOST_PAST_DEG);
+        assert!(past_deg > 0.0 && past_deg < MOST_PAST_DEG + ROUNDING_DEG);
         // Its 27 flexures of 5 degrees are at their stops.
         assert!((bend_deg - 135.0).abs() < 27.0 * MOST_PAST_DEG);
     }
@@ -84,10 +86,10 @@ fn no_flexure_of_a_random_scene_passes_its_stop() {
         let [past_deg, bend_deg] = pull(&text, dt_ms, tension_n, burr_rad_per_s, in_bone);
         at_stops += usize::from(past_deg > 0.0);
         worst_deg = worst_deg.max(past_deg);
-        if past_deg > MOST_PAST_DEG {
+        if past_deg > MOST_PAST_DEG + ROUNDING_DEG {
             println!("{number} {dt_ms} ms {tension_n} N: {past_deg:.3} past, bend {bend_deg:.1}\n{text}");
         }
     }
     println!("{at_stops} of {SCENES} scenes reach a stop, {worst_deg:.3} degrees past at most");
-    assert!(at_stops > SCENES / 4 && worst_deg < MOST_PAST_DEG);
+    assert!(at_stops > SCENES / 4 && worst_deg < MOST_PAST_DEG + ROUNDING_DEG);
 }
