@@ -1,11 +1,11 @@
 //! The fit: a bounded Levenberg-Marquardt method with projection onto the range.
 //!
 //! It minimizes F = ½ Σ ρ(r) + ½ Σ ((x − mean) / sd)² over the unit cube (Kanzow, Yamashita and Fukushima
-//! 2004, "Levenberg-Marquardt methods with strong local convergence properties for solving nonlinear equations
-//! with convex constraints", J. Comput. Appl. Math. 172). ρ(r) is r², or Huber's function (Huber 1964, "Robust
-//! estimation of a location parameter", Ann. Math. Stat. 35). Derivatives are finite differences: one-sided far
-//! from the optimum, central near it. All points of a Jacobian, and both trial steps, are one request to the
-//! model, so that it can compute them at once.
+//! 2004, "Levenberg-Marquardt methods with strong local convergence properties for solving nonlinear
+//! equations with convex constraints", J. Comput. Appl. Math. 172). ρ(r) is r², or Huber's function (Huber
+//! 1964, "Robust estimation of a location parameter", Ann. Math. Stat. 35). Derivatives are finite
+//! differences: one-sided far from the optimum, central near it. All points of a Jacobian, and both trial
+//! steps, are one request to the model, so that it can compute them at once.
 
 use nalgebra::DMatrix;
 
@@ -131,8 +131,8 @@ const NEGLIGIBLE_DECREASE: f64 = 1e-11;
 const NEAR_DECREASE: f64 = 1e-2;
 /// A step must achieve this share of the decrease that the linear model predicts.
 const LEAST_SHARE: f64 = 1e-4;
-/// Damping after which a step, a ten-thousandth of the undamped one, is too short to help: the objective is not
-/// smooth.
+/// Damping after which a step, a ten-thousandth of the undamped one, is too short to help: the objective is
+/// not smooth.
 const MOST_DAMPING: f64 = 1e4;
 
 /// Largest factor on the steps of finite differences, and the largest step that it may lead to.
