@@ -58,8 +58,8 @@ impl ResidualStatistics {
     }
 }
 
-/// Returns the quantile of χ² for one of the standard normal distribution (Wilson and Hilferty 1931, PNAS 17);
-/// within 1 % from 10 degrees of freedom.
+/// Returns the quantile of χ² for one of the standard normal distribution (Wilson and Hilferty 1931, PNAS
+/// 17); within 1 % from 10 degrees of freedom.
 fn chi_square_quantile(freedom: f64, normal: f64) -> f64 {
     let a = 2.0 / (9.0 * freedom);
     let root = 1.0 - a + normal * sqrt(a);
