@@ -200,7 +200,7 @@ fn the_edges_that_widen_a_hole_need_their_pressure_on_the_ring() {
     let (edge_mpa, feed_m_per_s) = (5.0, 2.0e-3);
     let (law, cutting) = (MaterialLaw::default(), CuttingLaw::default());
     let pressure_pa = edge_mpa * 1e6 * (law.density_kg_m3(HU) / 1900.0).powf(1.7);
-    for hole_mm in [2.0, 4.0, 5.0, 6.0] {
+    for hole_mm in [4.0, 6.0] {
         let outer_m: f64 = RADIUS_M + cutting.reach_m;
         let inner_m: f64 = hole_mm * 0.5e-3;
         let area_m2 = PI * (outer_m * outer_m - inner_m * inner_m);
