@@ -187,7 +187,7 @@ struct Follower {
 
 impl Follower {
     fn new(scene: &Scene, sim: &Sim) -> Follower {
-        let mut course = Course::of(scene);
+        let mut course = Course::of(scene, sim.shared().volume().map(|volume| volume.spacing_m));
         course.add(sim.state());
         Follower { course, path_m: vec![sim.state().t_world_burr.position_m], deepest_tick: 0 }
     }

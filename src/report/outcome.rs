@@ -485,7 +485,7 @@ mod tests {
     fn course(change: (&str, &str), states: impl IntoIterator<Item = State>) -> (Scene, Course) {
         let text = synthetic::SCENE.replace(change.0, change.1);
         let scene = Scene::parse(&text, std::path::Path::new("scene.toml")).unwrap();
-        let mut course = Course::of(&scene);
+        let mut course = Course::of(&scene, None);
         states.into_iter().for_each(|state| course.add(&state));
         (scene, course)
     }
