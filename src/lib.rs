@@ -22,6 +22,7 @@ pub mod machine;
 pub mod output;
 mod plan_edit;
 mod planned;
+pub mod prediction;
 pub mod printer;
 pub mod program;
 mod redirect_file;

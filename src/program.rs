@@ -4,7 +4,9 @@ use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
-use ipc_types::process::{EXIT_BAD_INPUT, EXIT_FAILED, EXIT_GAP, exit_on_abort, reset_inherited_state};
+use ipc_types::process::{
+    EXIT_BAD_INPUT, EXIT_CAUTION, EXIT_FAILED, EXIT_GAP, exit_on_abort, reset_inherited_state,
+};
 use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 
 use crate::failure::Failure;
@@ -18,7 +20,7 @@ const EXIT_DONE: u8 = 0;
 const STACK_BYTES: u64 = 8 << 20;
 
 /// Exit codes, for the help.
-pub const EXIT_CODES: &str = "Exit codes: 0 done; 1 failed; 2 bad input; 3 done, but the log has a gap or is incomplete; 130 interrupted";
+pub const EXIT_CODES: &str = "Exit codes: 0 done; 1 failed; 2 bad input; 3 done, but the log has a gap or is incomplete; 4 done, with cautions (run --fail-on caution); 130 interrupted";
 
 /// Runs a program: `parse` reads its command line, `dispatch` executes the command. A command that returns an
 /// exit code, as a part of a session does, ends with that code.
@@ -106,7 +108,7 @@ fn with_its_answer(code: u8) -> u8 {
         None => code,
         Some(cause) => {
             tell!("trabecula: cannot write to standard output ({cause}); the command's output is lost");
-            if matches!(code, EXIT_DONE | EXIT_GAP) { EXIT_FAILED } else { code }
+            if matches!(code, EXIT_DONE | EXIT_GAP | EXIT_CAUTION) { EXIT_FAILED } else { code }
         }
     };
     printer::finish_words();

@@ -21,6 +21,7 @@ const CORES: [(&str, &str); 18] = [
     ("counter_random", "crates/counter_random"),
     ("sensors", "crates/sensors"),
     ("scene", "crates/scene"),
+    ("structures", "crates/structures"),
     ("simulation", "crates/simulation"),
     ("controllers", "crates/controllers"),
     ("run_log", "crates/run_log"),

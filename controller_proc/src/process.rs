@@ -135,9 +135,7 @@ impl Ports {
             states: session.subscriber(&services::STATE)?,
             status: session.subscriber(&services::RUN_STATUS)?,
             frames,
-            readings: (!scene.sensor.is_empty())
-                .then(|| session.subscriber(&services::SENSOR))
-                .transpose()?,
+            readings: scene.has_readings().then(|| session.subscriber(&services::SENSOR)).transpose()?,
             kept: None,
             events: EventSender::new(&session, Participant::Controller(index))?,
             physics: session.waker(Reader::Physics)?,

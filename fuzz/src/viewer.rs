@@ -48,7 +48,7 @@ fn request_head(data: &[u8]) {
 
 fn subscribe(text: ClientText) {
     BOARD.with(|board| {
-        let board = board.get_or_init(|| Board::new(Channels::new(&["a".to_owned()], &[])));
+        let board = board.get_or_init(|| Board::new(Channels::new(&["a".to_owned()], false)));
         let client = board.join();
         match text {
             ClientText::Subscribe { subscriptions } => {

@@ -23,6 +23,8 @@ pub const EXIT_FAILED: u8 = 1;
 pub const EXIT_BAD_INPUT: u8 = 2;
 /// Exit code for finished work with an incomplete log: a gap, a truncation, or no end.
 pub const EXIT_GAP: u8 = 3;
+/// Exit code of a finished run with cautions, where these are to count as failures.
+pub const EXIT_CAUTION: u8 = 4;
 
 /// How long a process waits for the volume.
 const VOLUME_LIMIT: Duration = Duration::from_secs(60);

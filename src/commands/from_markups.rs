@@ -1,6 +1,7 @@
 //! `trabecula scene from-markups`: a scene from a plan made in 3D Slicer.
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use clap::Args;
 use foreign_text::foreign_path;
@@ -8,13 +9,15 @@ use ipc_types::scene::{Scene, plan};
 use ipc_types::text_file;
 use markups::Plan;
 use volume_io::{Label, ReadOptions, read_as};
-use voxel_grid::Volume;
+use voxel_grid::{Ct, Volume};
 
+use super::scene::findings_json;
 use crate::failure::Failure;
 use crate::feasibility;
 use crate::launcher::volume_source::{self, VolumeFiles};
 use crate::output::refuse_existing;
 use crate::planned::PlannedScene;
+use crate::prediction::Prediction;
 use crate::say::{Figures, path_text};
 
 /// Arguments of `scene from-markups`.
@@ -32,6 +35,9 @@ pub struct FromMarkupsArguments {
     /// New scene file; default: named after the plan, in the current folder.
     #[arg(short, long)]
     output: Option<PathBuf>,
+    /// Do not predict the run by simulating the scene.
+    #[arg(long)]
+    no_simulate: bool,
     #[command(flatten)]
     volume_files: VolumeFiles,
     #[command(flatten)]
@@ -66,9 +72,17 @@ pub fn run(arguments: &FromMarkupsArguments) -> Result<(), Failure> {
         from_flange_mm: None,
     };
     drop(volume);
-    let (text, notes) = checked(&mut planned, &absolute(&output), arguments.volume_files)?;
+    let (text, mut notes, ct) = checked(&mut planned, &absolute(&output), arguments.volume_files)?;
+    let prediction = match arguments.no_simulate {
+        true => None,
+        false => {
+            let scene = Scene::parse_with(&text, &absolute(&output), &text_file::read);
+            Some(Prediction::of(&scene.map_err(Failure::bad_input)?, ct.map(Arc::new))?)
+        }
+    };
+    notes.extend(prediction.iter().flat_map(|prediction| prediction.lines(&"the scene of this plan")));
     output_file::write(&output, &text)?;
-    say(arguments, &planned, &output, &notes);
+    say(arguments, &planned, &output, &(notes, prediction));
     Ok(())
 }
 
@@ -84,12 +98,12 @@ fn options(arguments: &FromMarkupsArguments) -> ReadOptions {
 const FROM_FLANGE_MM: [f64; 4] = [200.0, 300.0, 400.0, 500.0];
 
 /// Checks the scene as `scene check` does, and moves the tool away from the flange if that keeps the arm out
-/// of the bone. Returns the scene's text and its warnings.
+/// of the bone. Returns the scene's text, its warnings and its volume.
 fn checked(
     planned: &mut PlannedScene,
     file: &Path,
     volume_files: VolumeFiles,
-) -> Result<(String, Vec<String>), Failure> {
+) -> Result<(String, Vec<String>, Option<Ct>), Failure> {
     let parse = |text: &str| Scene::parse_with(text, file, &text_file::read).map_err(Failure::bad_input);
     let mut text = planned.text();
     let scene = parse(&text)?;
@@ -115,7 +129,7 @@ fn checked(
     notes.extend(warnings);
     let bone_from_hu = scene.volume.as_ref().map_or(i16::MAX, |volume| volume.bone_threshold_hu);
     notes.extend(volume.and_then(|volume| exchanged(&planned.plan, volume, bone_from_hu)));
-    Ok((text, notes))
+    Ok((text, notes, loaded.map(|loaded| loaded.ct)))
 }
 
 /// How far to look for bone in front of the entry and beyond the target, mm: the length of the tool's
@@ -175,7 +189,12 @@ fn refuse_outside(arguments: &FromMarkupsArguments, plan: &Plan, volume: &Volume
     Ok(())
 }
 
-fn say(arguments: &FromMarkupsArguments, planned: &PlannedScene, output: &Path, notes: &[String]) {
+fn say(
+    arguments: &FromMarkupsArguments,
+    planned: &PlannedScene,
+    output: &Path,
+    (notes, prediction): &(Vec<String>, Option<Prediction>),
+) {
     let (plan, arc) = (&planned.plan, planned.arc());
     let place = |[x, y, z]: [f64; 3]| format!("{x:.1}, {y:.1}, {z:.1}");
     let bend = plan.bend_mm().map_or(String::new(), |bend_mm| format!("bend         {}\n", place(bend_mm)));
@@ -183,12 +202,13 @@ fn say(arguments: &FromMarkupsArguments, planned: &PlannedScene, output: &Path, 
         || {
             format!(
                 "{}entry        {} (LPS, mm)\n{bend}target       {}\npath         {:.1} mm, turning {:.1} \
-                 deg\nwritten      {}",
+                 deg\n{}written      {}",
                 notes.iter().map(|note| format!("{note}\n")).collect::<String>(),
                 place(plan.entry_mm()),
                 place(plan.target_mm()),
                 arc.length_mm,
                 arc.turn_deg,
+                prediction.as_ref().map_or(String::new(), |prediction| prediction.text() + "\n"),
                 output.display()
             )
         },
@@ -202,6 +222,8 @@ fn say(arguments: &FromMarkupsArguments, planned: &PlannedScene, output: &Path, 
                 "path_mm": arc.length_mm,
                 "turn_deg": arc.turn_deg,
                 "notes": notes,
+                "findings": findings_json(notes),
+                "prediction": prediction.as_ref().map(Prediction::json),
             })
         },
     );

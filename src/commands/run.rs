@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use clap::Args;
 use figures::FigureError;
 use ipc_types::messages::services::RECORDER_QUEUE_TICKS;
-use ipc_types::process::{EXIT_GAP, Role, prioritise};
+use ipc_types::process::{EXIT_CAUTION, EXIT_GAP, Role, prioritise};
 use ipc_types::scene::{Images, LONGEST_RUN_S, Mode, Policy, Scene, Wait};
 use output_file::OutputError;
 use voxel_grid::Ct;
@@ -72,6 +72,10 @@ pub struct RunArguments {
     watch_by_anyone: bool,
     #[command(flatten)]
     volume_files: VolumeFiles,
+    /// Exit with code 4 if the finished run has cautions: a missed target, a breach of the bone, forces, and
+    /// whatever else the table at its end lists.
+    #[arg(long, value_parser = choice(&FAIL_ON), conflicts_with = "no_record")]
+    fail_on: Option<FailOn>,
     /// Hide the progress line.
     #[arg(long)]
     quiet: bool,
@@ -89,6 +93,15 @@ impl RunArguments {
         }
     }
 }
+
+/// What counts as a failure of a finished run.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum FailOn {
+    Caution,
+}
+
+/// Values of `--fail-on`.
+const FAIL_ON: [Choice<FailOn>; 1] = [("caution", "Any caution", FailOn::Caution)];
 
 /// Values of `--mode`.
 const MODES: [Choice<Mode>; 2] = [
@@ -120,7 +133,7 @@ pub const POLICIES: [Choice<Policy>; 2] = [
 ///
 /// # Errors
 /// Bad input (exit code 2); a part that died, a log that disappeared, an incomplete report, an unwritable
-/// output (1); a log with a gap (3); Ctrl-C (130).
+/// output (1); a log with a gap (3); cautions, where they count (4); Ctrl-C (130).
 pub fn run(arguments: &RunArguments) -> Result<(), Failure> {
     printer::start().map_err(|cause| Failure::failed(format!("cannot write to standard output: {cause}")))?;
     let interrupts = Interrupts::install().map_err(Failure::signals)?;
@@ -184,7 +197,7 @@ pub fn run(arguments: &RunArguments) -> Result<(), Failure> {
     };
     let output = plan.output.as_deref().filter(|output| is_to_report && output.exists());
     let written = match output {
-        Some(output) => write_report(&result, output, arguments.json),
+        Some(output) => write_report(&result, output, arguments),
         None => {
             tell_outcome(&result, arguments.json);
             Ok(())
@@ -259,12 +272,12 @@ fn scene_of(arguments: &RunArguments, source: &SceneSource) -> Result<Scene, Fai
 }
 
 /// Writes the figures and numbers, and prints the final table.
-fn write_report(result: &RunResult, output: &Path, json: bool) -> Result<(), Failure> {
+fn write_report(result: &RunResult, output: &Path, arguments: &RunArguments) -> Result<(), Failure> {
     let replay_command = format!("{} replay {} --verify", program_name(), output.display());
     let facts = result.facts(replay_command);
     let report = report::write(output, &facts)?;
-    if json {
-        let (session, outcome) = (path_text(&result.session), &facts.outcome);
+    if arguments.json {
+        let (session, outcome) = (path_text(&result.session), &report.summary.outcome);
         let ended = serde_json::json!({
             "phase": "ended", "session": session, "folder": path_text(output), "outcome": outcome,
             "began_ns": result.began_ns,
@@ -279,7 +292,18 @@ fn write_report(result: &RunResult, output: &Path, json: bool) -> Result<(), Fai
         tell_outcome(result, false);
         say!("folder       {}", output.display());
     }
-    complete(&report.missing)
+    complete(&report.missing)?;
+    match report.summary.problems() {
+        0 => Ok(()),
+        _ if arguments.fail_on != Some(FailOn::Caution) => Ok(()),
+        count => Err(Failure {
+            message: format!(
+                "the run has {count} {}, treated as a failure (--fail-on caution)",
+                if count == 1 { "caution" } else { "cautions" }
+            ),
+            code: EXIT_CAUTION,
+        }),
+    }
 }
 
 /// Prints the outcome of a run without a report.

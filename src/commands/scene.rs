@@ -2,6 +2,7 @@
 //! one; `scene schema` prints the JSON schema of scenes, for editors.
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use clap::Subcommand;
 use ipc_types::scene::{Mode, Scene};
@@ -12,6 +13,7 @@ use crate::failure::Failure;
 use crate::feasibility;
 use crate::launcher::volume_source::{self, VolumeFiles};
 use crate::output::refuse_existing;
+use crate::prediction::Prediction;
 use crate::say::{self, Figures};
 use crate::scenes::{BuiltIn, SceneSource};
 
@@ -22,6 +24,13 @@ pub enum SceneCommand {
     Check {
         /// Scene file.
         file: PathBuf,
+        /// Also simulate the scene in this process and report what will happen: distance from the target,
+        /// deviation from the planned path, forces, stops, breaches of the bone.
+        #[arg(long)]
+        simulate: bool,
+        /// Treat warnings as errors (exit code 2).
+        #[arg(long)]
+        strict: bool,
         #[command(flatten)]
         volume_files: VolumeFiles,
         #[command(flatten)]
@@ -51,7 +60,10 @@ pub enum SceneCommand {
 /// An invalid scene (2); a file that already exists or cannot be written.
 pub fn run(command: &SceneCommand) -> Result<(), Failure> {
     match command {
-        SceneCommand::Check { file, volume_files, figures } => check(file, *volume_files, *figures),
+        SceneCommand::Check { file, simulate, strict, volume_files, figures } => {
+            let prediction = if *simulate { Simulate::Yes } else { Simulate::No };
+            check(file, (prediction, *volume_files), *strict, *figures)
+        }
         SceneCommand::Init { output, scene } => init(output, *scene),
         SceneCommand::FromMarkups(arguments) => from_markups::run(arguments),
         SceneCommand::Show(arguments) => show::run(arguments),
@@ -77,22 +89,78 @@ fn init(folder: &Path, scene: BuiltIn) -> Result<(), Failure> {
     Ok(())
 }
 
-fn check(file: &Path, volume_files: VolumeFiles, figures: Figures) -> Result<(), Failure> {
-    let mut notes = Vec::new();
-    let (scene, _) = crate::plan::load_scene(&SceneSource::File(file.to_owned()))?;
-    volume_source::refuse_missing(&file.display(), &scene)?;
-    let loaded = volume_source::load_with_notes(&scene, volume_files)?;
-    notes.extend(loaded.iter().flat_map(|loaded| loaded.notes.clone()));
+/// Whether a command also predicts the scene's run.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(super) enum Simulate {
+    Yes,
+    No,
+}
+
+/// Checks a scene with its volume; returns what there is to say about it, and the prediction of its run.
+///
+/// # Errors
+/// The scene is infeasible, or its volume cannot be read (2); out of memory (1).
+pub(super) fn examine(
+    scene: &Scene,
+    source: &dyn std::fmt::Display,
+    simulate: Simulate,
+    volume_files: VolumeFiles,
+) -> Result<(Vec<String>, Option<Prediction>), Failure> {
+    let loaded = volume_source::load_with_notes(scene, volume_files)?;
+    let mut notes = loaded.iter().flat_map(|loaded| loaded.notes.clone()).collect::<Vec<_>>();
     let volume = loaded.as_ref().map(|loaded| &loaded.ct.volume);
-    let warnings = feasibility::check(&scene, &file.display(), volume)
+    let warnings = feasibility::check(scene, source, volume)
         .inspect_err(|_| notes.iter().for_each(|note| tell!("{note}")))?;
     notes.extend(warnings);
+    let prediction = match simulate {
+        Simulate::Yes => Some(Prediction::of(scene, loaded.map(|loaded| Arc::new(loaded.ct)))?),
+        Simulate::No => None,
+    };
+    notes.extend(prediction.iter().flat_map(|prediction| prediction.lines(source)));
+    Ok((notes, prediction))
+}
+
+/// Returns lines with their severities, as JSON.
+pub(super) fn findings_json(notes: &[String]) -> serde_json::Value {
+    let finding = |note: &String| {
+        let (severity, text) = match note.strip_prefix(WARNING) {
+            Some(text) => ("warning", text),
+            None => ("note", note.as_str()),
+        };
+        serde_json::json!({"severity": severity, "text": text})
+    };
+    notes.iter().map(finding).collect()
+}
+
+/// Begin of a line that warns.
+const WARNING: &str = "warning: ";
+
+fn check(
+    file: &Path,
+    (simulate, volume_files): (Simulate, VolumeFiles),
+    strict: bool,
+    figures: Figures,
+) -> Result<(), Failure> {
+    let (scene, _) = crate::plan::load_scene(&SceneSource::File(file.to_owned()))?;
+    volume_source::refuse_missing(&file.display(), &scene)?;
+    let (mut notes, prediction) = examine(&scene, &file.display(), simulate, volume_files)?;
     notes.extend(xray::from_scene::tolerance_text(&scene));
     figures.say(
-        || [notes.join("\n"), text_of(file, &scene)].join("\n").trim_start().to_owned(),
-        || json_of(&scene, &notes),
+        || {
+            let predicted = prediction.as_ref().map(Prediction::text).unwrap_or_default();
+            [notes.join("\n"), text_of(file, &scene), predicted].join("\n").trim().to_owned()
+        },
+        || json_of(&scene, &notes, prediction.as_ref()),
     );
-    Ok(())
+    let warnings = notes.iter().filter(|note| note.starts_with(WARNING)).count();
+    match strict && warnings > 0 {
+        true => Err(Failure::bad_input(format!(
+            "{}: {warnings} {}, treated as errors (--strict)",
+            file.display(),
+            if warnings == 1 { "warning" } else { "warnings" }
+        ))),
+        false => Ok(()),
+    }
 }
 
 fn text_of(file: &Path, scene: &Scene) -> String {
@@ -117,7 +185,7 @@ fn text_of(file: &Path, scene: &Scene) -> String {
     )
 }
 
-fn json_of(scene: &Scene, notes: &[String]) -> serde_json::Value {
+fn json_of(scene: &Scene, notes: &[String], prediction: Option<&Prediction>) -> serde_json::Value {
     serde_json::json!({
         "scene": scene.name,
         "ticks": scene.tick_count(),
@@ -125,5 +193,7 @@ fn json_of(scene: &Scene, notes: &[String]) -> serde_json::Value {
         "controllers": scene.controller_names(),
         "frame_period_ticks": scene.frame_period_ticks(),
         "notes": notes,
+        "findings": findings_json(notes),
+        "prediction": prediction.map(Prediction::json),
     })
 }

@@ -1,9 +1,11 @@
 //! `trabecula view SCENE.toml`: shows a scene whose points can be moved, saved and run from the page.
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use ipc_types::process::EndRequest;
 use ipc_types::scene::Scene;
+use nalgebra::Vector3;
 use serde_json::{Value, json};
 use simulation::{CtView, Simulation};
 use viewer_proc::ViewerError;
@@ -18,8 +20,9 @@ use super::view_run::StartedRun;
 use crate::failure::Failure;
 use crate::launcher::volume_source::{self, VolumeFiles};
 use crate::plan_edit::{SceneName, moved};
+use crate::prediction::Prediction;
 use crate::scene_picture::facts::Facts;
-use crate::scene_picture::shape::{Shapes, Tube};
+use crate::scene_picture::shape::{Shapes, ToolShape, Tube};
 use crate::scene_picture::surroundings::Surroundings;
 use crate::scenes::SceneSource;
 
@@ -28,7 +31,7 @@ pub struct OpenedScene {
     file: PathBuf,
     text: String,
     scene: Scene,
-    ct: Option<Ct>,
+    ct: Option<Arc<Ct>>,
     volume_files: VolumeFiles,
 }
 
@@ -41,7 +44,7 @@ impl OpenedScene {
         let source = SceneSource::File(file.to_owned());
         let (scene, _) = crate::plan::load_scene(&source)?;
         volume_source::refuse_missing(&file.display(), &scene)?;
-        let ct = volume_source::load(&scene, volume_files)?;
+        let ct = volume_source::load(&scene, volume_files)?.map(Arc::new);
         Ok(OpenedScene { file: file.to_owned(), text: source.text()?, scene, ct, volume_files })
     }
 
@@ -58,7 +61,7 @@ impl OpenedScene {
         let threshold_hu = self.scene.volume.as_ref().map_or(0, |volume| volume.bone_threshold_hu);
         let volume = self.ct.as_ref().map(|ct| &ct.volume);
         let surroundings = volume.map(|volume| Surroundings::of(volume, threshold_hu));
-        let first = measure(&self.scene, volume, surroundings.as_ref())?;
+        let first = measure(&self.scene, (volume, surroundings.as_ref()), None)?;
         let looks = arm_looks(&self.scene)
             .map_err(|cause| Failure::bad_input(format!("{}: {cause}", self.file.display())))?;
         let mut started = None;
@@ -68,6 +71,7 @@ impl OpenedScene {
             places: Places::default(),
             text: self.text.clone(),
             saved: (self.file.clone(), self.text.clone()),
+            unpredicted: Some(self.scene.clone()),
             run: &mut started,
         };
         let session = plan::view(&self.file, (first, looks, volume), editor, door, ready, end);
@@ -86,6 +90,8 @@ struct Editor<'a> {
     text: String,
     /// File and text last saved.
     saved: (PathBuf, String),
+    /// The edited scene until its run has been predicted.
+    unpredicted: Option<Scene>,
     run: &'a mut Option<StartedRun>,
 }
 
@@ -96,9 +102,10 @@ impl Editor<'_> {
         let text = moved(text, scene, &places).map_err(|cause| format!("{}: {cause}", file.display()))?;
         let source = SceneSource::Changed { source: Box::new(SceneSource::File(file.clone())), text };
         let planned = crate::plan::load_scene(&source)
-            .and_then(|(scene, _)| measure(&scene, volume, self.surroundings))
+            .and_then(|(scene, _)| measure(&scene, (volume, self.surroundings), None))
             .map_err(|refused| refused.message)?;
         (self.places, self.text) = (places, source.text().map_err(|refused| refused.message)?);
+        self.unpredicted = Some(planned.scene.clone());
         Ok(planned)
     }
 }
@@ -114,6 +121,24 @@ impl Planner for Editor<'_> {
 
     fn restore(&mut self) -> Result<ScenePreview, String> {
         self.take(Places::default())
+    }
+
+    fn predict(&mut self, is_to_end: &mut dyn FnMut() -> bool) -> Option<ScenePreview> {
+        let scene = self.unpredicted.take()?;
+        let mut has_ended = false;
+        let mut ends = || {
+            has_ended |= is_to_end();
+            has_ended
+        };
+        let ct = &self.opened.ct;
+        // What a run would refuse is shown by the findings already.
+        let prediction = Prediction::unless(&scene, ct.clone(), &mut ends).ok()?;
+        if has_ended {
+            self.unpredicted = Some(scene);
+            return None;
+        }
+        let volume = ct.as_ref().map(|ct| &ct.volume);
+        measure(&scene, (volume, self.surroundings), Some(&prediction)).ok()
     }
 
     fn save(&mut self, name: &str, replace: bool) -> Result<SaveOutcome, String> {
@@ -180,16 +205,16 @@ fn replaced(file: &Path, text: &str) -> Result<(), String> {
 /// Measures a scene for display.
 fn measure(
     scene: &Scene,
-    volume: Option<&Volume>,
-    surroundings: Option<&Surroundings<'_>>,
+    (volume, surroundings): (Option<&Volume>, Option<&Surroundings<'_>>),
+    prediction: Option<&Prediction>,
 ) -> Result<ScenePreview, Failure> {
-    let shapes = Shapes::of(scene)?;
+    let shapes = Shapes::of(scene, prediction)?;
     let simulation = Simulation::new(scene, volume.map(CtView::from)).map_err(Failure::bad_input)?;
     let (state, predrilled) = (*simulation.state(), simulation.gone());
     drop(simulation);
     let facts = volume.zip(surroundings).map(|(volume, map)| Facts::of(scene, volume, map, &shapes));
-    let facts = facts.transpose()?;
-    let plan = plan(scene, &shapes, facts.as_ref())?;
+    let facts = facts.transpose()?.map(|facts| facts.with(prediction));
+    let plan = plan(scene, (&shapes, prediction), facts.as_ref())?;
     Ok(ScenePreview {
         tool: tool_shape(scene),
         state,
@@ -202,11 +227,15 @@ fn measure(
 
 /// Returns the measurements of `scene show`, the tool at the end of the path, the C-arm's source and
 /// detector, and the points with their scene file keys.
-fn plan(scene: &Scene, shapes: &Shapes, facts: Option<&Facts>) -> Result<Value, Failure> {
-    let end = &shapes.at_end;
-    let line_m: Vec<[f64; 3]> = end.tube.line_mm.iter().map(|point| (point * 1e-3).into()).collect();
-    let ball = |ball: &Tube| json!({"centre_m": ball.line_mm.first().map(|mm| <[f64; 3]>::from(mm * 1e-3)), "radius_m": 1e-3 * ball.radius_mm});
-    let burr: Vec<Value> = end.burr.iter().map(ball).collect();
+fn plan(
+    scene: &Scene,
+    (shapes, prediction): (&Shapes, Option<&Prediction>),
+    facts: Option<&Facts>,
+) -> Result<Value, Failure> {
+    let predicted = shapes
+        .predicted
+        .as_ref()
+        .map(|(path_mm, tool)| json!({"path_m": metres(path_mm), "tool_end": tool_json(tool)}));
     let c_arm = scene.drr.as_ref().map(xray::from_scene::scene_c_arm).transpose();
     let c_arm = c_arm.map_err(Failure::bad_input)?;
     let frustum = c_arm.map(|c_arm| {
@@ -225,9 +254,21 @@ fn plan(scene: &Scene, shapes: &Shapes, facts: Option<&Facts>) -> Result<Value, 
             "target_mm": drilling.map(|drilling| drilling.target_mm.unwrap_or_else(|| shapes.target_mm().into())),
             "isocentre_mm": scene.drr.as_ref().map(|drr| drr.isocentre_mm),
         },
-        "tool_end": shapes.is_planned.then(|| json!({
-            "line_m": line_m, "radius_m": 1e-3 * end.tube.radius_mm, "burr": burr,
-        })),
+        "tool_end": shapes.is_planned.then(|| tool_json(&shapes.at_end)),
+        "predicted": predicted,
+        "prediction": prediction.map(Prediction::json),
         "frustum": frustum,
     }))
+}
+
+/// Returns points in metres.
+fn metres(line_mm: &[Vector3<f64>]) -> Vec<[f64; 3]> {
+    line_mm.iter().map(|point| (point * 1e-3).into()).collect()
+}
+
+fn tool_json(tool: &ToolShape) -> Value {
+    let ball =
+        |ball: &Tube| json!({"centre_m": metres(&ball.line_mm).first(), "radius_m": 1e-3 * ball.radius_mm});
+    let burr: Vec<Value> = tool.burr.iter().map(ball).collect();
+    json!({"line_m": metres(&tool.tube.line_mm), "radius_m": 1e-3 * tool.tube.radius_mm, "burr": burr})
 }

@@ -111,7 +111,7 @@ pub struct ControlGroup {
     pub is_first_version: bool,
 }
 
-/// Returns this process's cgroup with a controller, such as `cpu`; `None` if there is none.
+/// Returns this process's cgroup with a controller, such as `cpu`, or `None` without one.
 pub fn control_group(controller: &str) -> Option<ControlGroup> {
     let mounts = std::fs::read_to_string("/proc/self/mounts").ok()?;
     let own = std::fs::read_to_string("/proc/self/cgroup").ok()?;

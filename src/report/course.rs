@@ -1,10 +1,11 @@
 //! Reduces the states of a run to its start, its deepest insertion, its end and the maximum values.
 
-use ipc_types::messages::{MAX_TENDONS, State};
+use ipc_types::messages::{Breach, MAX_TENDONS, State};
 use ipc_types::scene::Scene;
 use markups::vector::{cross, dot, length, minus};
 use simulation::manipulator_parameters;
 
+use super::outcome::{ClearanceWatch, PlanSummary, PlanWatch};
 use super::summary::{DrillingSummary, ToolSummary, ratio};
 
 /// The plane in which the tool bends, at the start of the run.
@@ -105,14 +106,27 @@ pub struct Course {
     /// True position of the burr's target in the bone, world frame.
     pub target_m: Option<[f64; 3]>,
     voxel_volume_mm3: Option<f64>,
+    watch: PlanWatch,
+    /// Least clearances of the critical structures.
+    pub clearances: ClearanceWatch,
+    /// The first [`KEPT_BREACHES`] breaches of the bone, one line each.
+    pub breaches: Vec<String>,
+    /// Number of breaches of the bone.
+    pub breach_count: u64,
 }
+
+/// Number of breaches whose text is kept.
+const KEPT_BREACHES: usize = 5;
 
 impl Course {
     /// Creates an empty course for a scene, with the voxel spacing of its volume.
     pub fn of(scene: &Scene, spacing_m: Option<[f64; 3]>) -> Course {
         let target_mm = scene.controller.iter().find_map(|c| c.curved_drilling.as_ref()?.target_mm);
+        let tool = manipulator_parameters(scene).ok();
         Course {
-            stop_rad: manipulator_parameters(scene).ok().map(|tool| tool.joint_limit_rad),
+            stop_rad: tool.as_ref().map(|tool| tool.joint_limit_rad),
+            watch: PlanWatch::of(scene, tool.as_ref()),
+            clearances: ClearanceWatch::of(scene),
             target_m: target_mm.map(|target_mm| scene.in_bone_mm(target_mm).map(|x| x * 1e-3)),
             voxel_volume_mm3: spacing_m.map(|edges_m| edges_m.iter().map(|edge_m| 1e3 * edge_m).product()),
             ..Course::default()
@@ -129,12 +143,31 @@ impl Course {
             None => self.first.insert(Box::new(*state)),
         };
         self.peaks.add(state, first.t_world_tip.position_m, self.stop_rad.unwrap_or(f64::INFINITY));
-        let [_, depth_mm] = Plane::of(first).project_mm(state.t_world_base.position_m);
+        self.watch.add(state);
+        let plane = Plane::of(first);
+        let [_, depth_mm] = plane.project_mm(state.t_world_base.position_m);
         if self.deepest.is_none() || depth_mm >= self.deepest_mm - SAME_DEPTH_MM {
             self.deepest_mm = if self.deepest.is_none() { depth_mm } else { self.deepest_mm.max(depth_mm) };
+            let [_, start_mm] = plane.project_mm(first.t_world_base.position_m);
+            self.watch.note_deepest(self.deepest_mm - start_mm);
             put(&mut self.deepest, state);
         }
         put(&mut self.last, state);
+    }
+
+    /// Adds the breach found after the last state, if any.
+    pub fn note_breach(&mut self, breach: Option<&Breach>) {
+        if let Some(breach) = breach {
+            self.add_breach(self.last.as_ref().map_or(0, |state| state.tick), &breach.to_string());
+        }
+    }
+
+    /// Adds a breach that was reported after a tick.
+    pub fn add_breach(&mut self, tick: u64, text: &str) {
+        self.breach_count += 1;
+        if self.breaches.len() < KEPT_BREACHES {
+            self.breaches.push(format!("tick {tick}: {text}"));
+        }
     }
 
     /// Returns the tool at the start and end, or `None` without a state.
@@ -149,6 +182,11 @@ impl Course {
             bend_deg: deepest.bend_rad.to_degrees(),
             max_tension_n: self.peaks.tension_n,
         })
+    }
+
+    /// Returns the comparison with the plan.
+    pub fn plan(&self) -> PlanSummary {
+        self.watch.summary()
     }
 
     /// Returns drilling and contact, or `None` without a state.

@@ -21,7 +21,7 @@ impl LogSummary {
 /// Maximum number of gaps listed individually.
 const GAPS_SHOWN: usize = 3;
 
-/// The table at the end of a run: 20 lines, plus one per caution and per controller after the third.
+/// The table at the end of a run: 22 lines, plus one per caution, structure and controller after the third.
 impl fmt::Display for Summary {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let unknown = || "unknown".to_string();
@@ -81,6 +81,7 @@ impl Summary {
             );
             rows.push(("contacts", text));
         }
+        rows.extend(self.plan_rows());
         if let Some(drr) = &self.drr {
             let render = drr
                 .render_ms
@@ -89,6 +90,36 @@ impl Summary {
             rows.push(("DRR frames", format!("{} ({} full){render}{rate}", drr.frames, drr.full_frames)));
         }
         rows.extend(self.cautions.iter().map(|caution| ("caution", caution.clone())));
+        rows
+    }
+
+    fn plan_rows(&self) -> Rows {
+        let Some(plan) = &self.plan else { return Rows::new() };
+        let mut rows = Rows::new();
+        if let Some((most_mm, at_mm)) = plan.path_deviation_mm.zip(plan.path_deviation_at_mm) {
+            let radius =
+                plan.least_radius_mm.map_or(String::new(), |mm| format!(", bent to a radius of {mm:.1} mm"));
+            let possible =
+                plan.possible_radius_mm.map_or(String::new(), |mm| format!(" (possible: {mm:.1})"));
+            rows.push((
+                "path",
+                format!("{most_mm:.2} mm off the plan, {at_mm:.1} mm along it{radius}{possible}"),
+            ));
+        }
+        let forces =
+            [("burr", &plan.forces.burr), ("walls", &plan.forces.walls), ("flange", &plan.forces.flange)];
+        let largest = forces.into_iter().max_by(|a, b| a.1.force_n.total_cmp(&b.1.force_n));
+        if let Some((what, peak)) = largest.filter(|(_, peak)| peak.force_n > 0.0) {
+            rows.push(("largest", format!("{what} {}", peak.text())));
+        }
+        for structure in &self.structures {
+            if let Some(least_mm) = structure.least_clearance_mm {
+                rows.push((
+                    "clearance",
+                    format!("{}: {least_mm:.2} mm at tick {}", structure.name, structure.tick),
+                ));
+            }
+        }
         rows
     }
 

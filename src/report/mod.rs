@@ -20,6 +20,7 @@ pub mod course;
 pub mod distribution;
 mod end_table;
 mod live;
+pub mod outcome;
 mod page;
 mod run_lane;
 mod summary;
@@ -40,6 +41,7 @@ use inputs::failure::Failure;
 pub use run_log::timeline;
 
 pub use live::{LiveSnapshot, LiveStats, progress_line};
+pub use outcome::{PlanSummary, StructureSummary};
 pub use summary::{DrillingSummary, MissSummary, NOT_SHARED, Summary, ToolSummary};
 pub use table::{History, json_line};
 
@@ -124,8 +126,9 @@ pub fn write(folder: &Path, facts: &RunFacts) -> Result<Report, ReportError> {
     let paths = [folder.join("run.mcap"), folder.join("timing.mcap")];
     // Read the timing lane first: it gives the length of the run, which determines the middle frame.
     let timing = TimingLane::read(&paths[1])?;
-    let run =
+    let mut run =
         RunLane::read(&paths[0], Some(timing.end_ns).filter(|&end_ns| end_ns > 0), facts.volume_spacing_m);
+    timing.breaches.iter().for_each(|(tick, text)| run.course.add_breach(*tick, text));
     let bytes = paths.map(|path| path.metadata().map_or(0, |metadata| metadata.len()));
     let frames = [("before", &run.frames.before), ("half", &run.frames.half), ("after", &run.frames.after)];
     let summary = Summary::new(&run, &timing, facts, bytes);

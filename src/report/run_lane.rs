@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use ipc_types::messages::{Frame, ImagePrefix, MAX_TENDONS, Pose, State};
+use ipc_types::messages::{Frame, ImagePrefix, MAX_TENDONS, Pose, SensorReading, State};
 use ipc_types::scene::Scene;
 use recorder_proc::log_file::LogFile;
 use run_log::{LogError, LogHeader, LogMessage, MessageStream, ReadOptions, Topic};
@@ -158,6 +158,11 @@ impl RunLane {
             Some(Topic::State) => {
                 if let Ok(state) = State::read_from_bytes(message.body) {
                     self.state(state, message.log_time_ns, dt_ns);
+                }
+            }
+            Some(Topic::Sensor) => {
+                if let Ok(reading) = SensorReading::read_from_bytes(message.body) {
+                    self.course.clearances.add(&reading);
                 }
             }
             Some(Topic::DrrFrame) => {

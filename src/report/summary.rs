@@ -9,6 +9,7 @@ use serde::{Deserialize, Serialize};
 use super::RunFacts;
 use super::cautions::cautions;
 use super::distribution::Quantiles;
+use super::outcome::{PlanSummary, StructureSummary, is_out_of_tolerance};
 use super::run_lane::RunLane;
 use super::timing_lane::TimingLane;
 use crate::plan::ModelError;
@@ -44,6 +45,15 @@ pub struct Summary {
     /// a measurement.
     #[serde(default)]
     pub model_error: Option<ModelError>,
+    /// The run compared with its plan; `None` without a state.
+    #[serde(default)]
+    pub plan: Option<PlanSummary>,
+    /// Number of breaches of the bone.
+    #[serde(default)]
+    pub breaches: u64,
+    /// Clearance of each critical structure.
+    #[serde(default)]
+    pub structures: Vec<StructureSummary>,
     /// Likely problems of the run.
     #[serde(default)]
     pub cautions: Vec<String>,
@@ -224,7 +234,7 @@ impl Summary {
         Summary {
             scene: header.map(|header| header.scene_name.clone()),
             mode: header.map(|header| header.mode.name().to_string()),
-            outcome: facts.outcome.clone(),
+            outcome: outcome(run, facts),
             ticks: run.course.ticks,
             simulated_s,
             wall_s: facts.wall_s,
@@ -234,6 +244,9 @@ impl Summary {
             final_hash: run.course.last.as_ref().map(|state| hash_text(state.hash)),
             tool: run.course.tool(),
             model_error: run.scene.as_ref().and_then(ModelError::of),
+            plan: run.course.first.as_ref().map(|_| run.course.plan()),
+            breaches: run.course.breach_count,
+            structures: run.course.clearances.summaries().to_vec(),
             cautions: cautions(run, timing),
             drilling: run.course.drilling(),
             drr: DrrSummary::of(run, timing, facts),
@@ -245,6 +258,20 @@ impl Summary {
             processor_s: facts.processor_s.clone(),
             replay_command: facts.replay_command.clone(),
         }
+    }
+}
+
+/// Returns how the run ended, and whether it exceeded a tolerance of its scene.
+fn outcome(run: &RunLane, facts: &RunFacts) -> String {
+    let is_out = run.scene.as_ref().is_some_and(|scene| is_out_of_tolerance(scene, &run.course));
+    facts.outcome.clone() + if is_out { ", out of tolerance" } else { "" }
+}
+
+impl Summary {
+    /// Returns the number of cautions, without the one about the model, which every run with it has.
+    pub fn problems(&self) -> usize {
+        let model = self.model_error.as_ref().map(ToString::to_string);
+        self.cautions.iter().filter(|caution| Some(*caution) != model.as_ref()).count()
     }
 }
 

@@ -4,7 +4,9 @@ use std::collections::{BTreeMap, VecDeque};
 use std::path::Path;
 
 use ipc_types::messages::layout::Message;
-use ipc_types::messages::{Command, Event, FrameTiming, Part, Participant, RunStatus, Severity, TickTiming};
+use ipc_types::messages::{
+    Command, Event, EventCode, FrameTiming, Part, Participant, RunStatus, Severity, TickTiming,
+};
 use ipc_types::process::FIFO_REFUSED;
 use recorder_proc::log_file::LogFile;
 use run_log::misses::Misses;
@@ -56,6 +58,8 @@ pub struct TimingLane {
     pub events: BTreeMap<String, u64>,
     /// The physics' report that it runs without the `SCHED_FIFO` that was asked for.
     pub fifo_refused: Option<String>,
+    /// The physics' reports that the tool has left the bone, with their ticks.
+    pub breaches: Vec<(u64, String)>,
     /// The last warnings and errors, one line each.
     pub warnings: VecDeque<String>,
     /// Messages lost, by topic, according to the end marker.
@@ -103,6 +107,7 @@ impl TimingLane {
             refused_commands: 0,
             events: BTreeMap::new(),
             fifo_refused: None,
+            breaches: Vec::new(),
             warnings: VecDeque::new(),
             lost: BTreeMap::new(),
             notes: Vec::new(),
@@ -176,6 +181,11 @@ impl TimingLane {
         let text = text.trim_end_matches('\0').replace(char::is_control, " ");
         if text.starts_with(FIFO_REFUSED) && event.sender() == Some(Participant::Part(Part::Physics)) {
             self.fifo_refused = Some(text.clone());
+        }
+        let is_breach =
+            event.code() == Ok(EventCode::Breach) && event.sender() == Some(Participant::Part(Part::Physics));
+        if is_breach {
+            self.breaches.push((event.tick, text.clone()));
         }
         if event.severity >= Severity::Warning.code() {
             if self.warnings.len() == KEPT_WARNINGS {

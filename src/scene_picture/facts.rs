@@ -13,6 +13,7 @@ use super::shape::{Shapes, length};
 use super::surroundings::Surroundings;
 use crate::failure::Failure;
 use crate::feasibility::is_program;
+use crate::prediction::Prediction;
 
 /// How far in front of a path that begins in bone its entry is searched, mm.
 const BEFORE_MM: f64 = 100.0;
@@ -50,7 +51,7 @@ pub struct Facts {
     pub ahead_mm: f64,
     /// How far the arm can feed from the start, mm; at most `FEED_MM`.
     pub feed_mm: f64,
-    /// Findings of `scene check`, errors included.
+    /// Findings of `scene check` and of the prediction, errors included.
     pub findings: Vec<String>,
 }
 
@@ -88,6 +89,14 @@ impl Facts {
             findings: found.iter().map(|finding| format!("{}: {finding}", word(finding.verdict))).collect(),
             profile,
         })
+    }
+
+    /// Adds the findings of a prediction.
+    pub fn with(mut self, prediction: Option<&Prediction>) -> Facts {
+        let found = prediction.iter().flat_map(|prediction| &prediction.findings);
+        self.findings.extend(found.map(|finding| format!("warning: predicted: {finding}")));
+        self.findings.extend(prediction.iter().flat_map(|prediction| prediction.notes.clone()));
+        self
     }
 
     /// Returns the minimum, mean and maximum Hounsfield units from entry to target, or `None` if the path

@@ -12,7 +12,7 @@ use voxel_grid::slice::ANATOMICAL;
 use super::facts::{Facts, Sample};
 use super::scale::Scale;
 use super::shape::{Shapes, length};
-use super::slice::{END, HOLE, Plane, START};
+use super::slice::{END, HOLE, PREDICTED, Plane, START};
 
 const MARGIN: f64 = 10.0;
 const GAP: f64 = 8.0;
@@ -56,7 +56,7 @@ pub fn draw(of: &PictureInput<'_>) -> Result<Figure, FigureError> {
     let mut figure = Figure::new(HEAD + rows + STRIP + ALONG_HEIGHT + LINE * (lines.len() as f64 + 1.0))?;
     let title = format!("{}: the plan in its CT", of.scene.name);
     figure.text((MARGIN, 22.0), &title, TextSize::Title, INK, Anchor::Left);
-    draw_legend(&mut figure, 48.0, of.shapes.is_planned);
+    draw_legend(&mut figure, 48.0, of.shapes);
     let half_mm = half_mm(of) * width / SLICE_HEIGHT;
     let mut top = HEAD;
     for (name, sample) in in_rows {
@@ -159,7 +159,11 @@ impl Slice<'_> {
         };
         let rgb = plane.pixels(self.of.volume, self.of.shapes, columns, rows);
         figure.add(Shape::Picture { corner: (x, y), width, height, columns, rows, rgb });
-        self.draw_path(figure);
+        self.draw_path(figure, &self.of.shapes.path_mm, PATH);
+        if let Some((path_mm, _)) = &self.of.shapes.predicted {
+            let [r, g, b] = PREDICTED;
+            self.draw_path(figure, path_mm, RGBColor(r, g, b));
+        }
         self.draw_marks(figure, places);
         if let Some([left, right, upper, lower]) = letters {
             let (middle_x, middle_y) = (x + 0.5 * width, y + 0.5 * height);
@@ -187,10 +191,9 @@ impl Slice<'_> {
         ((x + 0.5 * width + right * self.scale(), y + 0.5 * height + down * self.scale()), before)
     }
 
-    /// Draws the path, solid within the slice, dashed in front of or behind it.
-    fn draw_path(&self, figure: &mut Figure) {
-        let placed: Vec<(Point, f64)> =
-            self.of.shapes.path_mm.iter().map(|point| self.place(point)).collect();
+    /// Draws a path, solid within the slice, dashed in front of or behind it.
+    fn draw_path(&self, figure: &mut Figure, path_mm: &[Vector3<f64>], colour: RGBColor) {
+        let placed: Vec<(Point, f64)> = path_mm.iter().map(|point| self.place(point)).collect();
         let mut from = 0;
         while from + 1 < placed.len() {
             let is_near = |index: usize| placed[index].1.abs() <= self.near_mm();
@@ -203,7 +206,7 @@ impl Slice<'_> {
             let dash: &[f64] = if kind { &[] } else { &[5.0, 4.0] };
             for run in clip(&points, self.area) {
                 figure.line(run.clone(), Stroke::full(BLACK, if kind { 4.0 } else { 0.1 }));
-                figure.line(run, Stroke { colour: PATH, width: 2.2, dash });
+                figure.line(run, Stroke { colour, width: 2.2, dash });
             }
             from = to;
         }
@@ -269,7 +272,8 @@ fn chip(figure: &mut Figure, (x, y): Point, text: &str) {
     figure.text((x, y), text, TEXT, INK, Anchor::Centre);
 }
 
-fn draw_legend(figure: &mut Figure, y: f64, is_planned: bool) {
+fn draw_legend(figure: &mut Figure, y: f64, shapes: &Shapes) {
+    let is_planned = shapes.is_planned;
     let colour = |[r, g, b]: [u8; 3]| RGBColor(r, g, b);
     let path = if is_planned { "path of the burr's centre" } else { "30 mm ahead (no plan)" };
     let mut entries = vec![
@@ -279,7 +283,10 @@ fn draw_legend(figure: &mut Figure, y: f64, is_planned: bool) {
         (PATH, &[5.0, 4.0][..], "outside the slice"),
     ];
     if is_planned {
-        entries.insert(2, (colour(END), &[], "tool at the end"));
+        entries.insert(2, (colour(END), &[], "at the end"));
+    }
+    if shapes.predicted.is_some() {
+        entries.push((colour(PREDICTED), &[], "predicted"));
     }
     let mut x = MARGIN;
     for (colour, dash, text) in entries {

@@ -1,11 +1,13 @@
 //! Geometry drawn into the CT.
 
+use ipc_types::messages::State;
 use ipc_types::scene::{Scene, planned_path_mm};
 use nalgebra::Vector3;
 use simulation::manipulator::ManipulatorParameters;
 use simulation::manipulator_parameters;
 
 use crate::failure::Failure;
+use crate::prediction::Prediction;
 
 /// Length of the line ahead that is used if no controller drills, mm.
 const AHEAD_MM: f64 = 30.0;
@@ -122,6 +124,8 @@ pub struct Shapes {
     pub at_start: ToolShape,
     /// The tool with its burr at the end of the path, drawn along the path.
     pub at_end: ToolShape,
+    /// Predicted path of the burr's centre, and the tool at its deepest.
+    pub predicted: Option<(Vec<Vector3<f64>>, ToolShape)>,
     /// Length of the path from the start.
     pub insertion_mm: f64,
     /// From the tool's base to the burr's centre.
@@ -129,8 +133,8 @@ pub struct Shapes {
 }
 
 impl Shapes {
-    /// Builds the shapes of a scene.
-    pub fn of(scene: &Scene) -> Result<Shapes, Failure> {
+    /// Builds the shapes of a scene and of its predicted run.
+    pub fn of(scene: &Scene, prediction: Option<&Prediction>) -> Result<Shapes, Failure> {
         let tool = manipulator_parameters(scene).map_err(Failure::bad_input)?;
         let tool_mm = 1e3 * tool.burr_centre_m();
         let start_mm = Vector3::from(scene.tool.burr_start_mm);
@@ -159,6 +163,11 @@ impl Shapes {
             toward,
             at_start: shape(vec![base_mm, start_mm]),
             at_end: shape(last_of(&way, tool_mm, step_mm)),
+            predicted: prediction.and_then(|prediction| {
+                let state = prediction.course.deepest.as_ref()?;
+                let path = prediction.path_m.iter().map(|point_m| Vector3::from(*point_m) * 1e3);
+                Some((path.collect(), shape(line_mm(state))))
+            }),
             path_mm,
             insertion_mm,
             tool_mm,
@@ -176,6 +185,13 @@ impl Shapes {
         let before = self.path_mm.iter().rev().find(|point| (end - **point).norm() > 1e-6);
         before.map_or(self.along, |before| (end - before).normalize())
     }
+}
+
+/// Returns the tool's centre line in a state, from its base to the burr's centre.
+fn line_mm(state: &State) -> Vec<Vector3<f64>> {
+    let links = state.t_world_link.iter().take(state.joint_count as usize);
+    let poses = [&state.t_world_base].into_iter().chain(links).chain([&state.t_world_burr]);
+    poses.map(|pose| Vector3::from(pose.position_m) * 1e3).collect()
 }
 
 fn hole(hole: &ipc_types::scene::Predrill) -> Hole {

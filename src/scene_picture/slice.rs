@@ -17,6 +17,8 @@ pub const HOLE: [u8; 3] = [86, 180, 233];
 pub const START: [u8; 3] = [240, 228, 66];
 /// The tool at the end of the path.
 pub const END: [u8; 3] = [255, 140, 60];
+/// The predicted tool and path.
+pub const PREDICTED: [u8; 3] = [0, 200, 140];
 
 /// A rectangle in the patient frame.
 #[derive(Debug, Clone, PartialEq)]
@@ -62,11 +64,12 @@ fn grey(hu: f64) -> [u8; 3] {
 
 /// Which shapes contain a pixel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-struct Inside([bool; 3]);
+struct Inside([bool; 4]);
 
 impl Inside {
     fn of(point: &Vector3<f64>, shapes: &Shapes) -> Inside {
         Inside([
+            shapes.predicted.as_ref().is_some_and(|(_, tool)| tool.holds(point)),
             shapes.holes.iter().any(|hole| hole.holds(point)),
             shapes.at_start.holds(point),
             shapes.is_planned && shapes.at_end.holds(point),
@@ -78,7 +81,7 @@ impl Inside {
 fn outline(pixels: &mut [u8], inside: &[Inside], columns: usize, rows: usize) {
     for row in 0..rows {
         for column in 0..columns {
-            for (which, colour) in [HOLE, START, END].into_iter().enumerate() {
+            for (which, colour) in [PREDICTED, HOLE, START, END].into_iter().enumerate() {
                 if !inside[row * columns + column].0[which] {
                     continue;
                 }
@@ -122,6 +125,7 @@ mod tests {
             toward: Vector3::x(),
             at_start: tool([0.0, 0.0, -100.0]),
             at_end: tool([0.0, 0.0, 100.0]),
+            predicted: None,
             insertion_mm: 0.0,
             tool_mm: 0.0,
         };

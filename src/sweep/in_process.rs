@@ -52,6 +52,9 @@ pub fn run(
     row.simulated_s = (course.ticks * shared.scene().dt_ns()) as f64 * 1e-9;
     row.final_hash = course.last.as_ref().map(|state| hash_text(state.hash));
     (row.tool, row.drilling) = (course.tool(), course.drilling());
+    row.plan = course.last.as_ref().map(|_| course.plan());
+    row.breaches = course.breach_count;
+    row.structures = course.clearances.summaries().to_vec();
     Ok(PointOutcome::Ended(Box::new(row)))
 }
 
@@ -73,6 +76,8 @@ fn follow(
         }
         sim.step(&[], 1)?;
         course.add(sim.state());
+        course.note_breach(sim.breach());
+        sim.readings().iter().for_each(|reading| course.clearances.add(reading));
     }
     sim.close_recording()?;
     Ok(true)

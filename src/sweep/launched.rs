@@ -53,7 +53,9 @@ pub fn run(
         row.ticks = summary.ticks;
         row.simulated_s = summary.simulated_s;
         row.final_hash = summary.final_hash;
-        (row.tool, row.drilling) = (summary.tool, summary.drilling);
+        row.breaches = summary.breaches;
+        (row.tool, row.drilling, row.plan) = (summary.tool, summary.drilling, summary.plan);
+        row.structures = summary.structures;
         row.log = row.log.map(|log| log.join(run));
     } else {
         row.log = None;

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use crate::report::{DrillingSummary, ToolSummary};
+use crate::report::{DrillingSummary, PlanSummary, StructureSummary, ToolSummary};
 
 /// How a run of a sweep ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -47,6 +47,14 @@ pub struct Row {
     pub final_hash: Option<String>,
     pub tool: Option<ToolSummary>,
     pub drilling: Option<DrillingSummary>,
+    #[serde(default)]
+    pub plan: Option<PlanSummary>,
+    /// Clearance of each critical structure.
+    #[serde(default)]
+    pub structures: Vec<StructureSummary>,
+    /// Number of breaches of the bone.
+    #[serde(default)]
+    pub breaches: u64,
     /// Path of the run's log relative to the sweep's folder.
     pub log: Option<PathBuf>,
     /// Command that repeats the run as a session with a log.
@@ -56,11 +64,14 @@ pub struct Row {
 /// A result of a row: its name, and its value if the row has it.
 type Figure = (&'static str, fn(&Row) -> Option<f64>);
 
-/// The results of a row; those of [`ToolSummary`] and [`DrillingSummary`] are defined as in `summary.json`.
-pub const FIGURES: [Figure; 22] = [
+/// The results of a row; those of [`ToolSummary`], [`PlanSummary`] and
+/// [`DrillingSummary`] are defined as in `summary.json`.
+pub const FIGURES: [Figure; 26] = [
     ("ticks", |row| Some(row.ticks as f64)),
     ("simulated_s", |row| Some(row.simulated_s)),
     ("target_error_mm", |row| row.tool.as_ref()?.target_error_mm),
+    ("path_deviation_mm", |row| row.plan.as_ref()?.path_deviation_mm),
+    ("least_radius_mm", |row| row.plan.as_ref()?.least_radius_mm),
     ("bend_deg", |row| Some(row.tool.as_ref()?.bend_deg)),
     ("max_tension_n", |row| Some(row.tool.as_ref()?.max_tension_n)),
     ("tip_deepest_x_mm", |row| Some(row.tool.as_ref()?.tip_deepest_mm[0])),
@@ -79,6 +90,10 @@ pub const FIGURES: [Figure; 22] = [
     ("max_flange_force_n", |row| Some(row.drilling.as_ref()?.max_flange_force_n)),
     ("max_stop_excess_deg", |row| Some(row.drilling.as_ref()?.max_stop_excess_deg)),
     ("max_contacts", |row| Some(f64::from(row.drilling.as_ref()?.max_contacts))),
+    ("least_clearance_mm", |row| {
+        row.structures.iter().filter_map(|structure| structure.least_clearance_mm).reduce(f64::min)
+    }),
+    ("breaches", |row| row.plan.as_ref().map(|_| row.breaches as f64)),
     ("contact_share", |row| Some(row.drilling.as_ref()?.contact_share)),
 ];
 

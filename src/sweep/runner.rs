@@ -193,6 +193,9 @@ fn empty_row(study: &OpenedStudy, point: &Point) -> Result<Row, Failure> {
         final_hash: None,
         tool: None,
         drilling: None,
+        plan: None,
+        structures: Vec::new(),
+        breaches: 0,
         log: None,
         command: study.command(point)?,
     })

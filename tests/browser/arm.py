@@ -5,7 +5,7 @@ from pathlib import Path
 from page import Page
 from playwright.sync_api import Browser
 
-# Of configs/arms/puma560: link 4 has no mesh.
+# Link 4 of configs/arms/puma560 has no mesh.
 LINKS = [0, 1, 2, 3, 5, 6]
 UPPER_ARM_M = 0.4318
 

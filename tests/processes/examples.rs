@@ -9,7 +9,7 @@ use crate::common::logs::assert_replays;
 use crate::common::program::{Place, Run, trabecula};
 
 /// Each scene, and the line that shows its feature.
-const GALLERY: [(&str, &str); 25] = [
+const GALLERY: [(&str, &str); 26] = [
     ("arm_compliance.toml", "[arm.compliance]"),
     ("arm_gantry.toml", "model = \"gantry\""),
     ("arm_joints.toml", "[[arm.joint]]"),
@@ -25,6 +25,7 @@ const GALLERY: [(&str, &str); 25] = [
     ("drr_spectrum.toml", "[drr.spectrum]"),
     ("manipulator_model.toml", "model = \"spatial\""),
     ("sensors.toml", "fbg = {}"),
+    ("structures.toml", "[[structure]]"),
     ("tendon_helix.toml", "twist_deg_per_mm = 3.8"),
     ("tendons.toml", "[[tendon]]"),
     ("tolerance.toml", "[tolerance]"),

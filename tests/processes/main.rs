@@ -48,6 +48,7 @@ mod outputs;
 mod plan;
 mod plan_pages;
 mod plans;
+mod predictions;
 mod programs;
 mod promise;
 mod python;

@@ -51,8 +51,8 @@ fn the_figures_of_a_plan_in_a_ball_are_the_balls_and_the_picture_shows_hole_tool
     // Regression: two screens tall.
     assert!(info.height <= 2100, "{}", info.height);
     let count = |colour: [u8; 3]| pixels.chunks_exact(3).filter(|pixel| *pixel == colour).count();
-    // Hole, tool at the start, tool at the end, path.
-    for colour in [[86, 180, 233], [240, 228, 66], [255, 140, 60], [204, 121, 167]] {
+    // Hole, tool at the start, tool at the end, path, predicted path and tool.
+    for colour in [[86, 180, 233], [240, 228, 66], [255, 140, 60], [204, 121, 167], [0, 200, 140]] {
         assert!(count(colour) > 500, "{colour:?}: {}", count(colour));
     }
 }

@@ -1,9 +1,9 @@
 //! Identification: parameters of a simulation from measurements, with their uncertainty.
 //!
-//! [`fit`] minimizes the differences between a [`Model`] and its measurements; [`Uncertainty`] says how well the
-//! data determine the parameters and [`undetermined`](wording::undetermined) says in words what they do not
-//! determine; [`rank`] says which further experiment would help most. A [`Study`](study::Study) is the file
-//! that describes all of it: parameters, experiments, and what each column of a measured file means
+//! [`fit`] minimizes the differences between a [`Model`] and its measurements; [`Uncertainty`] says how well
+//! the data determine the parameters and [`undetermined`](wording::undetermined) says in words what they do
+//! not determine; [`rank`] says which further experiment would help most. A [`Study`](study::Study) is the
+//! file that describes all of it: parameters, experiments, and what each column of a measured file means
 //! ([`quantity`], [`unit`], [`signal`]).
 //!
 //! **Boundary:** text and numbers in, values out. Files, threads and simulations are up to the caller
@@ -25,7 +25,8 @@
 //! }
 //!
 //! let parameter = |key: &str| Parameter {
-//!     key: key.to_owned(), min: -10.0, max: 10.0, scale: Default::default(), start: None, step: None, prior: None,
+//!     key: key.to_owned(), min: -10.0, max: 10.0, scale: Default::default(), start: None, step: None,
+//!     prior: None,
 //! };
 //! let parameters = [parameter("offset"), parameter("slope")];
 //! let method = Method { starts: 1, seed: 0, iterations: 50, huber: None };

@@ -38,7 +38,8 @@ pub struct Parameter {
     pub prior: Option<Prior>,
 }
 
-/// Default [`Parameter::step`]: far above rounding, 1e-11 of the range, and below the curvature within an interval.
+/// Default [`Parameter::step`]: far above rounding, 1e-11 of the range, and below the curvature within an
+/// interval.
 pub const STANDARD_STEP: f64 = 1e-5;
 
 impl Parameter {

@@ -169,8 +169,8 @@ impl Quantity {
         isometry(pose) * nalgebra::Point3::from(self.point_m) - nalgebra::Point3::origin()
     }
 
-    /// Appends the error-free values in SI units, `count` of them; NaN where there is none. `start` is the
-    /// state at tick 0.
+    /// Appends the error-free values in SI units, `count` of them; NaN where a value is absent. `start` is
+    /// the state at tick 0.
     pub fn values(
         &self,
         state: &State,

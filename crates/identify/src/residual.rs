@@ -58,8 +58,8 @@ impl ResidualStatistics {
     }
 }
 
-/// Returns the quantile of χ² for one of the standard normal distribution (Wilson and Hilferty 1931, PNAS 17);
-/// within 1 % from 10 degrees of freedom.
+/// Returns the quantile of χ² for one of the standard normal distribution (Wilson and Hilferty 1931, PNAS
+/// 17); within 1 % from 10 degrees of freedom.
 fn chi_square_quantile(freedom: f64, normal: f64) -> f64 {
     let a = 2.0 / (9.0 * freedom);
     let root = 1.0 - a + normal * sqrt(a);
@@ -89,7 +89,8 @@ mod tests {
         (0..count).map(|i| Key::of(key).normal(i)).collect()
     }
 
-    /// Two tests at 99.99 %, the first of which rejects more often at 200 residuals: about 1 of 1000 on average.
+    /// Two tests at 99.99 %, the first of which rejects more often at 200 residuals: about 1 of 1000 on
+    /// average.
     #[test]
     fn white_noise_is_called_white_and_leaves_intervals_as_they_are() {
         let called = (0..1000).map(|key| ResidualStatistics::of(&noise(key, 200)));
@@ -119,7 +120,8 @@ mod tests {
         assert!(!found.is_white && found.inflation > 5.0 && (found.mean - 2.0).abs() < 0.4, "{found:?}");
     }
 
-    /// 45.31 is the published 99.9 % quantile for 20 degrees of freedom, 29.59 that for 10; the formula is good to 1 %.
+    /// 45.31 is the published 99.9 % quantile for 20 degrees of freedom, 29.59 that for 10; the formula
+    /// is good to 1 %.
     #[test]
     fn quantiles_are_those_of_the_tables() {
         assert!((chi_square_quantile(20.0, 3.0902) - 45.31).abs() < 0.45);

@@ -119,8 +119,8 @@ pub struct RowCount {
 }
 
 impl Rows {
-    /// Returns the rows whose time, after an offset between `early_s` and `late_s` is subtracted, lies within 0
-    /// to `end_s` in any case, sorted by time, and what became of all rows.
+    /// Returns the rows whose time, after an offset between `early_s` and `late_s` is subtracted, lies
+    /// within 0 to `end_s` in any case, sorted by time, and what became of all rows.
     pub fn within(&self, early_s: f64, late_s: f64, end_s: f64) -> (Rows, RowCount) {
         let mut count = RowCount { rows: self.times_s.len(), ..RowCount::default() };
         let mut used: Vec<usize> = Vec::new();

@@ -1,11 +1,11 @@
 //! The fit: a bounded Levenberg-Marquardt method with projection onto the range.
 //!
 //! It minimizes F = ½ Σ ρ(r) + ½ Σ ((x − mean) / sd)² over the unit cube (Kanzow, Yamashita and Fukushima
-//! 2004, "Levenberg-Marquardt methods with strong local convergence properties for solving nonlinear equations
-//! with convex constraints", J. Comput. Appl. Math. 172). ρ(r) is r², or Huber's function (Huber 1964, "Robust
-//! estimation of a location parameter", Ann. Math. Stat. 35). Derivatives are finite differences: one-sided far
-//! from the optimum, central near it. All points of a Jacobian, and both trial steps, are one request to the
-//! model, so that it can compute them at once.
+//! 2004, "Levenberg-Marquardt methods with strong local convergence properties for solving nonlinear
+//! equations with convex constraints", J. Comput. Appl. Math. 172). ρ(r) is r², or Huber's function
+//! (Huber 1964, "Robust estimation of a location parameter", Ann. Math. Stat. 35). Derivatives are finite
+//! differences: one-sided far from the optimum, central near it. All points of a Jacobian, and both trial
+//! steps, are one request to the model, so that it can compute them at once.
 
 use nalgebra::DMatrix;
 
@@ -131,9 +131,13 @@ const NEGLIGIBLE_DECREASE: f64 = 1e-11;
 const NEAR_DECREASE: f64 = 1e-2;
 /// A step must achieve this share of the decrease that the linear model predicts.
 const LEAST_SHARE: f64 = 1e-4;
-/// Damping after which a step, a ten-thousandth of the undamped one, is too short to help: the objective is not
-/// smooth.
+/// Damping after which a step, a ten-thousandth of the undamped one, is too short to help: the objective
+/// is not smooth.
 const MOST_DAMPING: f64 = 1e4;
+
+/// Largest factor on the steps of finite differences, and the largest step that it may lead to.
+const MOST_WIDENING: f64 = 1000.0;
+const MOST_STEP: f64 = 0.05;
 
 /// A point with its residuals.
 #[derive(Debug, Clone)]
@@ -155,6 +159,8 @@ struct Solver<'a, M: Model> {
     parameters: &'a [Parameter],
     method: Method,
     evaluations: u64,
+    /// Factor on the steps of finite differences, raised where the model is rough on their scale.
+    widening: f64,
 }
 
 /// Fits the parameters. `start` holds a coordinate for each; further starting points are a scrambled Sobol
@@ -168,7 +174,7 @@ pub fn fit<M: Model>(
     start: &[f64],
     method: Method,
 ) -> Result<Fit, SolveError<M::Error>> {
-    let mut solver = Solver { model, parameters, method, evaluations: 0 };
+    let mut solver = Solver { model, parameters, method, evaluations: 0, widening: 1.0 };
     let mut starts = vec![start.iter().map(|unit| unit.clamp(0.0, 1.0)).collect::<Vec<f64>>()];
     for index in 1..method.starts.max(1) {
         let unit = |dimension| f64::from(sobol_burley::sample(index, dimension, method.seed));
@@ -221,7 +227,7 @@ pub fn linearised<M: Model>(
     unit: &[f64],
 ) -> Result<(Vec<f64>, Vec<Vec<f64>>), SolveError<M::Error>> {
     let method = Method { starts: 1, seed: 0, iterations: 0, huber: None };
-    let mut solver = Solver { model, parameters, method, evaluations: 0 };
+    let mut solver = Solver { model, parameters, method, evaluations: 0, widening: 1.0 };
     let point = solver.points(vec![unit.to_vec()])?.remove(0);
     let point = point.map_err(|reason| SolveError::Start { reason })?;
     let columns = solver.columns(&point, Difference::Central)?;
@@ -313,7 +319,8 @@ impl<M: Model> Solver<'_, M> {
 
     /// Returns the steps at which a column is evaluated; 0: none.
     fn steps(&self, at: &Point, j: usize, by: Difference) -> [f64; 2] {
-        let (unit, h) = (at.unit[j], self.parameters[j].difference());
+        let given = self.parameters[j].difference();
+        let (unit, h) = (at.unit[j], (given * self.widening).min(given.max(MOST_STEP)));
         let (has_above, has_below) = (unit + h <= 1.0, unit - h >= 0.0);
         match (by, has_above, has_below) {
             (Difference::OneSided, true, _) => [h, 0.0],
@@ -326,6 +333,7 @@ impl<M: Model> Solver<'_, M> {
 
     /// Descends from a point to an optimum.
     fn descend(&mut self, mut point: Point) -> Result<Optimum, SolveError<M::Error>> {
+        self.widening = 1.0;
         let mut by = Difference::OneSided;
         let mut damping = 1e-3;
         let mut iterations = 0;
@@ -346,7 +354,13 @@ impl<M: Model> Solver<'_, M> {
             }
             let Some((next, used)) = self.step(&point, &normal, &mut damping)? else {
                 if by == Difference::Central {
-                    break if decrease < NEAR_DECREASE { Stop::Converged } else { Stop::Rough };
+                    if decrease < NEAR_DECREASE {
+                        break Stop::Converged;
+                    }
+                    if self.widening >= MOST_WIDENING {
+                        break Stop::Rough;
+                    }
+                    self.widening *= 10.0;
                 }
                 (by, damping) = (Difference::Central, 1e-3);
                 columns = self.columns(&point, by)?;

@@ -7,7 +7,7 @@ use std::path::Path;
 use controllers::Calibration;
 use foreign_text::number;
 use ipc_types::arm_meshes;
-use ipc_types::scene::{CurvedDrilling, Scene, keys_without_effect};
+use ipc_types::scene::{CurvedDrilling, Feedback, Scene, keys_without_effect};
 use simulation::{CtView, Verdict, findings};
 use voxel_grid::Volume;
 use xray::DrrError;
@@ -53,9 +53,16 @@ pub fn check(
     if let Some(volume) = volume {
         refuse_outside(scene, source, volume)?;
     }
+    let unseen = unseen_by_feedback(scene).into_iter().chain(source_in_volume(scene, volume));
+    let coarse = volume.and_then(|volume| coarse_voxels(scene, volume));
     let undrawn = arm_meshes::undrawn(&scene.arm);
     let vain = keys_without_effect(scene).map(|(key, why)| format!("`{key}` has no effect {why}"));
-    let unlikely = of(Verdict::Unlikely).map(|finding| finding.to_string()).chain(undrawn).chain(vain);
+    let unlikely = of(Verdict::Unlikely)
+        .map(|finding| finding.to_string())
+        .chain(unseen)
+        .chain(coarse)
+        .chain(undrawn)
+        .chain(vain);
     Ok(unlikely.map(|finding| format!("warning: {source}: {finding}")).collect())
 }
 
@@ -90,6 +97,49 @@ pub fn in_millimetres(cause: DrrError) -> String {
         }
         other => other.to_string(),
     }
+}
+
+/// Finds a burr that the frames of image feedback do not show, at the start or at the target.
+fn unseen_by_feedback(scene: &Scene) -> Option<String> {
+    let drilling = drillings(scene).find(|drilling| drilling.feedback == Feedback::Image)?;
+    let c_arm = scene_c_arm(scene.drr.as_ref()?).ok()?;
+    let is_seen = |place_mm: &[f64; 3]| {
+        c_arm.project(place_mm.map(|x| x * 1e-3)).is_some_and(|at| {
+            let within = |place: f64, count: u32| (0.0..f64::from(count)).contains(&(place + 0.5));
+            within(at.column, c_arm.columns) && within(at.row, c_arm.rows)
+        })
+    };
+    let places = [("burr at its start", Some(scene.tool.burr_start_mm)), ("target", drilling.target_mm)];
+    let (what, _) = places.into_iter().find(|(_, place)| place.as_ref().is_some_and(|mm| !is_seen(mm)))?;
+    let key = if scene.drr.as_ref()?.carm.is_some() { "drr.carm" } else { "drr.isocentre_mm" };
+    Some(format!("`{key}`: the X-ray frames do not show the {what}, which image feedback looks for"))
+}
+
+/// Finds an X-ray source inside the volume.
+fn source_in_volume(scene: &Scene, volume: Option<&Volume>) -> Option<String> {
+    let source_m = scene_c_arm(scene.drr.as_ref()?).ok()?.source_m;
+    let [x, y, z] = source_m.map(|x| x * 1e3);
+    volume?.holds(source_m).then(|| {
+        format!("`drr`: the X-ray source, at ({x:.0}, {y:.0}, {z:.0}) mm, is inside the volume; expected outside the patient")
+    })
+}
+
+/// Largest voxel for a burr, as a share of its diameter: in coarser voxels the wall of its hole is as rough
+/// as the hole is wide, and a tool jams in it.
+const VOXEL_SHARE: f64 = 0.25;
+
+/// Finds voxels that are too coarse for the burr.
+fn coarse_voxels(scene: &Scene, volume: &Volume) -> Option<String> {
+    drillings(scene).next()?;
+    let voxel_mm = 1e3 * volume.grid.spacing_m().into_iter().fold(0.0, f64::max);
+    let burr_mm = 2e3 * scene.manipulator.radii().cutter.widest_radius_m();
+    (voxel_mm > VOXEL_SHARE * burr_mm).then(|| {
+        format!(
+            "`volume` has voxels of {voxel_mm:.2} mm; expected at most {:.2}, a quarter of the burr: coarser \
+             ones make rough walls",
+            VOXEL_SHARE * burr_mm
+        )
+    })
 }
 
 fn drillings(scene: &Scene) -> impl Iterator<Item = &CurvedDrilling> {

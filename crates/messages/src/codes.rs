@@ -149,6 +149,8 @@ codes! {
         LoadCell = SENSOR_LOAD_CELL, 4, "load_cell";
         /// Force and torque at the flange.
         ForceTorque = SENSOR_FORCE_TORQUE, 5, "force_torque";
+        /// Clearance of the tool from the critical structures of the scene.
+        Clearance = SENSOR_CLEARANCE, 6, "clearance";
     }
 }
 
@@ -380,6 +382,17 @@ codes! {
         /// A tick created energy beyond the error of the integrator, the first in this run: from here on,
         /// forces and motions may not be physical; `text` gives the energy.
         EnergyCreated = EVENT_ENERGY_CREATED, 16, "energy_created";
+        /// The burr or the tube has left the bone elsewhere than through the hole that it came by; `text`
+        /// gives the part, the place and the direction.
+        Breach = EVENT_BREACH, 17, "breach";
+        /// The arm stopped because the tool pushed its flange too hard or came too close to a critical
+        /// structure; `text` gives the cause.
+        ProtectiveStop = EVENT_PROTECTIVE_STOP, 18, "protective_stop";
+        /// The tool has come closer to a critical structure than its margin; `text` gives structure, part,
+        /// place and clearance.
+        StructureMargin = EVENT_STRUCTURE_MARGIN, 19, "structure_margin";
+        /// The tool has entered a critical structure; `text` gives structure, part, place and depth.
+        StructureBreach = EVENT_STRUCTURE_BREACH, 20, "structure_breach";
     }
 }
 

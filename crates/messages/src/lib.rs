@@ -61,7 +61,7 @@ pub use index::{ControllerIndex, Tick, TickRange};
 pub use keyframe::*;
 pub use part::Part;
 pub use participant::*;
-pub use plant::{ArmEntry, PastStop, Plant, Refusal};
+pub use plant::{Approach, ArmEntry, Breach, PastStop, Plant, Refusal};
 pub use sensor::*;
 pub use state::*;
 pub use timing::*;

@@ -1,5 +1,7 @@
 //! The controlled system: a world that latched commands step from one state to the next.
 
+use std::sync::Arc;
+
 use crate::{ControllerIndex, Latched, SensorReading, State};
 
 /// A deterministic system: x_{k+1} = step(x_k, u_k) and nothing else: no clock, no randomness, no I/O.
@@ -48,6 +50,16 @@ pub trait Plant {
         None
     }
 
+    /// Returns where the tool was found in the last tick to have left the bone.
+    fn breach(&self) -> Option<&Breach> {
+        None
+    }
+
+    /// Returns the critical structures that the tool came close to or entered in the last tick.
+    fn approaches(&self) -> &[Approach] {
+        &[]
+    }
+
     /// Returns the flexure farthest past its stop after the last tick, if that makes the tool's model
     /// invalid.
     fn invalid_flexure(&self) -> Option<PastStop> {
@@ -78,6 +90,60 @@ pub struct ArmEntry {
     pub part: &'static str,
     /// How far bone reaches into it, m.
     pub depth_m: f64,
+}
+
+/// A part of the tool has left the bone elsewhere than through the hole that it came by.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Breach {
+    /// `burr` or `tube`.
+    pub part: &'static str,
+    /// Point of its surface that is outside, world frame, m.
+    pub place_m: [f64; 3],
+    /// Unit vector from its axis to that point, world frame.
+    pub direction: [f64; 3],
+}
+
+impl core::fmt::Display for Breach {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        let ([x, y, z], [u, v, w]) = (self.place_m.map(|x| x * 1e3), self.direction);
+        let part = self.part;
+        write!(
+            f,
+            "the {part} breached the bone at ({x:.1}, {y:.1}, {z:.1}) mm, toward ({u:.2}, {v:.2}, {w:.2})"
+        )
+    }
+}
+
+/// The tool has come closer to a critical structure than its margin, or has entered it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Approach {
+    /// Index of the structure in the scene.
+    pub index: usize,
+    /// Its name.
+    pub structure: Arc<str>,
+    /// Whether the tool has entered it.
+    pub has_entered: bool,
+    /// Clearance, m; negative inside.
+    pub clearance_m: f64,
+    /// Part of the tool: `burr`, `tube` or `shaft`.
+    pub part: &'static str,
+    /// Centre of the part's sphere that is closest, world frame, m.
+    pub place_m: [f64; 3],
+    /// Whether this stops the arm.
+    pub stops: bool,
+}
+
+impl core::fmt::Display for Approach {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        let (clearance_mm, [x, y, z]) = (self.clearance_m * 1e3, self.place_m.map(|x| x * 1e3));
+        let what = if self.has_entered { "entered" } else { "came close to" };
+        let stop = if self.stops { "; protective stop of the arm" } else { "" };
+        let (part, name) = (self.part, &self.structure);
+        write!(
+            f,
+            "the {part} {what} `{name}` at ({x:.1}, {y:.1}, {z:.1}) mm, clearance {clearance_mm:.2} mm{stop}"
+        )
+    }
 }
 
 /// A flexure past its stop, where the model of the tool is invalid.

@@ -3,8 +3,8 @@ use crate::message;
 
 message! {
     /// One reading of a sensor in the scene. Published before the state of the tick at which it arrives, and
-    /// only in scenes with a `[[sensor]]`. `kind` determines what the values mean; docs/sensors.md lists
-    /// their order and units.
+    /// only in scenes with a `[[sensor]]` or a `[[structure]]`. `kind` determines what the values mean;
+    /// docs/sensors.md lists their order and units.
     pub struct SensorReading = "trabecula_msgs/msg/SensorReading" {
         /// `State.tick` of the state with which the reading arrives.
         tick: u64,
@@ -12,9 +12,9 @@ message! {
         sample_tick: u64,
         /// Sequence number of the readings of all sensors: 1, 2, 3 and so on.
         sequence: u64,
-        /// Index of the sensor in the scene, from 0.
+        /// Index of the sensor in the scene, from 0; of the clearances, the number of sensors.
         sensor_index: u32,
-        /// 1 fbg, 2 tracker, 3 encoders, 4 load_cell, 5 force_torque.
+        /// 1 fbg, 2 tracker, 3 encoders, 4 load_cell, 5 force_torque, 6 clearance.
         kind: u32,
         /// 1 if the reading is valid, 0 if it dropped out or the tracker does not see its marker; the values
         /// are then 0.

@@ -243,8 +243,8 @@ impl Definition {
         Ok(FieldPath(path))
     }
 
-    /// Returns the number at a path of a message, with its encapsulation header; a time in seconds. `None` if a
-    /// sequence is too short.
+    /// Returns the number at a path of a message, with its encapsulation header; a time in seconds.
+    /// `None` if a sequence is too short.
     ///
     /// # Errors
     /// The message is truncated, or not plain CDR.

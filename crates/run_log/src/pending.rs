@@ -13,9 +13,9 @@ use crate::topics::Topic;
 
 /// Maximum number of readings in a tick: all that the sensors of a scene can have in flight, and those of the
 /// tick.
-const MOST_READINGS: usize = 2064;
+const MOST_READINGS: usize = 2065;
 
-const _: () = assert!(MOST_READINGS == messages::MAX_SENSORS * 258);
+const _: () = assert!(MOST_READINGS == messages::MAX_SENSORS * 258 + 1);
 
 /// Messages of a tick whose state has not arrived yet.
 #[derive(Default)]

@@ -280,6 +280,7 @@ mod tests {
             "drr.carm.detector_centre_mm",
             "drr.carm.row_axis",
             "drr.carm.column_axis",
+            "structure.tube.points_mm",
         ];
         assert_eq!(without, elsewhere);
     }

@@ -204,6 +204,11 @@ impl Scene {
         frame.is_multiple_of(period).then_some(frame)
     }
 
+    /// Whether readings arrive: of sensors, or of the clearances from critical structures.
+    pub fn has_readings(&self) -> bool {
+        !self.sensor.is_empty() || !self.structure.is_empty()
+    }
+
     /// Ticks between two keyframes; `None` without keyframes.
     pub fn keyframe_period_ticks(&self) -> Option<u64> {
         let interval_s = self.recording.keyframe_interval_s;

@@ -52,8 +52,8 @@ mod measure;
 mod measured_state;
 mod timing;
 
-use messages::{SensorReading, State};
-use scene::{MAX_READINGS_UNDERWAY, Scene};
+use messages::{SensorKind, SensorReading, State};
+use scene::{MAX_READINGS_UNDERWAY, MAX_STRUCTURES, Scene};
 use serde::{Deserialize, Serialize};
 
 use device::{Device, DeviceState};
@@ -61,10 +61,13 @@ pub use fibre::{Fibre, node_curvatures, node_places, t_world_tube};
 pub use measured_state::MeasuredState;
 
 /// The sensors of a scene, in its order.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone)]
 pub struct SensorArray {
     devices: Vec<Device>,
     clock: Clock,
+    /// Number of critical structures whose clearances are the last reading of each tick.
+    structures: usize,
+    clearance: SensorReading,
     arrived: Vec<SensorReading>,
 }
 
@@ -84,6 +87,18 @@ struct Clock {
     sent: u64,
 }
 
+impl Default for SensorArray {
+    fn default() -> SensorArray {
+        SensorArray {
+            devices: Vec::new(),
+            clock: Clock::default(),
+            structures: 0,
+            clearance: SensorReading::zeroed(),
+            arrived: Vec::new(),
+        }
+    }
+}
+
 impl SensorArray {
     /// Creates the sensors of a scene; empty if the scene has none.
     pub fn new(scene: &Scene) -> SensorArray {
@@ -92,8 +107,26 @@ impl SensorArray {
             .map(|(index, sensor)| Device::new(index, sensor, scene.run.seed, scene.dt_s()))
             .collect();
         // After a long jitter, all pending readings can arrive at once.
-        let most = devices.len() * (MAX_READINGS_UNDERWAY + 2);
-        SensorArray { devices, clock: Clock::default(), arrived: Vec::with_capacity(most) }
+        let most = devices.len() * (MAX_READINGS_UNDERWAY + 2) + 1;
+        let structures = scene.structure.len().min(MAX_STRUCTURES);
+        let clearance = SensorReading {
+            sensor_index: devices.len() as u32,
+            kind: SensorKind::Clearance.code(),
+            valid: 1,
+            value_count: 2 * structures as u32,
+            ..SensorReading::zeroed()
+        };
+        let arrived = Vec::with_capacity(most);
+        SensorArray { devices, clock: Clock::default(), structures, clearance, arrived }
+    }
+
+    /// Sets the clearances that [`SensorArray::see`] lists with the next state: for each structure the
+    /// distance, m, and the index of the tool's sphere that is closest.
+    pub fn set_clearances(&mut self, clearances: impl Iterator<Item = (f64, usize)>) {
+        let values = self.clearance.value.chunks_exact_mut(2).take(self.structures);
+        for (value, (distance_m, sphere)) in values.zip(clearances) {
+            value.copy_from_slice(&[distance_m, sphere as f64]);
+        }
     }
 
     /// Takes the next state: samples the sensors that are due and lists the readings that arrive.
@@ -115,11 +148,15 @@ impl SensorArray {
             reading.sequence = self.clock.sent + self.arrived.len() as u64 + 1;
             self.arrived.push(reading);
         }
+        if self.structures > 0 {
+            let sequence = self.clock.sent + self.arrived.len() as u64 + 1;
+            self.arrived.push(SensorReading { tick, sample_tick: tick, sequence, ..self.clearance });
+        }
     }
 
-    /// Returns true if there are no sensors.
+    /// Returns true if there are neither sensors nor structures.
     pub fn is_empty(&self) -> bool {
-        self.devices.is_empty()
+        self.devices.is_empty() && self.structures == 0
     }
 
     /// Readings that arrive with the last state, ordered by sensor.

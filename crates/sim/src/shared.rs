@@ -98,11 +98,16 @@ impl SharedScene {
         Ok(Arc::new(SharedScene { scene, ct, notes }))
     }
 
+    /// Takes a checked scene with its volume.
+    pub fn new(scene: &Scene, ct: Option<Arc<Ct>>) -> Arc<SharedScene> {
+        let mut scene = scene.clone();
+        scene.run.mode = Mode::Lockstep;
+        Arc::new(SharedScene { scene, ct, notes: Vec::new() })
+    }
+
     /// Takes the scene and volume of a log.
     pub(crate) fn of_log(log: &mut OpenedLog) -> Arc<SharedScene> {
-        let mut scene = log.scene.clone();
-        scene.run.mode = Mode::Lockstep;
-        Arc::new(SharedScene { scene, ct: log.ct.take().map(Arc::new), notes: Vec::new() })
+        SharedScene::new(&log.scene, log.ct.take().map(Arc::new))
     }
 
     /// Returns the scene, in lockstep.

@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use controllers::{BuiltIn, Controller};
 use hub::in_process::{Answer, Commands, InProcess, InProcessError};
 use messages::services::MAX_KEYFRAME_BYTES;
-use messages::{Command, ControllerIndex, Latched, SensorReading, State, Tick};
+use messages::{Breach, Command, ControllerIndex, Latched, SensorReading, State, Tick};
 use simulation::{KeyframeError, Simulation, SimulationError, SimulationSnapshot, StateEntry};
 use xray::Labels;
 use xray::frame::RenderedFrame;
@@ -181,6 +181,12 @@ impl Sim {
     /// unreachable goals, each with its reason.
     pub fn refusals(&self) -> &[String] {
         &self.refusals
+    }
+
+    /// Returns where the burr or the tube was found in the last tick to have left the bone elsewhere than
+    /// through the hole that it came by.
+    pub fn breach(&self) -> Option<&Breach> {
+        self.run.plant().breach()
     }
 
     /// Runs `ticks` ticks, in each of which every driven controller sends its command again. `commands` holds

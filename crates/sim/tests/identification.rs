@@ -101,7 +101,8 @@ fn deviations(report: &FitReport, truth: &[f64]) -> Vec<f64> {
     report.parameters.iter().zip(truth).map(deviation).collect()
 }
 
-/// Three parameters of tool and sensor. Four standard deviations: a probability of 2e-4 in all; the seed is fixed.
+/// Three parameters of tool and sensor. Four standard deviations: a probability of 2e-4 in all; the seed
+/// is fixed.
 #[test]
 fn a_tools_parameters_are_recovered_from_noisy_rows_with_their_delay() {
     let study = [
@@ -162,8 +163,8 @@ fn stiffness_and_the_gain_of_the_tension_are_not_told_apart_by_the_bend_alone() 
     assert!(found.iter().all(|x| x.abs() < 4.0), "{found:?}");
 }
 
-/// Data of the `full` model with half the step, fitted by `planar`: the bench says so, and the band of the held-out
-/// rows covers them.
+/// Data of the `full` model with half the step, fitted by `planar`: the bench says so, and the band of
+/// the held-out rows covers them.
 #[test]
 fn a_wrong_model_shows_in_the_residuals_and_widens_the_band() {
     let held_out = EXPERIMENT
@@ -306,8 +307,8 @@ fn a_run_is_its_own_measurement() {
     assert!(report.cost[1] < 1e-6, "{:?}", report.cost);
 }
 
-/// Regression: a scene whose bone a registration error moves took the volume of the scene loaded before it, so
-/// sweeps and batches over the registration had no effect.
+/// Regression: a scene whose bone a registration error moves took the volume of the scene loaded before
+/// it, so sweeps and batches over the registration had no effect.
 #[test]
 fn a_moved_bone_is_not_shared_with_a_scene_that_has_it_elsewhere() {
     let load = |other: Option<&sim::SharedScene>, settings: &[&str]| {

@@ -3,7 +3,6 @@
 use delivery::viewer::Policy;
 use ipc_types::messages::layout::{Description, Message};
 use ipc_types::messages::{Command, Frame};
-use ipc_types::scene::Sensor;
 use run_log::{RUN_TOPICS, Topic, command_topic, schema_of};
 
 use crate::protocol::Advertisement;
@@ -67,8 +66,8 @@ struct Schema<'a> {
 
 impl Channels {
     /// Returns all channels: one command channel per controller, and the readings channel if the scene has
-    /// sensors.
-    pub fn new(controllers: &[String], sensors: &[Sensor]) -> Channels {
+    /// sensors or structures.
+    pub fn new(controllers: &[String], has_readings: bool) -> Channels {
         let mut channels = Channels::default();
         for topic in RUN_TOPICS {
             // Keyframes are internal to the physics; there is nothing to show.
@@ -76,7 +75,7 @@ impl Channels {
                 channels.logged(topic.name(), topic.description(), policy_of(topic));
             }
         }
-        if !sensors.is_empty() {
+        if has_readings {
             channels.logged(Topic::Sensor.name(), Topic::Sensor.description(), policy_of(Topic::Sensor));
         }
         for topic in TIMING {

@@ -78,6 +78,10 @@ pub trait Planner: Send {
     /// The file is no longer a valid scene.
     fn restore(&mut self) -> Result<ScenePreview, String>;
 
+    /// Predicts the run of the shown scene, unless that has been done; returns the scene with its prediction.
+    /// Gives up and returns `None` once `is_to_end` returns true.
+    fn predict(&mut self, is_to_end: &mut dyn FnMut() -> bool) -> Option<ScenePreview>;
+
     /// Writes the scene to the folder of the original file.
     ///
     /// # Errors
@@ -116,7 +120,7 @@ pub fn view(
     end: &EndRequest,
 ) -> Result<Option<PathBuf>, ViewerError> {
     let scene = &first.scene;
-    let board = Arc::new(Board::new(Channels::new(&scene.controller_names(), &scene.sensor)));
+    let board = Arc::new(Board::new(Channels::new(&scene.controller_names(), scene.has_readings())));
     let (calls, called) = call_queue(CALL_QUEUE);
     let over = Arc::new(AtomicBool::new(false));
     let name = path.display().to_string();
@@ -220,6 +224,7 @@ fn plan(
     tell: &mpsc::Sender<PlannerMessage>,
     over: &AtomicBool,
 ) {
+    let mut next = None;
     while !over.load(Ordering::Relaxed) {
         let news = match planner.session() {
             Some(Ok(session)) => Some(PlannerMessage::Session(session)),
@@ -228,7 +233,15 @@ fn plan(
         };
         // The viewer may be ending.
         news.into_iter().for_each(|news| drop(tell.send(news)));
-        let Ok(call) = asking.recv_timeout(RUN_LOOK) else { continue };
+        let Some(call) = next.take().or_else(|| asking.recv_timeout(RUN_LOOK).ok()) else {
+            // Nothing else to do: a prediction, which a request interrupts.
+            let predicted = planner.predict(&mut || {
+                next = next.take().or_else(|| asking.try_recv().ok());
+                next.is_some() || over.load(Ordering::Relaxed)
+            });
+            predicted.into_iter().for_each(|shown| drop(tell.send(PlannerMessage::Changed(Box::new(shown)))));
+            continue;
+        };
         let Request::Plan(request) = &call.request else { continue };
         let changed = match request {
             PlanRequest::Move { places } => planner.move_places(places),

@@ -27,7 +27,6 @@
 
 mod data_files;
 mod dicom;
-mod edt;
 mod error;
 mod gzip;
 mod hash;
@@ -49,7 +48,6 @@ mod sources;
 mod text_header;
 mod volume;
 
-pub use edt::squared_distance_m2;
 pub use error::{Field, VolumeError};
 pub use hash::{identified, volume_hash};
 pub use input::DataFiles;
@@ -61,3 +59,4 @@ pub use read::{read, read_as, read_with_info};
 pub use resample::resample;
 pub use sources::{Sources, sources};
 pub use volume::{HuStatistics, VolumeInfo, grid_of};
+pub use voxel_grid::distance::squared_distance_m2;

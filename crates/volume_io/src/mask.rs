@@ -1,9 +1,9 @@
 //! Synthetic Hounsfield units for a binary bone mask.
 
-use crate::edt::squared_distance_m2;
 use crate::error::VolumeError;
 use std::path::Path;
 use voxel_grid::Volume;
+use voxel_grid::distance::squared_distance_m2;
 
 /// Model that fills a solid 0/1 mask. The result is synthetic: only the outline comes from the patient.
 ///

@@ -11,7 +11,7 @@
 //! are sheared and refused: only resampling could put the voxels where the file says.
 //!
 //! [`sample`] reads Hounsfield units between voxel centres, [`mod@slice`] is a plane through them as pixels,
-//! [`density`] converts them to bone density.
+//! [`density`] converts them to bone density, [`distance`] is the distance transform.
 //!
 //! ```
 //! use voxel_grid::{GridError, VoxelGrid};
@@ -27,6 +27,7 @@
 //! ```
 
 pub mod density;
+pub mod distance;
 pub mod sample;
 pub mod slice;
 mod volume;

@@ -1,9 +1,10 @@
-//! `chart coverage`: studies with random true values; how often the 95 % intervals of `identify` hold them, and
-//! the scatter of the estimates over the Cramér-Rao bound.
+//! `chart coverage`: studies with random true values; how often the 95 % intervals of `identify` hold
+//! them, and the scatter of the estimates over the Cramér-Rao bound.
 //!
-//! Two benches: a tool in free space (stiffness, friction of the tendon, delay and registration of a tracker), and
-//! the same tool in a hole in bone (friction of contact, cutting coefficient). Each study draws its truth from its
-//! seed, simulates short noisy measurements, and fits them without knowing either.
+//! Two benches: a tool in free space (stiffness, friction of the tendon, delay and registration of a
+//! tracker), and the same tool in a hole in bone (friction of contact, cutting coefficient). Each study
+//! draws its truth from its seed, simulates short noisy measurements, and fits them without knowing
+//! either.
 
 use std::fs;
 use std::path::Path;

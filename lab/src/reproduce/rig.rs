@@ -11,6 +11,9 @@ use simulation::{CtView, Simulation};
 use trabecula::failure::Failure;
 pub use trabecula::plan::measure::block::Block;
 
+/// Force on the flange that no rig reaches, N.
+const UNLIMITED_N: f64 = 1e5;
+
 /// Duration of the tension ramp before the feed begins, s.
 const RAMP_S: f64 = 1.0;
 /// Pause after the feed, s.
@@ -98,7 +101,11 @@ impl Trial {
              [[controller]]\nname = \"feed\"\ndrives = [\"tendon\", \"arm\", \"burr\"]\nexternal = true\n",
             self.dt_ms, self.rung, self.tendon_friction, self.stiffness, self.contact_friction, self.removal
         );
-        Scene::parse(&text, Path::new("reproduce.toml")).map_err(|cause| Failure::failed(cause.to_string()))
+        let scene = Scene::parse(&text, Path::new("reproduce.toml"));
+        let mut scene = scene.map_err(|cause| Failure::failed(cause.to_string()))?;
+        // A rig has no protective stop.
+        scene.arm.max_force_n = Some(UNLIMITED_N);
+        Ok(scene)
     }
 
     /// Returns the command for a tick, or `None` if the previous one still applies.

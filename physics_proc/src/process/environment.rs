@@ -71,7 +71,7 @@ impl<'s> SharedMemory<'s> {
             state: session.publisher(&services::STATE)?,
             latched: session.publisher(&services::LATCHED)?,
             removed: session.publisher(&services::REMOVED)?,
-            readings: (!scene.sensor.is_empty()).then(|| session.publisher(&services::SENSOR)).transpose()?,
+            readings: scene.has_readings().then(|| session.publisher(&services::SENSOR)).transpose()?,
             keyframe: recorded.then(|| session.publisher(&services::KEYFRAME)).transpose()?,
             status: session.publisher(&services::RUN_STATUS)?,
             timing: session.publisher(&services::TICK_TIMING)?,

@@ -1,13 +1,15 @@
 //! Reports of a synthetic run, of truncated logs and of missing logs.
 
-mod synthetic;
+pub(super) mod synthetic;
 
 use std::fs;
 use std::path::Path;
 
 use super::*;
 use fastrand::Rng;
-use ipc_types::messages::{Command, Pose, RunStatus, State, Tick};
+use ipc_types::messages::{
+    Command, EVENT_BREACH, Pose, RunStatus, SENDER_CONTROLLER, SENDER_PHYSICS, SEVERITY_WARNING, State, Tick,
+};
 use recorder_proc::log_file::{create_run, create_timing};
 use run_log::{EndReason, LogHeader, RunMode, Topic, command_topic};
 use zerocopy::IntoBytes;
@@ -107,10 +109,11 @@ fn a_run_is_summed_up() {
     assert_eq!(summary.logs.lost_messages["/event"], 3);
     assert!(summary.logs.notes.is_empty() && summary.logs.run_bytes > 0 && summary.logs.timing_bytes > 0);
 
-    let json = fs::read(folder.path().join("summary.json")).unwrap();
-    assert_eq!(serde_json::from_slice::<Summary>(&json).unwrap(), summary, "the file says the same");
+    let json = fs::read_to_string(folder.path().join("summary.json")).unwrap();
+    assert_eq!(json, serde_json::to_string_pretty(&summary).unwrap() + "\n", "the file says the same");
+    assert_eq!(serde_json::from_str::<Summary>(&json).unwrap().final_hash, summary.final_hash);
     let table = summary.to_string();
-    assert!(table.lines().count() <= 21, "{table}");
+    assert!(table.lines().count() <= 23, "{table}");
     assert!(table.contains("2.000 s simulated in 4.000 s, 0.50 x real time"), "{table}");
 }
 
@@ -140,22 +143,68 @@ fn what_is_most_likely_wrong_with_a_run_is_said() {
             state.burr_force_n = 60.0;
         }
     });
-    assert_eq!(pressed, ["burr force reached 60.0 N, above the arm's payload: 49.1 N"]);
+    assert_eq!(pressed.len(), 1, "{pressed:?}");
+    assert!(
+        pressed[0].starts_with("burr force reached 60.0 N at tick 40, (")
+            && pressed[0].ends_with(") mm, above the arm's payload: 49.1 N"),
+        "{pressed:?}"
+    );
     let jammed = cautions_of(|state| {
         if state.tick == 40 {
             state.contacts[0].normal_force_n = 1000.0;
             state.contact_count = 1;
         }
     });
-    assert_eq!(jammed, ["contact force reached 1000.0 N, above the arm's payload: 49.1 N"]);
+    assert_eq!(
+        jammed,
+        ["contact force reached 1000.0 N at tick 40, (0.0, 0.0, 0.0) mm, above the arm's payload: 49.1 N"]
+    );
     let still = cautions_of(|state| state.t_world_tip = Pose::IDENTITY);
     assert_eq!(still, ["the tip never moved more than 0.0000 mm from its start"]);
+    let idle = cautions_of(|state| {
+        state.burr_speed_rad_per_s = 0.0;
+        if state.tick == 40 {
+            state.burr_force_n = 6.0;
+        }
+    });
+    assert_eq!(idle.len(), 1, "{idle:?}");
+    assert!(
+        idle[0].starts_with("the burr pressed on bone without turning, with up to 6.0 N at tick 40, ("),
+        "{idle:?}"
+    );
+    let stopped = cautions_of(|state| state.arm_protective_stop = u32::from((40..60).contains(&state.tick)));
+    assert_eq!(stopped, ["the arm made a protective stop at tick 40"]);
+    let short =
+        cautions_of(|state| state.t_world_base.position_m[2] = state.t_world_base.position_m[2].min(-0.12));
+    assert!(
+        short.len() == 1 && short[0].starts_with("the tool was fed 18.1 mm of the 32.0 mm planned"),
+        "{short:?}"
+    );
     let stopped = cautions_of(|state| {
         if state.tick > 75 {
             state.joint_position_rad[3] = -0.0873;
         }
     });
     assert_eq!(stopped, ["the tool was at its stops in 25.0 % of the ticks and could not bend further"]);
+}
+
+/// The events of a breach by the physics, and of one that a controller made up.
+#[test]
+fn a_breach_that_the_physics_reported_is_a_caution() {
+    let folder = tempfile::tempdir().unwrap();
+    synthetic::write_run(folder.path(), 100);
+    let timing = folder.path().join("timing.mcap");
+    fs::remove_file(&timing).unwrap();
+    let mut lane = create_timing(&timing, &synthetic::header()).unwrap();
+    for (tick, sender) in [(40, SENDER_PHYSICS), (50, SENDER_CONTROLLER)] {
+        let event =
+            synthetic::event(tick, SEVERITY_WARNING, EVENT_BREACH, sender, "the burr breached the bone");
+        lane.message(Topic::Event, Tick(100), &event).unwrap();
+    }
+    lane.finish(EndReason::Completed, &BTreeMap::new()).unwrap();
+    let summary = write(folder.path(), &facts()).unwrap();
+    assert_eq!(summary.cautions[0], "tick 40: the burr breached the bone");
+    assert_eq!((summary.breaches, summary.problems()), (1, 1));
 }
 
 #[test]
@@ -202,7 +251,7 @@ fn a_cut_log_gives_what_it_holds() {
         }
         let summary = write(folder.path(), &facts()).unwrap();
         assert_eq!(summary.logs.notes.len(), 2, "{:?}", summary.logs.notes);
-        assert!(summary.to_string().lines().count() <= 21);
+        assert!(summary.to_string().lines().count() <= 23);
         check_figures(folder.path());
         ticks.push(summary.ticks);
     }

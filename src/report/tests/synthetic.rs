@@ -10,12 +10,15 @@ use recorder_proc::log_file::{create_run, create_timing};
 use run_log::{EndReason, LogHeader, RunMode, Topic};
 use zerocopy::IntoBytes;
 
-/// The scene's text; its target is 1 mm to the side of the burr's final position.
-const SCENE: &str = r#"
+/// The scene's text; the burr ends 2.5 mm from its target.
+pub const SCENE: &str = r#"
 name = "synthetic"
 [run]
 mode = "realtime"
 duration_s = 5.0
+[tolerance]
+target_mm = 3.0
+path_deviation_mm = 5.0
 [volume]
 phantom = "femur"
 spacing_mm = 0.5
@@ -74,6 +77,7 @@ pub fn state(tick: u64, ticks: u64, random: &mut Rng) -> State {
     s.hash = [tick, !tick];
     (s.joint_count, s.tendon_count, s.controller_count) = (JOINTS as u32, 1, 2);
     s.bend_rad = 0.8 * progress;
+    s.burr_speed_rad_per_s = 3000.0;
     s.tendon_tension_n[0] = 12.0 * progress * progress;
     let noise = random.f64() - 0.5;
     s.burr_force_n = if drilling { 3.0 + (9.0 * progress).sin() + 2.0 * noise } else { 0.0 };
@@ -123,10 +127,11 @@ pub fn frame(sequence: u64, tick: u64, columns: u32, rows: u32) -> Vec<u8> {
     [frame.as_bytes(), prefix.as_bytes(), &pixels].concat()
 }
 
-fn event(tick: u64, severity: u32, code: u32, text: &str) -> Vec<u8> {
+/// Returns an event as sent on the wire.
+pub fn event(tick: u64, severity: u32, code: u32, sender: u32, text: &str) -> Vec<u8> {
     let mut event = Event::zeroed();
     (event.tick, event.severity, event.code) = (tick, severity, code);
-    event.sender = SENDER_CONTROLLER + 1;
+    event.sender = sender;
     event.text_length = text.len() as u32 + 1;
     [event.as_bytes(), text.as_bytes(), b"\0"].concat()
 }
@@ -165,10 +170,16 @@ pub fn write_states(folder: &Path, ticks: u64, change: impl Fn(&mut State)) {
         }
     }
     for i in 0..8 {
-        let event = event(i, SEVERITY_WARNING, EVENT_COMMAND_HELD, &format!("late by {i} ticks\nagain"));
+        let event = event(
+            i,
+            SEVERITY_WARNING,
+            EVENT_COMMAND_HELD,
+            SENDER_CONTROLLER + 1,
+            &format!("late by {i} ticks\nagain"),
+        );
         lane.message(Topic::Event, Tick(ticks), &event).unwrap();
     }
-    let event = event(9, SEVERITY_INFO, EVENT_RUN, "ended");
+    let event = event(9, SEVERITY_INFO, EVENT_RUN, SENDER_CONTROLLER + 1, "ended");
     lane.message(Topic::Event, Tick(ticks), &event).unwrap();
     let lost = BTreeMap::from([("/event".to_string(), 3)]);
     run.finish(EndReason::Completed, &BTreeMap::new()).unwrap();

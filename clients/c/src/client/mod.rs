@@ -150,9 +150,7 @@ impl Client {
             remarks: None,
             removed: None,
             removal: None,
-            readings: (!scene.sensor.is_empty())
-                .then(|| session.subscriber(&services::SENSOR))
-                .transpose()?,
+            readings: scene.has_readings().then(|| session.subscriber(&services::SENSOR)).transpose()?,
             reading: None,
             frames: None,
             frame: None,

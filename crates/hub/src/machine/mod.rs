@@ -10,7 +10,7 @@ mod waiting;
 use messages::{
     Blame, CommandSource, ControllerIndex, MAX_CONTROLLERS, Part, Phase, Plant, Severity, Tick, TickTiming,
 };
-use scene::{Mode, Scene};
+use scene::{MAX_STRUCTURES, Mode, Scene};
 
 use crate::consumers::{ConsumerSet, Consumers};
 use crate::environment::{Environment, Note};
@@ -204,6 +204,8 @@ pub struct Hub<P: Plant> {
     keyframe_refused: bool,
     /// Whether the event "the model is not valid" has been sent since the start, or since the last reset.
     invalid_told: bool,
+    /// Whether the arm is in a protective stop.
+    is_stopped: bool,
     creation_told: bool,
     /// Voxels that could not be cut because memory ran out.
     uncut_voxels: Shortfall,
@@ -214,6 +216,8 @@ pub struct Hub<P: Plant> {
     sources: [CommandSource; MAX_CONTROLLERS],
     /// Notes per controller: one for commands that start being held, one for safe commands.
     late_notes: [[LateNotes; 2]; MAX_CONTROLLERS],
+    /// Notes about each critical structure: margin, breach.
+    approach_notes: [[LateNotes; 2]; MAX_STRUCTURES],
 }
 
 impl<P: Plant> Hub<P> {
@@ -247,12 +251,14 @@ impl<P: Plant> Hub<P> {
             status_sent_ns: None,
             keyframe_refused: false,
             invalid_told: false,
+            is_stopped: false,
             creation_told: false,
             uncut_voxels: Shortfall::default(),
             left_out_contacts: Shortfall::default(),
             timing: TickTiming::zeroed(),
             sources: [CommandSource::None; MAX_CONTROLLERS],
             late_notes: Default::default(),
+            approach_notes: Default::default(),
         }
     }
 

@@ -1,8 +1,8 @@
 //! Executes a tick.
 
 use messages::{
-    CommandSource, ControllerIndex, EventCode, MAX_CONTROLLERS, Phase, Plant, Reset, Severity, Tick,
-    TickTiming,
+    ArmProtectiveStop, CommandSource, ControllerIndex, EventCode, MAX_CONTROLLERS, Phase, Plant, Reset,
+    Severity, Tick, TickTiming,
 };
 use scene::Mode;
 
@@ -55,6 +55,9 @@ impl<P: Plant> Hub<P> {
         self.report_refusals(env)?;
         self.report_shortfall(env, made)?;
         self.report_arm_entry(env)?;
+        self.report_breach(env)?;
+        self.report_approaches(env)?;
+        self.report_protective_stop(env)?;
         self.report_invalid_model(env)?;
         self.report_energy_created(env)?;
         self.steps_left = self.steps_left.saturating_sub(1);
@@ -136,6 +139,47 @@ impl<P: Plant> Hub<P> {
             entry.part
         );
         let (severity, code) = (Severity::Warning, EventCode::ArmInBone);
+        Ok(env.send_event(&Note { tick: self.tick, severity, code, text: &text })?)
+    }
+
+    /// Reports that the tool has left the bone. Needs no rate limit, because the plant reports each part at
+    /// most once a second.
+    fn report_breach<E: Environment>(&mut self, env: &mut E) -> Outcome<(), P, E> {
+        let Some(breach) = self.plant.breach() else { return Ok(()) };
+        let (severity, code) = (Severity::Warning, EventCode::Breach);
+        Ok(env.send_event(&Note { tick: self.tick, severity, code, text: &breach.to_string() })?)
+    }
+
+    /// Reports the critical structures that the tool came close to or entered, at once, then once a second.
+    fn report_approaches<E: Environment>(&mut self, env: &mut E) -> Outcome<(), P, E> {
+        for approach in self.plant.approaches() {
+            let [margin, breach] = &mut self.approach_notes[approach.index];
+            let (notes, code) = match approach.has_entered {
+                true => (breach, EventCode::StructureBreach),
+                false => (margin, EventCode::StructureMargin),
+            };
+            if let Some(more) = notes.add(self.tick, self.settings.period_ns) {
+                let text = format!("{approach}{more}");
+                env.send_event(&Note { tick: self.tick, severity: Severity::Warning, code, text: &text })?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Reports each protective stop of the arm.
+    fn report_protective_stop<E: Environment>(&mut self, env: &mut E) -> Outcome<(), P, E> {
+        let state = self.plant.state();
+        let is_stopped = state.arm_protective_stop() == Ok(ArmProtectiveStop::Stopped);
+        if is_stopped == std::mem::replace(&mut self.is_stopped, is_stopped) || !is_stopped {
+            return Ok(());
+        }
+        let [x, y, z] = state.flange_wrench.force_n;
+        let cause = match self.plant.approaches().iter().find(|approach| approach.stops) {
+            Some(approach) => format!("the tool is too close to `{}`", approach.structure),
+            None => format!("{:.1} N on its flange", (x * x + y * y + z * z).sqrt()),
+        };
+        let text = format!("protective stop of the arm: {cause}; it accepts only `hold`");
+        let (severity, code) = (Severity::Warning, EventCode::ProtectiveStop);
         Ok(env.send_event(&Note { tick: self.tick, severity, code, text: &text })?)
     }
 

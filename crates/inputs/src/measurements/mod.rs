@@ -21,8 +21,8 @@ use crate::failure::Failure;
 /// Maximum number of rows of a measured file.
 pub const MAX_ROWS: usize = 10_000_000;
 
-/// Reads the rows of a source: its time in seconds, and a column for each name. An empty name gives a column of
-/// missing values.
+/// Reads the rows of a source: its time in seconds, and a column for each name. An empty name gives a
+/// column of missing values.
 ///
 /// # Errors
 /// Bad input: the file cannot be read, is of an unknown kind, lacks a column, or holds no number where one is

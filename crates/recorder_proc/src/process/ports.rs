@@ -44,7 +44,8 @@ impl Ports {
             states: session.lossless_subscriber(&services::STATE)?,
             latched: session.lossless_subscriber(&services::LATCHED)?,
             removed: session.lossless_subscriber(&services::REMOVED)?,
-            readings: (!scene.sensor.is_empty())
+            readings: scene
+                .has_readings()
                 .then(|| session.lossless_subscriber(&services::SENSOR))
                 .transpose()?,
             keyframes: session.lossless_subscriber(&services::KEYFRAME)?,

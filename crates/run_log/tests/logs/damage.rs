@@ -81,7 +81,7 @@ fn a_killed_writer_loses_at_most_100_ms() {
         made += u64::from(matches!(step, Step::State(_)));
         feed(&mut log, &[step]).unwrap();
         if made % 13 == 0 {
-            // Of a log that cannot be opened everything is lost.
+            // A log that cannot be opened loses everything.
             let read =
                 open_bytes(&file.0.lock().unwrap()).map_or(0, |reader| reader.map(Result::unwrap).count());
             worst = worst.max(made.saturating_sub(1 + read as u64));

@@ -9,7 +9,7 @@ use std::path::Path;
 
 use crate::declaration::{Range, SCENE};
 use crate::error::SceneError;
-use crate::model::{Body, CArm, Drr, ManipulatorRung, Scene, Tool, Volume};
+use crate::model::{Body, CArm, Drr, FARTHEST_MM, ManipulatorRung, Scene, Structure, Tool, Volume};
 use crate::ranges;
 
 pub(crate) use tool::tool;
@@ -81,6 +81,7 @@ fn check_relations(scene: &Scene, checker: &Checker) -> Result<(), SceneError> {
         None => {}
     }
     check_bodies(scene, checker)?;
+    check_structures(scene, checker)?;
     check_tool(&scene.tool, checker)?;
     tool::beside(scene, checker)?;
     check_tendons(scene, checker)?;
@@ -145,6 +146,29 @@ fn check_bodies(scene: &Scene, checker: &Checker) -> Result<(), SceneError> {
             return Err(checker.invalid("body.name", format!("has a duplicate: `{}`", body.name)));
         }
         check_shape(body, checker)?;
+    }
+    Ok(())
+}
+
+fn check_structures(scene: &Scene, checker: &Checker) -> Result<(), SceneError> {
+    for (index, structure) in scene.structure.iter().enumerate() {
+        let Structure { name, ball, cuboid, tube, built_in, .. } = structure;
+        if scene.structure[..index].iter().any(|other| other.name == *name) {
+            return Err(checker.invalid("structure.name", format!("has a duplicate: `{name}`")));
+        }
+        let shapes = [ball.is_some(), cuboid.is_some(), tube.is_some(), built_in.is_some()];
+        let key = format!("structure `{name}`");
+        if shapes.iter().filter(|shape| **shape).count() != 1 {
+            return Err(checker.invalid(&key, "needs exactly one of `ball`, `cuboid`, `tube`, `built_in`"));
+        }
+        if built_in.is_some() && scene.volume.is_none() {
+            return Err(checker.invalid(&key, "needs a `[volume]`, whose bone it is defined by"));
+        }
+        let mut coordinates = tube.iter().flat_map(|tube| tube.points_mm.iter().flatten());
+        if let Some(far_mm) = coordinates.find(|mm| !(mm.abs() <= FARTHEST_MM)) {
+            let range = Range { lowest: -FARTHEST_MM, highest: FARTHEST_MM, or_zero: false };
+            return checker.range("structure.tube.points_mm", *far_mm, range);
+        }
     }
     Ok(())
 }

@@ -91,8 +91,9 @@ pub struct Arm {
     #[schemars(range(min = 1.0, max = 500.0))]
     pub holder_diameter_mm: Option<f64>,
     /// Largest force of the tool on the flange. A larger one stops the arm until a controller commands
-    /// `hold`; then it can move away. No limit by default.
-    #[schemars(range(min = 1.0, max = 1e5), extend("x-absent" = "none"))]
+    /// `hold`; then it can move away. By default 150 N for an arm of Universal Robots, as it is delivered,
+    /// and no limit for others.
+    #[schemars(range(min = 1.0, max = 1e5), extend("x-absent" = "standard"))]
     pub max_force_n: Option<f64>,
     /// Elastic joints; absent: rigid, at no cost.
     #[schemars(extend("x-absent" = "none"))]

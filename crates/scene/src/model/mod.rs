@@ -21,6 +21,7 @@ mod manipulator;
 mod recording;
 mod run;
 mod sensor;
+mod structure;
 mod tolerance;
 mod tool;
 mod truth;
@@ -36,6 +37,7 @@ pub use manipulator::*;
 pub use recording::*;
 pub use run::*;
 pub use sensor::*;
+pub use structure::*;
 pub use tolerance::Tolerance;
 pub use tool::*;
 pub use truth::*;
@@ -46,7 +48,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// Largest coordinate of a point of a scene: 100 m.
-const FARTHEST_MM: f64 = 1e5;
+pub(crate) const FARTHEST_MM: f64 = 1e5;
 
 /// Names of controllers, sensors and bodies: regular expression and description.
 const NAME: &str = "^[A-Za-z0-9_]{1,64}$";
@@ -108,6 +110,10 @@ pub struct Scene {
     #[serde(default)]
     #[schemars(length(max = MAX_SENSORS))]
     pub sensor: Vec<Sensor>,
+    /// Critical structures; absent: none, at no cost.
+    #[serde(default)]
+    #[schemars(length(max = MAX_STRUCTURES))]
+    pub structure: Vec<Structure>,
     /// Controllers that drive the tool.
     #[serde(default)]
     #[schemars(length(max = MAX_CONTROLLERS))]

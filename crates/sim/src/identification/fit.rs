@@ -146,8 +146,8 @@ impl OpenedStudy {
         }
     }
 
-    /// Estimates the noise of columns without a stated one from their residuals, less the share of the degrees of
-    /// freedom that the parameters take.
+    /// Estimates the noise of columns without a stated one from their residuals, less the share of the
+    /// degrees of freedom that the parameters take.
     fn estimated_noise(&self, model: &ExperimentModel<'_>, fit: &Fit) -> EstimatedNoise {
         let mut sums: BTreeMap<(String, usize), (f64, f64)> = BTreeMap::new();
         for column in &model.columns {
@@ -172,8 +172,8 @@ impl OpenedStudy {
     /// Fits the study.
     ///
     /// # Errors
-    /// Bad input: the experiments cannot be simulated at the start or beside a point; [`SimError::GivenUp`] on
-    /// request; a failure of the machine.
+    /// Bad input: the experiments cannot be simulated at the start or beside a point;
+    /// [`SimError::GivenUp`] on request; a failure of the machine.
     pub fn identify(&self, is_to_end: IsToEnd<'_>) -> Result<FitReport, SimError> {
         let mut fitted = self.fitted(is_to_end)?;
         let parameters = &self.study.parameters;

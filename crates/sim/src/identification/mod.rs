@@ -1,9 +1,9 @@
 //! Identification: parameters of scenes from measured files, in this process.
 //!
 //! [`OpenedStudy::open`] reads a study with its scenes and files; then [`OpenedStudy::identify`] fits it,
-//! [`OpenedStudy::check`] compares once without fitting, [`OpenedStudy::plan`] ranks candidate experiments, and
-//! [`OpenedStudy::simulate`] gives synthetic measurements. Every simulation is one of [`Sim`](crate::Sim); those of
-//! a request run at once on all cores, and their number changes no bit.
+//! [`OpenedStudy::check`] compares once without fitting, [`OpenedStudy::plan`] ranks candidate experiments,
+//! and [`OpenedStudy::simulate`] gives synthetic measurements. Every simulation is one of
+//! [`Sim`](crate::Sim); those of a request run at once on all cores, and their number changes no bit.
 
 mod fit;
 mod model;

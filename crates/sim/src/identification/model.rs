@@ -50,8 +50,8 @@ pub(super) struct ExperimentModel<'a> {
 }
 
 impl<'a> ExperimentModel<'a> {
-    /// Takes the experiments that a predicate selects. `noise` returns the standard deviation of a column by the
-    /// indices of experiment, measured quantity and column.
+    /// Takes the experiments that a predicate selects. `noise` returns the standard deviation of a column
+    /// by the indices of experiment, measured quantity and column.
     pub fn new(
         study: &'a OpenedStudy,
         select: impl Fn(usize) -> bool,

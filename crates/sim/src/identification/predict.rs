@@ -36,8 +36,8 @@ pub(super) fn linear_sd(
     sd
 }
 
-/// Returns half the width between the 2.5 % and 97.5 % quantiles of each output over draws of the parameters, in
-/// units of the noise. Draws at which a scene is refused do not count.
+/// Returns half the width between the 2.5 % and 97.5 % quantiles of each output over draws of the
+/// parameters, in units of the noise. Draws at which a scene is refused do not count.
 pub(super) fn sampled_half_widths(
     model: &mut ExperimentModel<'_>,
     parameters: &[Parameter],

@@ -81,8 +81,8 @@ pub(super) fn run_all(
     results.into_iter().map(|traces| traces.ok_or(SimError::Gone)).collect()
 }
 
-/// Runs an experiment and records its measured quantities at every tick. `prepare` gets the simulation at tick
-/// 0, for example to record it.
+/// Runs an experiment and records its measured quantities at every tick. `prepare` gets the simulation at
+/// tick 0, for example to record it.
 pub(super) fn simulated(
     study: &OpenedStudy,
     job: &Job,

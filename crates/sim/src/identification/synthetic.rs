@@ -21,10 +21,10 @@ pub struct SyntheticFile {
 }
 
 impl OpenedStudy {
-    /// Simulates every experiment with its scene as it is, `[truth]` included, and returns what its sensors report
-    /// at their `rate_hz`, with noise, as CSV: a column `time_s`, then the columns of the study. Parameters have no
-    /// effect. An experiment that the scene's own controllers drive is also recorded, into `FOLDER/NAME`, so that
-    /// its commands can be named as a log.
+    /// Simulates every experiment with its scene as it is, `[truth]` included, and returns what its
+    /// sensors report at their `rate_hz`, with noise, as CSV: a column `time_s`, then the columns of the
+    /// study. Parameters have no effect. An experiment that the scene's own controllers drive is also
+    /// recorded, into `FOLDER/NAME`, so that its commands can be named as a log.
     ///
     /// # Errors
     /// Bad input: a sensor has no `rate_hz` or no noise; as [`OpenedStudy::identify`].

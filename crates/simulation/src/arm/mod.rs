@@ -248,8 +248,20 @@ impl Arm {
         }
     }
 
+    /// Triggers a protective stop because of a critical structure: from the next step on the arm brakes, and
+    /// stands until it is commanded to hold.
+    pub fn stop_protectively(&mut self) {
+        if !self.state.protective_stop.is_stopped() {
+            self.state.protective_stop = ProtectiveStop::Stopped { force_n: 0.0 };
+        }
+    }
+
     /// Advances by one tick.
     pub fn step(&mut self) -> &ArmState {
+        if self.state.protective_stop.is_stopped() && self.state.mode != ArmMode::Hold {
+            self.give_up(ArmError::StructureNear);
+            return &self.state;
+        }
         match self.motion {
             Motion::Rest => {}
             Motion::Joint(motion) => self.step_joints(motion),
@@ -286,6 +298,11 @@ impl Arm {
         self.state = snapshot.state;
         self.last_command = snapshot.last_command;
         Ok(())
+    }
+
+    /// Keeps the arm in fault after a keyframe, which does not hold the reason.
+    pub fn keep_fault(&mut self) {
+        self.state.fault.get_or_insert(ArmError::BeforeKeyframe);
     }
 }
 

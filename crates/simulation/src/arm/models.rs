@@ -62,6 +62,11 @@ const fn plain(mass_kg: f64, centre_m: [f64; 3], [xx, yy, zz]: [f64; 3]) -> Link
     link(mass_kg, centre_m, [xx, yy, zz, 0.0, 0.0, 0.0])
 }
 
+/// Force on the flange at which an arm stops, N: `Default` of the general safety limits that a UR5 of the CB3
+/// series is delivered with (user manual CB3, General Limits; `Least Restricted` is 250 N). The other arms of
+/// Universal Robots are taken to be set like it.
+const PROTECTIVE_STOP_N: f64 = 150.0;
+
 /// Published data of a Universal Robots arm.
 struct Published {
     geometry: UrGeometry,
@@ -231,6 +236,7 @@ impl ArmParameters {
                 Vector3::from(arm.tool_rotation_vector_deg) * RAD_PER_DEG,
             )));
         }
+        parameters.protective_stop_n = arm.max_force_n.or(parameters.protective_stop_n);
         parameters.limit(arm);
         parameters
     }
@@ -251,6 +257,7 @@ impl ArmParameters {
         Self {
             links: found.map(|arm| arm.links),
             payload_kg: found.map(|arm| arm.payload_kg),
+            protective_stop_n: found.map(|_| PROTECTIVE_STOP_N),
             ..Self::moving(
                 geometry,
                 [range_rad.map(|x| -x), range_rad],
@@ -301,6 +308,7 @@ impl ArmParameters {
             geometry,
             links: None,
             payload_kg: None,
+            protective_stop_n: None,
             t_world_arm_base: Isometry3::identity(),
             joint_limits: JointLimits {
                 lower_rad,

@@ -53,6 +53,8 @@ pub struct ArmParameters {
     pub links: Option<[Link; UR_JOINTS]>,
     /// Rated payload; `None` if unknown.
     pub payload_kg: Option<f64>,
+    /// Force of the tool on the flange above which the arm stops, N; `None` for no limit.
+    pub protective_stop_n: Option<f64>,
     /// T_world_arm_base: pose of the arm's base (Denavit-Hartenberg frame 0) in the patient frame.
     pub t_world_arm_base: Isometry3<f64>,
     /// Limits of the joints.
@@ -353,6 +355,12 @@ pub enum ArmError {
         /// The limit.
         limit_n: f64,
     },
+    /// The arm had a fault before the keyframe from which the simulation continues.
+    #[error("the arm had stopped before the keyframe from which this continues")]
+    BeforeKeyframe,
+    /// The tool came close to a critical structure, or entered it.
+    #[error("protective stop: the tool is too close to a critical structure; send `hold`, then another goal")]
+    StructureNear,
     /// The scene has no arm to move.
     #[error(
         "the scene has no arm (`arm.model` is \"fixed\"); remove the arm command, or choose another \
@@ -376,10 +384,7 @@ pub enum ArmError {
         upper_m: f64,
     },
     /// A motion was commanded during a protective stop.
-    #[error(
-        "the arm is in a protective stop: the tool pushed the flange too hard; send `hold` to release it, \
-         then a goal"
-    )]
+    #[error("the arm is in a protective stop; send `hold` to release it, then a goal")]
     InProtectiveStop,
     /// The elastic joints' operator is not positive definite because the state is not finite.
     #[error(

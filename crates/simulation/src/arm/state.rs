@@ -50,7 +50,7 @@ pub struct ArmState {
     /// The arm is at rest at its goal (for `Hold`: at rest).
     pub done: bool,
     /// Why the arm aborted an accepted motion, or why a joint of `ServoJv` stopped; cleared by the next
-    /// accepted command. Not serialised, because nothing depends on it.
+    /// accepted command. Not serialised: only whether there is a fault matters, which the state message says.
     #[serde(skip)]
     pub fault: Option<ArmError>,
     /// State of the protective stop.

@@ -243,6 +243,11 @@ fn notched(
 }
 
 impl ManipulatorParameters {
+    /// Returns the length of tube that each flexure bends, m: the mean of its distances from its neighbours.
+    pub fn pitches_m(&self) -> Vec<f64> {
+        (0..self.joint_positions_m.len()).map(|index| pitch_m(&self.joint_positions_m, index)).collect()
+    }
+
     /// Returns the 27-flexure notched nitinol tool of BIGSS/JHU: OD 6 mm, ID 4 mm, tendon channels at 2.5 mm,
     /// burr 6.5 mm.
     ///

@@ -10,11 +10,12 @@
 //!    solve; free bodies step with it; without bodies, repeat from 3 if a sphere moved farther than its
 //!    planes were searched for, or into bone that supports more force;
 //! 5. let bone that was pressed beyond its strength recede, and remove bone with the burr, using the contact
-//!    normal forces of that solve;
+//!    normal forces of that solve; measure the clearance of critical structures, which may stop the arm;
 //! 6. extend the hash chain with commands, state and removed voxels; sample the sensors.
 
 mod apply;
 mod arm_in_bone;
+mod breach;
 mod burr_drive;
 mod drive_shaft;
 mod energy;
@@ -28,6 +29,7 @@ mod plant;
 mod receding;
 mod setup;
 mod state_vector;
+mod structures;
 mod tendon_drive;
 mod tool;
 mod tube_drive;
@@ -35,7 +37,9 @@ mod validity;
 
 use std::sync::Arc;
 
-use messages::{ArmEntry, ControllerIndex, Latched, Refusal, SensorReading, State};
+use messages::{
+    Approach, ArmEntry, ArmStatus, Breach, ControllerIndex, Latched, Refusal, SensorReading, State,
+};
 use nalgebra::Vector3;
 use scene::{Holder, Scene};
 use sensors::{SensorArray, SensorArrayState};
@@ -45,21 +49,23 @@ use zerocopy::IntoBytes;
 
 use crate::arm::{Arm, ArmError, ArmSnapshot, Compliance, ComplianceState};
 use crate::bone::{
-    Ball, BoneField, BoneSnapshot, BurrContact, BurrState, ContactBuffer, GridGeometry, Indentation,
+    Ball, BoneField, BoneSnapshot, BurrContact, BurrState, ContactBuffer, GridGeometry, Indentation, Outside,
     TickLoads, VoxelIndex,
 };
 use crate::contact_plane::ContactPlane;
 use crate::manipulator::{AnyManipulator, BaseMotion, ManipulatorModel, ManipulatorState, StepReport};
 use crate::rigid::{RigidScene, RigidSnapshot, ToolDrive};
 use arm_in_bone::ArmWatch;
+use breach::BreachWatch;
 use burr_drive::{BurrDrive, BurrDriveState};
 use move_tool::SearchRange;
 use receding::RecessionState;
+use structures::StructureWatch;
 use tendon_drive::{TendonDrive, TendonDriveState};
 use tube_drive::{TubeDrive, TubeDriveState};
 
 pub use error::SimulationError;
-pub use feasibility::{Finding, Verdict, findings};
+pub use feasibility::{Finding, Verdict, findings, planned_time_s};
 pub use keyframe::KeyframeError;
 pub use lost::LostTool;
 pub use message::pose;
@@ -175,6 +181,8 @@ pub struct Simulation<'v> {
     refusals: Vec<Refusal>,
     holder: Holder,
     arm_watch: ArmWatch,
+    breach_watch: BreachWatch,
+    structure_watch: StructureWatch,
     /// The sender of the last arm command.
     arm_driver: Driver,
     /// The sender of the last burr command.
@@ -196,6 +204,7 @@ struct Bone<'v> {
     hu: Hounsfield<'v>,
     field: BoneField,
     contacts: ContactBuffer,
+    outside: Arc<Outside>,
 }
 
 impl Simulation<'static> {
@@ -224,7 +233,8 @@ impl<'v> Simulation<'v> {
 
     fn start(mut simulation: Simulation<'v>) -> Result<Simulation<'v>, SimulationError> {
         simulation.update_state(&Latched::zeroed(), 0);
-        simulation.sensors.see(&simulation.state);
+        simulation.measure_clearances();
+        simulation.sample_sensors();
         simulation.initial = Some(Box::new(simulation.snapshot()));
         Ok(simulation)
     }
@@ -335,6 +345,17 @@ impl<'v> Simulation<'v> {
         self.arm_watch.entry()
     }
 
+    /// Returns where the burr or the tube was found in the last tick to have left the bone elsewhere than
+    /// through the hole that it came by, and was inside when last checked.
+    pub fn breach(&self) -> Option<&Breach> {
+        self.breach_watch.breach()
+    }
+
+    /// Returns the critical structures that the tool came close to or entered in the last tick.
+    pub fn approaches(&self) -> &[Approach] {
+        self.structure_watch.approaches()
+    }
+
     /// Computes tick k from its commands u_k, `latched`.
     ///
     /// # Errors
@@ -360,10 +381,12 @@ impl<'v> Simulation<'v> {
         self.left_out_contacts = dropped + report.refused_contact_count;
         let removed = self.wear()?;
         self.balance_energy(&start, slid_j, &drive);
+        self.watch_structures();
         self.update_state(latched, removed);
         self.update_hash(latched);
-        self.sensors.see(&self.state);
+        self.sample_sensors();
         self.watch_arm();
+        self.watch_breach();
         Ok(())
     }
 
@@ -401,6 +424,18 @@ impl<'v> Simulation<'v> {
                 }
             }
         }
+    }
+
+    /// Passes the clearances to the sensors.
+    fn give_clearances(&mut self) {
+        let clearances = self.structure_watch.clearances().iter();
+        self.sensors.set_clearances(clearances.map(|clearance| (clearance.distance_m, clearance.sphere)));
+    }
+
+    /// Samples the sensors from the present state.
+    fn sample_sensors(&mut self) {
+        self.give_clearances();
+        self.sensors.see(&self.state);
     }
 
     fn wear(&mut self) -> Result<usize, SimulationError> {
@@ -481,6 +516,10 @@ impl<'v> Simulation<'v> {
     /// The snapshot is from another scene.
     pub fn restore_beside_bone(&mut self, snapshot: &SimulationSnapshot) -> Result<(), SimulationError> {
         self.arm.restore(&snapshot.arm)?;
+        if snapshot.state.arm_status() == Ok(ArmStatus::Fault) {
+            self.arm.keep_fault();
+        }
+        self.arm_fault = self.arm.state().fault;
         if let (Some(compliance), Some(saved)) = (&mut self.compliance, &snapshot.compliance) {
             compliance.restore(saved);
         }
@@ -498,9 +537,12 @@ impl<'v> Simulation<'v> {
         self.cutting_energy_j = snapshot.cutting_energy_j;
         self.crushing_energy_j = snapshot.crushing_energy_j;
         self.receding = snapshot.receding;
-        self.sensors.restore(&snapshot.sensors);
         self.state = snapshot.state;
         self.note_arm();
+        self.note_breach();
+        self.measure_clearances();
+        self.give_clearances();
+        self.sensors.restore(&snapshot.sensors);
         Ok(())
     }
 

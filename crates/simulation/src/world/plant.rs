@@ -1,6 +1,6 @@
 //! Implements the hub's [`Plant`] for the simulation.
 
-use messages::{ArmEntry, Latched, PastStop, Plant, Refusal, SensorReading, State};
+use messages::{Approach, ArmEntry, Breach, Latched, PastStop, Plant, Refusal, SensorReading, State};
 
 use super::{Simulation, SimulationError};
 
@@ -41,6 +41,14 @@ impl Plant for Simulation<'_> {
 
     fn arm_entry(&self) -> Option<&ArmEntry> {
         self.arm_entry()
+    }
+
+    fn breach(&self) -> Option<&Breach> {
+        self.breach()
+    }
+
+    fn approaches(&self) -> &[Approach] {
+        self.approaches()
     }
 
     fn invalid_flexure(&self) -> Option<PastStop> {

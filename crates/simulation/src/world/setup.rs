@@ -1,5 +1,7 @@
 //! Converts a scene to the components' parameters, in SI units.
 
+use std::sync::Arc;
+
 use messages::State;
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use scene::{
@@ -11,13 +13,15 @@ use scene::{
 use super::burr_drive::{BurrDrive, BurrDriveState};
 use super::drive_shaft::Torsion;
 use super::move_tool::PLANES_PER_SPHERE;
+use super::structures::StructureWatch;
 use super::tendon_drive::TendonDrive;
 use super::tool::{described, twist_rad_per_m};
 use super::tube_drive::TubeDrive;
 use super::{Bone, Driver, Hounsfield, Simulation, SimulationError};
 use crate::arm::{Arm, ArmParameters, Compliance, ComplianceParameters, initial_q_rad, place_base_for};
 use crate::bone::{
-    BoneField, BoneParameters, ContactBuffer, ContactKind, CuttingLaw, GridGeometry, Removal, VoxelIndex,
+    BoneField, BoneParameters, ContactBuffer, ContactKind, CuttingLaw, GridGeometry, Outside, Removal,
+    VoxelIndex,
 };
 use crate::manipulator::{
     AnyManipulator, BaseMotion, Integrator, ManipulatorError, ManipulatorModel, ManipulatorParameters, Notch,
@@ -31,6 +35,7 @@ pub(super) fn build<'v>(
     scene: &Scene,
     ct: Option<(GridGeometry, Hounsfield<'v>)>,
 ) -> Result<Simulation<'v>, SimulationError> {
+    let given = scene;
     let scene = &scene.as_it_is();
     let parameters = manipulator_parameters(scene)?;
     let t_world_base = tool_base(&scene.tool, &parameters);
@@ -54,6 +59,7 @@ pub(super) fn build<'v>(
             (Some(bone), predrilled)
         }
     };
+    let structure_watch = StructureWatch::new(given, bone.as_ref().map(|bone| &bone.outside));
     let rigid = if scene.body.is_empty() {
         None
     } else {
@@ -63,9 +69,9 @@ pub(super) fn build<'v>(
     };
     Ok(Simulation {
         dt_s: scene.dt_s(),
+        max_flange_force_n: arm.parameters().protective_stop_n,
         arm,
         compliance,
-        max_flange_force_n: scene.arm.max_force_n,
         reach: vec![super::SearchRange::none(); sphere_count],
         before: manipulator.snapshot(),
         manipulator,
@@ -91,6 +97,8 @@ pub(super) fn build<'v>(
         refusals: Vec::with_capacity(3 * messages::MAX_CONTROLLERS + 2),
         holder: scene.arm.holder(),
         arm_watch: super::ArmWatch::default(),
+        breach_watch: super::BreachWatch::default(),
+        structure_watch,
         arm_driver: Driver::default(),
         burr_driver: Driver::default(),
         arm_fault: None,
@@ -340,7 +348,8 @@ fn bone<'v>(
     predrilled.sort_unstable();
     let mut contacts = ContactBuffer::with_capacity(most_planes);
     contacts.make_room(field.voxels());
-    Ok((Bone { hu, field, contacts }, predrilled))
+    let outside = Arc::new(Outside::new(geometry, &hu, parameters.threshold_hu));
+    Ok((Bone { hu, field, contacts, outside }, predrilled))
 }
 
 /// Returns the contact kind that a scene's `contact.voxels` selects.

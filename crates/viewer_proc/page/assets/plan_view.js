@@ -12,6 +12,8 @@ const element = (id) => document.getElementById(id);
 const LINE_M = 0.0006;
 /** The tool at the end of its path is translucent. @type {import("/assets/parts_list.js").Colour} */
 const END = [1, 0.55, 0.24, 0.4];
+/** The predicted tool and its path. @type {import("/assets/parts_list.js").Colour} */
+const PREDICTED = [0, 0.78, 0.55, 0.45];
 /** @type {import("/assets/parts_list.js").Colour} */
 const HOLE = [0.34, 0.71, 0.91, 0.35];
 /** @type {import("/assets/parts_list.js").Colour} */
@@ -19,10 +21,15 @@ const RAYS = [0.45, 0.5, 0.58, 1];
 
 /** Adds the translucent parts. @param {PartsList} list @param {any} info of `/view/info` */
 export function addPlannedTool(list, info) {
-  const end = info?.plan?.tool_end;
-  if (end) {
-    for (let i = 1; i < end.line_m.length; i++) list.cylinder(end.line_m[i - 1], end.line_m[i], end.radius_m, END);
-    for (const ball of end.burr) list.sphere(ball.centre_m, ball.radius_m, END);
+  const addTool = (tool, colour) => {
+    for (let i = 1; i < tool.line_m.length; i++) list.cylinder(tool.line_m[i - 1], tool.line_m[i], tool.radius_m, colour);
+    for (const ball of tool.burr) list.sphere(ball.centre_m, ball.radius_m, colour);
+  };
+  if (info?.plan?.tool_end) addTool(info.plan.tool_end, END);
+  const predicted = info?.plan?.predicted;
+  if (predicted) {
+    addTool(predicted.tool_end, PREDICTED);
+    for (let i = 1; i < predicted.path_m.length; i++) list.cylinder(predicted.path_m[i - 1], predicted.path_m[i], LINE_M, PREDICTED);
   }
   if (info?.plan) for (const hole of info.scene?.predrill ?? []) list.cylinder(hole.from_m, hole.to_m, hole.radius_m, HOLE);
 }
@@ -57,6 +64,18 @@ export function bendRadius(path, start) {
   return area > 1e-12 ? (ab * bc * ca) / (4 * area) : undefined;
 }
 
+/** Adds what the simulation of the plan predicts. @param {(name: string, text: string) => void} row @param {any} prediction */
+function addPrediction(row, prediction) {
+  if (!prediction) return row("predicted", "simulating…");
+  const millimetres = (value) => (value == null ? "–" : `${value.toFixed(2)} mm`);
+  const peak = (force) => `${force.force_n.toFixed(1)} N at tick ${force.tick}`;
+  const { tool, plan } = prediction;
+  row("predicted", `${prediction.simulated_s.toFixed(1)} s, ${millimetres(tool?.target_error_mm)} off target, ${millimetres(plan.path_deviation_mm)} off the path`);
+  row("least radius", `${millimetres(plan.least_radius_mm)}; possible ${millimetres(plan.possible_radius_mm)}`);
+  row("largest forces", `burr ${peak(plan.forces.burr)}; walls ${peak(plan.forces.walls)}; flange ${peak(plan.forces.flange)}`);
+  row("stops, breaches", `${plan.protective_stops}, ${prediction.breaches.length}`);
+}
+
 /** @param {any} info of `/view/info` */
 export function showPlan(info) {
   const facts = info?.plan?.facts;
@@ -78,6 +97,7 @@ export function showPlan(info) {
   } else if (info?.kind === "plan") {
     row("CT", "none in the scene");
   }
+  if (info?.kind === "plan") addPrediction(row, info.plan.prediction);
   element("plan-rows").replaceChildren(...rows.map(([name, text]) => {
     const line = document.createElement("tr");
     line.appendChild(document.createElement("th")).textContent = name;

@@ -1,5 +1,7 @@
 // A plot: minimum, maximum and mean of every pixel column, so that no peak is lost.
 
+import { context2d } from "/assets/software.js";
+
 /**
  * @typedef {{spacing: number, at: (time: number) => number | undefined, last?: () => number | undefined,
  *   each: (from: number, to: number, columns: number, draw: (time: number, low: number, high: number, mean:
@@ -43,7 +45,7 @@ export function prepare(canvas) {
   const [width, height] = [canvas.clientWidth, canvas.clientHeight];
   const [columns, rows] = [Math.round(width * ratio), Math.round(height * ratio)];
   if (canvas.width !== columns || canvas.height !== rows) Object.assign(canvas, { width: columns, height: rows });
-  const context = canvas.getContext("2d");
+  const context = context2d(canvas);
   context.setTransform(ratio, 0, 0, ratio, 0, 0);
   context.clearRect(0, 0, width, height);
   return { context, width, height };

@@ -3,6 +3,7 @@
 import { drawHandles } from "/assets/plan_edit.js";
 import { textScale } from "/assets/plot.js";
 import { drawMeasures } from "/assets/slice_tile.js";
+import { context2d } from "/assets/software.js";
 import { project } from "/assets/vector.js";
 
 export class SceneOverlay {
@@ -37,7 +38,7 @@ export class SceneOverlay {
     if (key === this.key) return;
     this.key = key;
     if (this.canvas.width !== width || this.canvas.height !== height) Object.assign(this.canvas, { width, height });
-    const context = this.canvas.getContext("2d");
+    const context = context2d(this.canvas);
     context.clearRect(0, 0, width, height);
     /** @param {import("/assets/vector.js").Vector} point */
     const at = (point) => this.pixelOf(point)?.map((x) => x * ratio);

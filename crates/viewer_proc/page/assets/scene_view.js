@@ -7,6 +7,7 @@ import { addFrustum, addPlannedTool } from "/assets/plan_view.js";
 import { cameraRay, nearest, pick } from "/assets/pick.js";
 import { PART_FRAGMENT, PART_VERTEX, SURFACE_FRAGMENT, SURFACE_VERTEX } from "/assets/shaders.js";
 import { AROUND_THIN, cone, cube, cylinder, sphere } from "/assets/shapes.js";
+import { SOFTWARE } from "/assets/software.js";
 import { Surface } from "/assets/surface.js";
 import { COLOURS, addArm, addBodies, addContacts, addTool, bendingPlane, burrBalls } from "/assets/tool_model.js";
 import { transform } from "/assets/vector.js";
@@ -25,21 +26,13 @@ const LIGHT_SIDE = { bone: [0.93, 0.88, 0.78], inside: [0.78, 0.62, 0.5], backgr
 /** @type {Record<"bone" | "inside" | "background", Vector>} */
 const DARK_SIDE = { bone: [0.88, 0.83, 0.73], inside: [0.55, 0.4, 0.32], background: [0.07, 0.085, 0.11] };
 
-/** Whether WebGL renders in software: edges are then not smoothed, which is several times faster. */
-function isSoftware() {
-  const gl = document.createElement("canvas").getContext("webgl2");
-  const names = gl?.getExtension("WEBGL_debug_renderer_info");
-  const name = gl?.getParameter(names ? names.UNMASKED_RENDERER_WEBGL : gl.RENDERER) ?? "";
-  gl?.getExtension("WEBGL_lose_context")?.loseContext();
-  return /swiftshader|llvmpipe|software/i.test(name);
-}
-
 export class SceneView {
   /** @param {HTMLCanvasElement} canvas @param {() => void} changed requests a redraw */
   constructor(canvas, changed) {
     this.canvas = canvas;
     this.changed = changed;
-    this.software = isSoftware();
+    this.software = SOFTWARE;
+    // Smoothing edges in software takes several times as long.
     const gl = canvas.getContext("webgl2", { antialias: !this.software, alpha: false });
     if (!gl) throw new Error("this browser does not support WebGL 2");
     this.gl = gl;

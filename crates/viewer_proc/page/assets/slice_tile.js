@@ -4,6 +4,7 @@ import { distanceText } from "/assets/measure.js";
 import { cutBall, cutCylinder, normal, place, pointAt } from "/assets/slice_geometry.js";
 import { textScale } from "/assets/plot.js";
 import { drawHandles } from "/assets/plan_edit.js";
+import { context2d } from "/assets/software.js";
 import { COLOURS, burrBalls, holderFront } from "/assets/tool_model.js";
 import { add, dot, scale, subtract, transform } from "/assets/vector.js";
 
@@ -138,7 +139,7 @@ export class SliceTile {
     if (!this.shown) return;
     const { columns, rows, values } = this.shown;
     Object.assign(this.picture, { width: columns, height: rows });
-    const context = this.picture.getContext("2d");
+    const context = context2d(this.picture);
     const image = context.createImageData(columns, rows);
     const pixels = new Uint32Array(image.data.buffer);
     const table = greys(hu, this.limits);
@@ -187,7 +188,7 @@ export class SliceTile {
     const { ratio } = this;
     const [width, height] = this.size.map((n) => Math.max(1, Math.round(n * ratio)));
     for (const canvas of [this.canvas, this.layer]) if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
-    const context = this.canvas.getContext("2d");
+    const context = context2d(this.canvas);
     context.fillStyle = `rgb(${OUTSIDE_RGB.join(" ")})`;
     context.fillRect(0, 0, width, height);
     const scaleBy = width / field;
@@ -248,7 +249,7 @@ export class SliceTile {
   /** Outlines a union: strokes its parts, then erases the inside of each. @param {Path2D[]} parts */
   #outline(context, parts, colour, ratio) {
     if (parts.length === 0) return;
-    const layer = this.layer.getContext("2d");
+    const layer = context2d(this.layer);
     layer.clearRect(0, 0, this.layer.width, this.layer.height);
     layer.globalCompositeOperation = "source-over";
     layer.lineJoin = "round";

@@ -1,5 +1,7 @@
 // Frames: decoding, window and level, and the difference of two frames.
 
+import { context2d } from "/assets/software.js";
+
 const LEVELS = 65536;
 /** Fractions of the pixels that the automatic window leaves out. */
 const CLIPPED = { dense: 0.01, soft: 0.3 };
@@ -68,7 +70,7 @@ export class XRay {
   /** @param {HTMLCanvasElement} canvas @param {() => void} changed */
   constructor(canvas, changed) {
     this.canvas = canvas;
-    this.context = canvas.getContext("2d");
+    this.context = context2d(canvas);
     this.changed = changed;
     /** @type {Image | undefined} */
     this.image = undefined;

@@ -5,6 +5,7 @@ import { CLICK_PX } from "/assets/measure.js";
 import { textScale } from "/assets/plot.js";
 import { pixelsPerMetre, project, unproject } from "/assets/pick.js";
 import { drawMeasures } from "/assets/slice_tile.js";
+import { context2d } from "/assets/software.js";
 import { COLOURS, burrBalls } from "/assets/tool_model.js";
 import { transform } from "/assets/vector.js";
 
@@ -49,7 +50,7 @@ export class XRayOverlay {
     const ratio = Math.min(window.devicePixelRatio || 1, 2);
     const [width, height] = [this.canvas.clientWidth, this.canvas.clientHeight].map((n) => Math.max(1, Math.round(n * ratio)));
     if (this.canvas.width !== width || this.canvas.height !== height) Object.assign(this.canvas, { width, height });
-    const context = this.canvas.getContext("2d");
+    const context = context2d(this.canvas);
     context.clearRect(0, 0, width, height);
     const { frame } = this;
     if (!frame || !this.on) return;

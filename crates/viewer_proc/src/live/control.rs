@@ -264,7 +264,7 @@ mod tests {
         let mut answered = ask(&mut control, Action::Speed);
         let physics = host.session.subscriber::<RunControl>(&services::RUN_CONTROL).unwrap();
         let replies = host.session.publisher::<RunControlReply>(&services::RUN_CONTROL_REPLY).unwrap();
-        let board = Board::new(Channels::new(&[], &[]));
+        let board = Board::new(Channels::new(&[], false));
         control.poll(&board, 1_000_000).unwrap();
         assert!(physics.receive().unwrap().is_none(), "no command before the client is seen");
         control.physics_listens().unwrap();

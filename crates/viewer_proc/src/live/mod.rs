@@ -66,7 +66,7 @@ pub fn view(
     // A short run may be over, and its folder deleted, before the next poll.
     log.look();
     let scene = session_scene(folder)?;
-    let board = Arc::new(Board::new(Channels::new(&scene.controller_names(), &scene.sensor)));
+    let board = Arc::new(Board::new(Channels::new(&scene.controller_names(), scene.has_readings())));
     let (calls, called) = call_queue(CALL_QUEUE);
     let over = Arc::new(AtomicBool::new(false));
     let name = folder.display().to_string();

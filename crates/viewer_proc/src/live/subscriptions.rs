@@ -107,7 +107,7 @@ impl Subscriptions {
             .map(|name| Ok((name.clone(), session.command_subscriber(name)?)))
             .collect::<Result<_, SessionError>>()?;
         let sensors =
-            (!scene.sensor.is_empty()).then(|| Forwarded::<SensorReading>::open(session, &services::SENSOR));
+            scene.has_readings().then(|| Forwarded::<SensorReading>::open(session, &services::SENSOR));
         let sensors = sensors.transpose()?;
         Ok(Subscriptions {
             states: session.subscriber(&services::STATE)?,

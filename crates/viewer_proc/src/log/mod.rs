@@ -109,7 +109,7 @@ pub fn view(
     let first = OpenLog::open(&options.log)?;
     let second = options.second.as_deref().map(OpenLog::open).transpose()?;
     let scene = Scene::parse(&first.header.scene_toml, &first.path)?;
-    let mut channels = Channels::new(&first.header.controllers, &scene.sensor);
+    let mut channels = Channels::new(&first.header.controllers, scene.has_readings());
     channels.add_log(second.is_some());
     let board = Arc::new(Board::new(channels));
     let (calls, called) = call_queue(CALL_QUEUE);

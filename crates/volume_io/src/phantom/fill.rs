@@ -34,6 +34,9 @@ pub fn grid_along_axes(
     grid_of(Path::new(name), dims, spacing_m, origin_m, axes)
 }
 
+/// A thread's slabs: their numbers and voxels.
+type Share<'v> = Vec<(usize, &'v mut [i16])>;
+
 /// Samples `field` at the voxel centres of a grid along the world axes with `threads` threads (0: as many as
 /// the machine offers).
 pub fn fill<F: Field>(grid: VoxelGrid, field: &F, threads: usize) -> Volume {
@@ -43,12 +46,12 @@ pub fn fill<F: Field>(grid: VoxelGrid, field: &F, threads: usize) -> Volume {
         0 => std::thread::available_parallelism().map_or(1, usize::from),
         n => n,
     };
-    let mut shares: Vec<Vec<(usize, &mut [i16])>> = (0..threads).map(|_| Vec::new()).collect();
+    let mut shares: Vec<Share> = (0..threads).map(|_| Vec::new()).collect();
     for (slab, voxels) in hu.chunks_mut(slab_voxels).enumerate() {
         shares[slab % threads].push((slab, voxels));
     }
-    let shares: Vec<Mutex<Vec<(usize, &mut [i16])>>> = shares.into_iter().map(Mutex::new).collect();
-    let fill_share = |share: &Mutex<Vec<(usize, &mut [i16])>>| {
+    let shares: Vec<Mutex<Share>> = shares.into_iter().map(Mutex::new).collect();
+    let fill_share = |share: &Mutex<Share>| {
         for (slab, voxels) in std::mem::take(&mut *share.lock().unwrap_or_else(PoisonError::into_inner)) {
             fill_slab(grid, field, slab, voxels);
         }

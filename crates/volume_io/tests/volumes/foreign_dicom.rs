@@ -267,7 +267,7 @@ fn another_series_than_that_of_the_file_is_refused() {
 /// Regression: frames without functional groups were refused, though the file says how they lie.
 #[test]
 fn frames_of_a_classic_image_are_stacked_by_their_spacing() {
-    let usual = read_bytes(&DicomSlice::default().bytes()).unwrap();
+    let usual = read_bytes("v.dcm", &DicomSlice::default().bytes()).unwrap();
     let mut bytes = DicomSlice::default().bytes();
     let mut insert = |next: &[u8], element: &[u8]| {
         let at = bytes.windows(next.len()).position(|window| window == next).unwrap();
@@ -280,7 +280,7 @@ fn frames_of_a_classic_image_are_stacked_by_their_spacing() {
         bytes[at + 8..at + 12].copy_from_slice(&(3 * length).to_le_bytes());
         let pixels = bytes[at + 12..].to_vec();
         bytes.extend([pixels.clone(), pixels].concat());
-        read_bytes(&bytes).unwrap_err().to_string()
+        read_bytes("v.dcm", &bytes).unwrap_err().to_string()
     };
     assert!(refused.contains("SpacingBetweenSlices (0018,0088)"), "{refused}");
     let at = bytes.windows(PATIENT_POSITION.len()).position(|window| window == PATIENT_POSITION).unwrap();

@@ -13,8 +13,6 @@ const BEYOND_MM: f64 = 0.5;
 /// Tolerance for a target behind the start, mm: less is displayed as 0.0, and rounding can put a target
 /// beside the start behind it.
 const BEHIND_MM: f64 = 0.05;
-/// Factor by which an arc may exceed the insertion: the burr need not go all the way.
-const ARC_SLACK: f64 = 1.02;
 /// Relative difference below which two rates are the same: 30 ticks of 1 ms are usually written as 33.33 Hz.
 const SAME_RATE: f64 = 2e-4;
 
@@ -160,41 +158,6 @@ pub(super) fn target_out_of_reach(start: &Start) -> Option<String> {
                  flexible length)"
         )
     })
-}
-
-/// Returns half the angle of a circular arc that begins along the feed and ends at the target, which is the
-/// angle of its chord.
-fn half_turn_rad(ahead_mm: f64, beside_mm: f64) -> f64 {
-    // Treat a target behind by rounding as beside: the arc to a point straight behind would be infinite.
-    libm::atan2(beside_mm, ahead_mm.max(0.0))
-}
-
-/// Checks the arc to the target against the stops of the flexures, beyond which bone does not bend the tool.
-pub(super) fn target_beyond_stops(start: &Start) -> Option<String> {
-    let [ahead_mm, beside_mm, _] = target_mm(start)?;
-    let tool = start.simulation.manipulator.parameters();
-    let at_rest_rad: f64 = tool.joint_rest_rad.iter().map(|rest_rad| rest_rad.abs()).sum();
-    let stops_rad = tool.joint_positions_m.len() as f64 * tool.joint_limit_rad + at_rest_rad;
-    let turn_rad = 2.0 * half_turn_rad(ahead_mm, beside_mm);
-    (turn_rad > stops_rad && target_out_of_reach(start).is_none()).then(|| {
-        format!(
-            "is {ahead_mm:.1} mm ahead of the start and {beside_mm:.1} mm off the feed axis: the arc to it \
-             bends by {:.0}°, the tool by at most {:.0}°",
-            turn_rad.to_degrees(),
-            stops_rad.to_degrees()
-        )
-    })
-}
-
-pub(super) fn insertion_shorter_than_arc(start: &Start) -> Option<String> {
-    let [ahead_mm, beside_mm, length_mm] = target_mm(start)?;
-    let ahead_mm = ahead_mm.max(0.0);
-    let half_rad = half_turn_rad(ahead_mm, beside_mm);
-    let chord_mm = libm::hypot(ahead_mm, beside_mm);
-    let arc_mm = if half_rad > 0.0 { chord_mm * half_rad / libm::sin(half_rad) } else { chord_mm };
-    let reachable = target_out_of_reach(start).is_none();
-    (reachable && arc_mm > length_mm * ARC_SLACK + BEYOND_MM)
-        .then(|| format!("is {length_mm}, but the arc to `target_mm` is {arc_mm:.1} mm long"))
 }
 
 pub(super) fn run_shorter_than_plan(start: &Start) -> Option<String> {

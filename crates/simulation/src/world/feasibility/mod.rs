@@ -67,7 +67,7 @@ const fn unlikely(key: &'static str, find: fn(&Start) -> Option<String>) -> Rule
 }
 
 /// All rules, in the order in which findings are reported.
-const RULES: [Rule; 29] = [
+const RULES: [Rule; 27] = [
     impossible("controller.command", controllers::program_is_missing),
     impossible("volume.bone_threshold_hu", geometry::nothing_to_drill),
     unlikely("volume.bone_threshold_hu", geometry::no_bone),
@@ -90,8 +90,6 @@ const RULES: [Rule; 29] = [
     unlikely("arm.tool_position_mm", geometry::arm_in_bone),
     unlikely("arm.tool_position_mm", geometry::arm_in_bone_at_end),
     impossible("controller.curved_drilling.target_mm", controllers::target_out_of_reach),
-    unlikely("controller.curved_drilling.target_mm", controllers::target_beyond_stops),
-    unlikely("controller.curved_drilling.insertion_mm", controllers::insertion_shorter_than_arc),
     unlikely("run.dt_ms", controllers::long_step_in_bone),
     unlikely("manipulator.integrator", controllers::long_step_of_pre_curved_tool),
     unlikely("manipulator.model", controllers::modes_on_stops),
@@ -124,6 +122,14 @@ pub fn findings(
         Some(Finding { verdict: rule.verdict, key: rule.key, problem })
     };
     Ok(RULES.iter().filter_map(found).chain(ranges::findings(scene)).collect())
+}
+
+/// Returns the simulated time that the built-in controllers of a scene need for their plans, s; 0 without a
+/// plan.
+pub fn planned_time_s(scene: &Scene) -> f64 {
+    let sweeps = scene.controller.iter().filter_map(|controller| controller.tension_sweep.as_ref());
+    let feeds = scene.controller.iter().filter_map(feed).map(|feed| feed.time_s);
+    feeds.chain(sweeps.map(|sweep| sweep.duration_s())).fold(0.0, f64::max)
 }
 
 /// A straight or curved feed of a built-in controller.

@@ -123,27 +123,6 @@ fn targets() -> Vec<Case> {
             &["impossible: `controller.curved_drilling.target_mm` is 35.5 mm off the feed axis; \
                allowed: 0 to 35.4 (the tool's flexible length)"],
         ),
-        // A quarter circle of radius 15 mm.
-        case(
-            "an arc longer than the insertion",
-            target(Some("[115.0, 0.0, 0.0]")),
-            &["unlikely: `controller.curved_drilling.insertion_mm` is 20, but the arc to `target_mm` \
-               is 23.6 mm long"],
-        ),
-        case(
-            "an arc just longer than the insertion",
-            target(Some("[113.0, 0.0, -1.0]")),
-            &["unlikely: `controller.curved_drilling.insertion_mm` is 20, but the arc to `target_mm` \
-               is 21.0 mm long"],
-        ),
-        case(
-            "an arc that turns further than the tool bends",
-            target(Some("[108.0, 0.0, -12.0]")),
-            &["unlikely: `controller.curved_drilling.target_mm` is 3.0 mm ahead of the start and 8.0 \
-               mm off the feed axis: the arc to it bends by 139°, the tool by at most 135°"],
-        ),
-        case("an arc that turns as far as the tool bends", target(Some("[107.2, 0.0, -12.0]")), &[]),
-        case("an arc as long as the insertion", target(Some("[112.7, 0.0, -1.0]")), &[]),
     ]
 }
 
