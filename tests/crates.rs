@@ -11,7 +11,7 @@ use serde_json::Value;
 use test_support::limited::Limited;
 
 /// Each core and its folder.
-const CORES: [(&str, &str); 18] = [
+const CORES: [(&str, &str); 19] = [
     ("foreign_text", "crates/foreign_text"),
     ("openigtlink", "crates/openigtlink"),
     ("markups", "crates/markups"),

@@ -135,6 +135,7 @@ extern "C" {
 #define TRB_SENSOR_ENCODERS 3
 #define TRB_SENSOR_LOAD_CELL 4
 #define TRB_SENSOR_FORCE_TORQUE 5
+#define TRB_SENSOR_CLEARANCE 6
 #define TRB_SEVERITY_INFO 0
 #define TRB_SEVERITY_WARNING 1
 #define TRB_SEVERITY_ERROR 2
@@ -154,6 +155,10 @@ extern "C" {
 #define TRB_EVENT_ARM_IN_BONE 14
 #define TRB_EVENT_MODEL_NOT_VALID 15
 #define TRB_EVENT_ENERGY_CREATED 16
+#define TRB_EVENT_BREACH 17
+#define TRB_EVENT_PROTECTIVE_STOP 18
+#define TRB_EVENT_STRUCTURE_MARGIN 19
+#define TRB_EVENT_STRUCTURE_BREACH 20
 #define TRB_SENDER_LAUNCHER 0
 #define TRB_SENDER_PHYSICS 1
 #define TRB_SENDER_DRR 2
@@ -553,8 +558,8 @@ TRB_ASSERT(offsetof(trb_removed, voxel_index_length) == 28, "trb_removed.voxel_i
 TRB_ASSERT(sizeof(trb_removed) == 32, "trb_removed");
 
 /* One reading of a sensor in the scene. Published before the state of the tick at which it arrives,
- * and only in scenes with a `[[sensor]]`. `kind` determines what the values mean; docs/sensors.md
- * lists their order and units. */
+ * and only in scenes with a `[[sensor]]` or a `[[structure]]`. `kind` determines what the values mean;
+ * docs/sensors.md lists their order and units. */
 typedef struct trb_sensor_reading {
     /* `State.tick` of the state with which the reading arrives. */
     uint64_t tick;
@@ -562,9 +567,9 @@ typedef struct trb_sensor_reading {
     uint64_t sample_tick;
     /* Sequence number of the readings of all sensors: 1, 2, 3 and so on. */
     uint64_t sequence;
-    /* Index of the sensor in the scene, from 0. */
+    /* Index of the sensor in the scene, from 0; of the clearances, the number of sensors. */
     uint32_t sensor_index;
-    /* 1 fbg, 2 tracker, 3 encoders, 4 load_cell, 5 force_torque. */
+    /* 1 fbg, 2 tracker, 3 encoders, 4 load_cell, 5 force_torque, 6 clearance. */
     uint32_t kind;
     /* 1 if the reading is valid, 0 if it dropped out or the tracker does not see its marker; the values
      * are then 0. */

@@ -279,6 +279,7 @@ class SensorKind(IntEnum):
     ENCODERS = 3
     LOAD_CELL = 4
     FORCE_TORQUE = 5
+    CLEARANCE = 6
 
 
 SENSOR_FBG = SensorKind.FBG
@@ -286,6 +287,7 @@ SENSOR_TRACKER = SensorKind.TRACKER
 SENSOR_ENCODERS = SensorKind.ENCODERS
 SENSOR_LOAD_CELL = SensorKind.LOAD_CELL
 SENSOR_FORCE_TORQUE = SensorKind.FORCE_TORQUE
+SENSOR_CLEARANCE = SensorKind.CLEARANCE
 
 
 class Severity(IntEnum):
@@ -320,6 +322,10 @@ class EventCode(IntEnum):
     ARM_IN_BONE = 14
     MODEL_NOT_VALID = 15
     ENERGY_CREATED = 16
+    BREACH = 17
+    PROTECTIVE_STOP = 18
+    STRUCTURE_MARGIN = 19
+    STRUCTURE_BREACH = 20
 
 
 EVENT_COMMAND_REFUSED = EventCode.COMMAND_REFUSED
@@ -338,6 +344,10 @@ EVENT_SIMULATION_FAILED = EventCode.SIMULATION_FAILED
 EVENT_ARM_IN_BONE = EventCode.ARM_IN_BONE
 EVENT_MODEL_NOT_VALID = EventCode.MODEL_NOT_VALID
 EVENT_ENERGY_CREATED = EventCode.ENERGY_CREATED
+EVENT_BREACH = EventCode.BREACH
+EVENT_PROTECTIVE_STOP = EventCode.PROTECTIVE_STOP
+EVENT_STRUCTURE_MARGIN = EventCode.STRUCTURE_MARGIN
+EVENT_STRUCTURE_BREACH = EventCode.STRUCTURE_BREACH
 
 
 class Pose(View):
@@ -602,8 +612,8 @@ class Removed(View):
 
 class SensorReading(View):
     """One reading of a sensor in the scene. Published before the state of the tick at which it
-    arrives, and only in scenes with a `[[sensor]]`. `kind` determines what the values mean;
-    docs/sensors.md lists their order and units.
+    arrives, and only in scenes with a `[[sensor]]` or a `[[structure]]`. `kind` determines
+    what the values mean; docs/sensors.md lists their order and units.
     """
 
     if not TYPE_CHECKING:
@@ -620,8 +630,8 @@ class SensorReading(View):
     tick: int = field("<Q", 0, "`State.tick` of the state with which the reading arrives.")
     sample_tick: int = field("<Q", 8, "`State.tick` of the state that it measures.")
     sequence: int = field("<Q", 16, "Sequence number of the readings of all sensors: 1, 2, 3 and so on.")
-    sensor_index: int = field("<I", 24, "Index of the sensor in the scene, from 0.")
-    kind: SensorKind = field("<I", 28, "1 fbg, 2 tracker, 3 encoders, 4 load_cell, 5 force_torque.", SensorKind)
+    sensor_index: int = field("<I", 24, "Index of the sensor in the scene, from 0; of the clearances, the number of sensors.")
+    kind: SensorKind = field("<I", 28, "1 fbg, 2 tracker, 3 encoders, 4 load_cell, 5 force_torque, 6 clearance.", SensorKind)
     valid: int = field("<I", 32, "1 if the reading is valid, 0 if it dropped out or the tracker does not see its marker; the values are then 0.")
     value_count: int = field("<I", 36, "Number of used entries of `value`.")
     value = ArrayField(np.float64, "Measured values.", "value_count")
@@ -1187,6 +1197,7 @@ __all__ = [
     "SENSOR_ENCODERS",
     "SENSOR_LOAD_CELL",
     "SENSOR_FORCE_TORQUE",
+    "SENSOR_CLEARANCE",
     "SEVERITY_INFO",
     "SEVERITY_WARNING",
     "SEVERITY_ERROR",
@@ -1206,6 +1217,10 @@ __all__ = [
     "EVENT_ARM_IN_BONE",
     "EVENT_MODEL_NOT_VALID",
     "EVENT_ENERGY_CREATED",
+    "EVENT_BREACH",
+    "EVENT_PROTECTIVE_STOP",
+    "EVENT_STRUCTURE_MARGIN",
+    "EVENT_STRUCTURE_BREACH",
     "SENDER_LAUNCHER",
     "SENDER_PHYSICS",
     "SENDER_DRR",

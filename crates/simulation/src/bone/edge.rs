@@ -16,9 +16,9 @@
 //!
 //! **Contacts on different sides.** A contact alone needs the force of its part of the patch, and loads that
 //! part evenly. A voxel bears the sum of the loads of all contacts that see it, as shares of the edge
-//! pressure; cutting begins where their mean over the patch is 1. Contacts on one side thus share one
-//! threshold, and the thresholds of contacts that see different bone, around a hole that is widened or on
-//! both sides of a pinched burr, add up.
+//! pressure; cutting begins where their mean over the patch, as the contacts see it, is 1. Contacts on one
+//! side thus share one threshold, and the thresholds of contacts that see different bone, around a hole that
+//! is widened or on both sides of a pinched burr, add up.
 
 use nalgebra::Vector3;
 
@@ -47,19 +47,22 @@ impl DrillTick<'_> {
         // A contact that faces no edge cuts with any force, and loads no voxel.
         let loads = || contacts.iter().zip(&alone_n).filter(|(_, alone_n)| **alone_n > 0.0);
         let force_n: f64 = loads().map(|(contact, _)| contact.normal_force_n).sum();
-        let (mut share, mut seen_n) = (0.0, 0.0);
+        let (mut share, mut seen_n2) = (0.0, 0.0);
         self.for_each_edge(hu, press, |to_burr, edge_n| {
-            let facing = loads().filter(|(contact, _)| contact.normal.dot(to_burr) > 0.0);
-            let of_voxel: f64 = facing.map(|(contact, alone_n)| contact.normal_force_n / alone_n).sum();
-            if of_voxel > 0.0 {
-                share += of_voxel * edge_n.norm();
-                seen_n += edge_n.norm();
+            let (mut of_voxel, mut weight_n2) = (0.0, 0.0);
+            for (contact, alone_n) in loads().filter(|(contact, _)| contact.normal.dot(to_burr) > 0.0) {
+                of_voxel += contact.normal_force_n / alone_n;
+                weight_n2 += contact.normal_force_n * contact.normal.dot(edge_n);
+            }
+            if weight_n2 > 0.0 {
+                share += of_voxel * weight_n2;
+                seen_n2 += weight_n2;
             }
         });
         self.scratch.edge_n = alone_n;
         match (contacts.is_empty(), share > 0.0) {
             (true, _) => whole_n,
-            (false, true) => force_n * seen_n / share,
+            (false, true) => force_n * seen_n2 / share,
             // Nothing is visible of a patch that faces away from its contacts.
             (false, false) => 0.0,
         }

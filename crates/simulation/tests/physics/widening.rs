@@ -231,7 +231,7 @@ fn the_force_of_an_edge_is_a_constant_and_a_part_in_proportion_to_the_feed() {
     let area_m2 = PI * (RADIUS_M + cutting.reach_m).powi(2);
     println!("voxel mm | feed mm/s | S, N | thrust, N | edge, N | edge and cut, N | ratio");
     for (voxel_m, feed_m_per_s) in
-        [(0.25e-3, 0.25e-3), (0.25e-3, 1.0e-3), (0.5e-3, 0.5e-3), (0.5e-3, 2.0e-3), (1.0e-3, 0.5e-3)]
+        [(0.5e-3, 2.0e-3), (1.0e-3, 0.5e-3), (0.5e-3, 0.5e-3), (0.25e-3, 1.0e-3), (0.25e-3, 0.25e-3)]
     {
         let means = widen(0.0, voxel_m, (edge_mpa, feed_m_per_s));
         let lever_m = means.force_lever_nm / means.sum_n;

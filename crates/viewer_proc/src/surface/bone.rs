@@ -112,7 +112,7 @@ mod tests {
     fn the_coarse_surface_is_there_at_once_and_the_fine_one_only_for_a_client_that_wants_it() {
         let grid = VoxelGrid::axis_aligned([100; 3], [1e-3; 3], [0.0; 3]).unwrap();
         let hu = vec![1000; grid.voxel_count()];
-        let board = Board::new(Channels::new(&[], &[]));
+        let board = Board::new(Channels::new(&[], false));
         let mut bone = Bone::new(grid, 150);
         assert!(!bone.publish(&hu, &board), "nothing is pending for nobody");
         let client = board.join();

@@ -45,7 +45,7 @@ pub struct Running {
 
 impl Running {
     pub fn start(watch_by_anyone: bool) -> Running {
-        let board = Arc::new(Board::new(Channels::new(&["viewer".to_owned()], &[])));
+        let board = Arc::new(Board::new(Channels::new(&["viewer".to_owned()], false)));
         let (calls, called) = call_queue(8);
         let over = Arc::new(AtomicBool::new(false));
         let door = ListeningPort::open(&options(watch_by_anyone)).unwrap();
