@@ -62,10 +62,11 @@ mod tests {
     /// `tests/processes/outputs.rs`, except `run` and `stress`, which create a folder with a new name, and
     /// `proc recorder`, which `run` starts in it; `sweep list`, which writes nothing; and `sweep run`, which
     /// takes a new folder or its own (`tests/processes/sweeps.rs`).
-    const KNOWN: [&str; 22] = [
+    const KNOWN: [&str; 23] = [
         "calibrate --output",
         "docs install --output",
         "drr --output",
+        "fmu export --output",
         "identify --output",
         "log cat-files --output",
         "log compress --output",

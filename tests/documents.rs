@@ -255,6 +255,7 @@ const NO_CAPACITIES: &[(&str, &str)] = &[
     ("MOST_LATE_NS", "crates/viewer_proc/src/log/series/mod.rs"),
     ("MOST_OF_A_LINE", "crates/foreign_text/src/lib.rs"),
     ("MOST_REMOVED", "crates/viewer_proc/src/log/marks.rs"),
+    ("MOST_STOPS", "crates/simulation/src/manipulator/contact.rs"),
     ("MOST_ROWS", "crates/viewer_proc/src/log/compare.rs"),
 ];
 

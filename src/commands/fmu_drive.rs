@@ -25,7 +25,7 @@ pub struct DriveArguments {
     input: Vec<(String, String)>,
     /// Field of the command that gets an output of the FMU, such as `tendon_force_n[0]=u` (may be repeated).
     #[arg(long, value_name = "FIELD=OUTPUT", value_parser = pair)]
-    output: Vec<(String, String)>,
+    command: Vec<(String, String)>,
     /// Field of the command with a fixed value, such as `tendon_mode=1` (may be repeated).
     #[arg(long, value_name = "FIELD=VALUE", value_parser = setting)]
     constant: Vec<(String, f64)>,
@@ -103,14 +103,14 @@ impl Connections {
             Ok((variable(model, "--input", name, "input")?, column::<State>("--input", path)?))
         };
         let output = |(path, name): &(String, String)| {
-            Ok((settable("--output", path)?, variable(model, "--output", name, "output")?))
+            Ok((settable("--command", path)?, variable(model, "--command", name, "output")?))
         };
         let constant = |(path, value): &(String, f64)| Ok((settable("--constant", path)?, *value));
         let parameter =
             |(name, value): &(String, f64)| Ok((variable(model, "--parameter", name, "parameter")?, *value));
         Ok(Connections {
             inputs: arguments.input.iter().map(input).collect::<Result<_, Failure>>()?,
-            outputs: arguments.output.iter().map(output).collect::<Result<_, Failure>>()?,
+            outputs: arguments.command.iter().map(output).collect::<Result<_, Failure>>()?,
             constants: arguments.constant.iter().map(constant).collect::<Result<_, Failure>>()?,
             parameters: arguments.parameter.iter().map(parameter).collect::<Result<_, Failure>>()?,
         })

@@ -224,7 +224,7 @@ mod tests {
     #[test]
     fn the_need_of_a_run_is_what_was_measured_and_at_most_a_third_more() {
         let femur = 29 << 20;
-        let frame = 256 * 256 * 2;
+        let frame = 512 * 512 * 2;
         for (plan, largest_mib, shared_mib) in
             [(plan(0, 0), 220, 128), (plan(femur, frame), 251, 187), (plan(234 << 20, frame), 672, 392)]
         {

@@ -178,11 +178,11 @@ def costs_little(page: Page) -> None:
 def works_with_keys_alone(page: Page) -> None:
     """The Tab key reaches every control, each shows its focus, and help, pause and reset need no pointer."""
     page.page.evaluate("document.activeElement.blur()")
-    wanted = set(page.page.evaluate(
+    controls = page.page.evaluate(
         "[...document.querySelectorAll('button, select, input, canvas[tabindex]')].filter((e) => e.offsetParent && !e.disabled)"
-        ".map((e) => e.id || e.textContent.trim())"))
-    reached = set()
-    for _ in range(len(wanted) + 12):
+        ".map((e) => e.id || e.textContent.trim())")
+    wanted, reached = set(controls), set()
+    for _ in range(len(controls) + 12):
         page.page.keyboard.press("Tab")
         name, outline = page.page.evaluate(
             "(() => { const e = document.activeElement; return [e.id || e.textContent.trim(), getComputedStyle(e).outlineStyle]; })()")

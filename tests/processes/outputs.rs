@@ -68,6 +68,7 @@ fn table(place: &Place) -> Vec<Row> {
         row("log export @log -o @segments --dataset yolo-segment", &["segments/data.yaml"]),
         row("log export @log -o @npz --dataset npz", &["npz/dataset.json"]),
         row("scene init -o @scenes", &["scenes/femur_curved_drilling.toml"]),
+        row("fmu export @scene.toml -o @d.fmu", &["d.fmu"]),
     ]
 }
 

@@ -34,8 +34,7 @@ pub fn solve(a: &DMatrix<f64>, b: &[f64]) -> Option<Vec<f64>> {
             let sum: f64 = (0..j).map(|k| l[(i, k)] * l[(j, k)]).sum();
             let rest = a[(i, j)] - sum;
             if i == j {
-                // Also refuses NaN.
-                if !(rest > 0.0) {
+                if rest.is_nan() || rest <= 0.0 {
                     return None;
                 }
                 l[(i, i)] = rest.sqrt();

@@ -165,7 +165,7 @@ fn check_structures(scene: &Scene, checker: &Checker) -> Result<(), SceneError> 
             return Err(checker.invalid(&key, "needs a `[volume]`, whose bone it is defined by"));
         }
         let mut coordinates = tube.iter().flat_map(|tube| tube.points_mm.iter().flatten());
-        if let Some(far_mm) = coordinates.find(|mm| !(mm.abs() <= FARTHEST_MM)) {
+        if let Some(far_mm) = coordinates.find(|mm| mm.is_nan() || mm.abs() > FARTHEST_MM) {
             let range = Range { lowest: -FARTHEST_MM, highest: FARTHEST_MM, or_zero: false };
             return checker.range("structure.tube.points_mm", *far_mm, range);
         }

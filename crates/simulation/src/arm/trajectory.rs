@@ -244,7 +244,7 @@ mod tests {
         for path in found {
             let source = std::fs::read_to_string(&path).unwrap();
             assert!(
-                !source.contains("ruckig::") && !source.contains("intermediate_"),
+                !source.contains("ruckig::") && !source.contains("intermediate_positions"),
                 "{}: Ruckig belongs in trajectory.rs",
                 path.display()
             );

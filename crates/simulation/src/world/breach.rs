@@ -56,9 +56,10 @@ impl BreachWatch {
     }
 }
 
-/// The places, one for each part, at which a line is outside after it was inside, nearest the tip; with the
-/// direction from the tool's axis.
-type Exits = [Option<(Vector3<f64>, Vector3<f64>)>; 2];
+/// A place, m, with its direction from the tool's axis.
+type Place = (Vector3<f64>, Vector3<f64>);
+/// The places, one for each part, at which a line is outside after it was inside, nearest the tip.
+type Exits = [Option<Place>; 2];
 
 /// A walk along a line from the base to the tip.
 struct Walk<'a> {
@@ -70,7 +71,7 @@ struct Walk<'a> {
 }
 
 impl Walk<'_> {
-    fn visit(&mut self, part: Part, (place_m, direction): (Vector3<f64>, Vector3<f64>), along_m: f64) {
+    fn visit(&mut self, part: Part, (place_m, direction): Place, along_m: f64) {
         if !self.outside.holds(&place_m) {
             self.inside_from_m.get_or_insert(along_m);
         } else if self.inside_from_m.is_some_and(|from_m| along_m - from_m >= self.least_m) {
@@ -100,7 +101,7 @@ impl Simulation<'_> {
         }
     }
 
-    fn note_exit(&mut self, part: Part, exit: Option<(Vector3<f64>, Vector3<f64>)>) {
+    fn note_exit(&mut self, part: Part, exit: Option<Place>) {
         let (tick, watch) = (self.state.tick, &mut self.breach_watch);
         let until = &mut watch.out_until[part as usize];
         let Some((place_m, direction)) = exit else { return };
@@ -168,7 +169,7 @@ impl Simulation<'_> {
     /// Returns the burr's points on a line with their directions from its centre, and how far they are ahead
     /// of it: its front on the centre line, and on the others the points beside the centre and between there
     /// and the front.
-    fn burr_points(&self, line: usize) -> [Option<((Vector3<f64>, Vector3<f64>), f64)>; 2] {
+    fn burr_points(&self, line: usize) -> [Option<(Place, f64)>; 2] {
         let burr = &self.state.t_world_burr;
         let (centre_m, ahead) = (Vector3::from(burr.position_m), turned(burr.orientation_xyzw, Vector3::z()));
         let cutter = &self.manipulator.parameters().cutter;

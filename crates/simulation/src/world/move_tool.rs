@@ -344,7 +344,8 @@ mod tests {
         pub(super) static SEARCHES: Cell<usize> = const { Cell::new(0) };
     }
 
-    const SCENE: &str = "name = \"tunnel\"\nrun = { mode = \"lockstep\", duration_s = 1.0 }\nvolume = { phantom = \"block\" }\n";
+    const SCENE: &str = "name = \"tunnel\"\nrun = { mode = \"lockstep\", duration_s = 1.0 }\nvolume = { phantom = \"block\" }\n\
+        arm = { max_force_n = 1e5 }\n";
 
     /// Presses the tool sideways with the arm and a tendon.
     fn pressed(tick: u64, start: &State) -> Latched {

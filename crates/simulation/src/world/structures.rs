@@ -132,9 +132,10 @@ impl Simulation<'_> {
             *nearness = self.structure_watch.nearness(index);
         }
         self.measure_clearances();
-        for index in 0..self.structure_watch.structures.len().min(MAX_STRUCTURES) {
+        let count = self.structure_watch.structures.len();
+        for (index, before) in before.into_iter().enumerate().take(count) {
             let nearness = self.structure_watch.nearness(index);
-            if nearness <= before[index] {
+            if nearness <= before {
                 continue;
             }
             let watch = &mut self.structure_watch;
@@ -142,7 +143,7 @@ impl Simulation<'_> {
             let sphere = &self.manipulator.proxy_spheres()[clearance.sphere];
             let has_entered = nearness == Nearness::Inside;
             let action = if has_entered { structure.on_breach } else { structure.on_margin };
-            let skipped_margin = has_entered && before[index] == Nearness::Clear;
+            let skipped_margin = has_entered && before == Nearness::Clear;
             let stops = action == StructureAction::Stop
                 || (skipped_margin && structure.on_margin == StructureAction::Stop);
             watch.approaches.push(Approach {

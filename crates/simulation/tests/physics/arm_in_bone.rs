@@ -41,7 +41,7 @@ fn entries(
 }
 
 fn mounted(offset_mm: f64) -> String {
-    format!("{TUNNEL}[arm]\ntool_position_mm = [0.0, 0.0, {offset_mm}]\n")
+    format!("{TUNNEL}[arm]\nmax_force_n = 1e5\ntool_position_mm = [0.0, 0.0, {offset_mm}]\n")
 }
 
 /// The flange starts 1.5 mm in front of the block and advances 4.5 mm into it; the holder on it is in bone

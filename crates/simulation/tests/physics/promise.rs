@@ -58,21 +58,21 @@ const GOLDEN: [Golden; 3] = [
         in_bone: true,
         command: |_, start| feed_along_z(start),
         ticks: 1000,
-        hash: "1686326cb772e4ab259951e3a2e4fcef",
+        hash: "7ac138617fe3a94ed8c9fe73eb4635a7",
     },
     Golden {
         scene: BODIES,
         in_bone: false,
         command: |_, start| feed_along_z(start),
         ticks: 600,
-        hash: "7bfbe3fababa8a2a1c1a032de0465093",
+        hash: "17153fd695b17bcdedd45ef4ff2bc3f9",
     },
     Golden {
         scene: FREE,
         in_bone: false,
         command: wander,
         ticks: 2000,
-        hash: "79813bca3f55f0a0a112e3cee4f8d46b",
+        hash: "59c032c2473064c3f6260bb1da4b0fd3",
     },
 ];
 

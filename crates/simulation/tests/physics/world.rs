@@ -138,7 +138,7 @@ fn each_part_of_a_command_acts_or_is_refused_on_its_own() {
 fn a_lost_tool_is_an_error_and_its_last_state_is_sound() {
     let scene = scene(
         "name = \"lost\"\nrun = { mode = \"lockstep\", duration_s = 5.0 }\n\
-         manipulator = { stiffness_scale = 0.001 }\n",
+         manipulator = { model = \"modal\", stiffness_scale = 0.001 }\n",
     );
     let mut simulation = Simulation::new(&scene, None).unwrap();
     let start = *simulation.state();
