@@ -121,13 +121,13 @@ impl Prediction {
                 seconds(self.course.ticks)
             ),
         );
-        if let Some(tool) = self.course.tool() {
-            if let Some(error_mm) = tool.target_error_mm {
-                row(
-                    "target",
-                    format!("{error_mm:.2} mm off at the deepest insertion, {:.1} deg bent", tool.bend_deg),
-                );
-            }
+        if let Some(tool) = self.course.tool()
+            && let Some(error_mm) = tool.target_error_mm
+        {
+            row(
+                "target",
+                format!("{error_mm:.2} mm off at the deepest insertion, {:.1} deg bent", tool.bend_deg),
+            );
         }
         if let Some((most_mm, at_mm)) = plan.path_deviation_mm.zip(plan.path_deviation_at_mm) {
             row("path", format!("up to {most_mm:.2} mm off the planned one, {at_mm:.1} mm along it"));

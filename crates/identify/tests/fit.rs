@@ -64,7 +64,7 @@ fn intervals_of_a_nonlinear_model_hold_the_truth_as_often_as_they_say() {
             Ok((0..80).map(|i| (curve(p, i) - curve(&truth, i)) / 0.05 - noise(study, i)).collect())
         });
         let found = fit(&mut model, &parameters, &[0.5, 0.5, 0.5], METHOD).unwrap();
-        let uncertainty = Uncertainty::of(&parameters, &found.best, &[0..80]);
+        let uncertainty = Uncertainty::of(&parameters, &found.best, std::slice::from_ref(&(0..80)));
         for ((estimate, truth), held) in uncertainty.estimates.iter().zip(truth).zip(&mut held) {
             *held += usize::from(estimate.interval[0] <= truth && truth <= estimate.interval[1]);
         }
@@ -81,7 +81,7 @@ fn a_prior_counts_as_a_measurement() {
     let mut model = Closed(|p: &[f64]| Ok(vec![p[0] - 2.0]));
     let found = fit(&mut model, &[prior.clone()], &[0.9], METHOD).unwrap();
     assert!((found.best.values[0] - 1.2).abs() < 1e-6, "{:?}", found.best.values);
-    let uncertainty = Uncertainty::of(&[prior], &found.best, &[0..1]);
+    let uncertainty = Uncertainty::of(&[prior], &found.best, std::slice::from_ref(&(0..1)));
     assert!((uncertainty.estimates[0].sd.unwrap() - 0.2_f64.sqrt()).abs() < 1e-6);
 }
 
@@ -122,7 +122,7 @@ fn a_pair_that_only_its_ratio_enters_is_named() {
     let mut parameters = [log("stiffness"), log("gain"), parameter("unused", 0.0, 1.0)];
     let start = [0.4, 0.6, 0.5];
     let found = fit(&mut model, &parameters, &start, METHOD).unwrap();
-    let uncertainty = Uncertainty::of(&parameters, &found.best, &[0..50]);
+    let uncertainty = Uncertainty::of(&parameters, &found.best, std::slice::from_ref(&(0..50)));
     let said = undetermined(&parameters, &uncertainty);
     assert_eq!(said.len(), 2, "{said:?}");
     let pair = said.iter().find(|line| line.contains("`stiffness` and `gain`")).unwrap();
@@ -136,7 +136,7 @@ fn a_pair_that_only_its_ratio_enters_is_named() {
 
     parameters[1].prior = Some(Prior { mean: 1.0, sd: 0.01 });
     let found = fit(&mut model, &parameters, &start, METHOD).unwrap();
-    let uncertainty = Uncertainty::of(&parameters, &found.best, &[0..50]);
+    let uncertainty = Uncertainty::of(&parameters, &found.best, std::slice::from_ref(&(0..50)));
     assert!(uncertainty.estimates[0].is_determined && uncertainty.estimates[1].is_determined);
     assert_eq!(undetermined(&parameters, &uncertainty).len(), 1);
 }

@@ -27,7 +27,7 @@ fn simulation(text: &str) -> Simulation<'static> {
 
 /// Returns the clearances of the present state.
 fn clearances_m(simulation: &Simulation<'_>) -> [f64; 2] {
-    let [reading] = simulation.readings() else { panic!("one reading a tick") };
+    let reading = simulation.readings().first().unwrap();
     assert_eq!((reading.kind(), reading.tick), (Ok(SensorKind::Clearance), simulation.state().tick));
     [reading.value[0], reading.value[2]]
 }
