@@ -52,14 +52,15 @@ const LIBRARY: &str = "libtrabecula_fmu.so";
 /// Environment variable with the path of that library, for programs that are not installed beside it.
 const LIBRARY_VARIABLE: &str = "TRABECULA_FMU_LIBRARY";
 
-/// Returns the library's file: that of the environment, or beside the program, or in `lib` beside its folder.
+/// Returns the library's file: that of the environment, or beside the program, or in `lib` beside its folder,
+/// or in `deps`, where cargo leaves it.
 fn library() -> Result<PathBuf, Failure> {
     if let Some(path) = std::env::var_os(LIBRARY_VARIABLE) {
         return Ok(path.into());
     }
     let program = std::env::current_exe().unwrap_or_default();
     let folder = program.parent().unwrap_or(Path::new("."));
-    let places = [folder.join(LIBRARY), folder.join("../lib").join(LIBRARY)];
+    let places = [".", "../lib", "deps"].map(|below| folder.join(below).join(LIBRARY));
     places.into_iter().find(|path| path.exists()).ok_or_else(|| {
         Failure::failed(format!(
             "{LIBRARY} not found beside {}; set {LIBRARY_VARIABLE} to its path",

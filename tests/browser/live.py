@@ -182,7 +182,8 @@ def works_with_keys_alone(page: Page) -> None:
         "[...document.querySelectorAll('button, select, input, canvas[tabindex]')].filter((e) => e.offsetParent && !e.disabled)"
         ".map((e) => e.id || e.textContent.trim())")
     wanted, reached = set(controls), set()
-    for _ in range(len(controls) + 12):
+    # A full turn: also the menus, links and the browser's own controls.
+    for _ in range(len(controls) + 24):
         page.page.keyboard.press("Tab")
         name, outline = page.page.evaluate(
             "(() => { const e = document.activeElement; return [e.id || e.textContent.trim(), getComputedStyle(e).outlineStyle]; })()")

@@ -52,7 +52,7 @@ pub fn memory_full_at_start(random: &mut Rng) -> Result<Outcome, String> {
     let said = format!("{bytes} bytes: exit {:?}\n{}\n{}", ended.code, ended.err, ended.out);
     assert!(!ended.err.contains("panicked"), "{said}");
     let went_on = ended.code == Some(0);
-    assert!(went_on || (ended.code == Some(1) && ended.err.contains(MEMORY)), "{said}");
+    assert!(went_on || (ended.code == Some(2) && ended.err.contains(MEMORY)), "{said}");
     if !went_on {
         looks.assert_in_time("the error of a start without memory");
     }

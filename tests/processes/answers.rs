@@ -41,6 +41,11 @@ fn call(command: &str) -> Call {
         "volume info" => As("volume info @ball.nrrd"),
         "volume probe" => As("volume probe @ball.nrrd --at 0,0,0"),
         "volume drilled" => As("volume drilled @log -o @d#.nrrd"),
+        "fmu export" => As("fmu export @scene.toml -o @d#.fmu"),
+        // It needs a running session.
+        "fmu drive" => HelpOnly,
+        // It needs a study: `tests/processes/outputs.rs`.
+        "identify" => HelpOnly,
         "phantom" => As("phantom sphere -o @p#.nrrd --spacing-mm 2"),
         "drr" => As("drr @ball.nrrd -o @x#.png"),
         "docs messages" => As("docs messages"),

@@ -122,7 +122,7 @@ fn a_data_set_of_several_runs_is_split_by_run() {
             images += 1;
         }
     }
-    assert_eq!(images, 8, "two runs of four frames");
+    assert_eq!(images, 10, "two runs of five frames");
     let yolo = export("ab", "yolo", &[&["--dataset", "yolo-segment"], &split[..]].concat());
     let about = String::from_utf8(bytes(&yolo, "data.yaml")).unwrap();
     assert!(

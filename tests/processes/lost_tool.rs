@@ -31,7 +31,8 @@ fn pull_until_it_ends(client: &mut Client) -> ClientError {
 #[test]
 fn a_lost_tool_ends_the_run_with_its_own_outcome_and_replays_to_the_same_end() {
     let place = Place::new();
-    let scene = scenes::shared("lockstep", 5.0) + "\n[manipulator]\nstiffness_scale = 0.001\n";
+    let scene =
+        scenes::shared("lockstep", 5.0) + "\n[manipulator]\nmodel = \"modal\"\nstiffness_scale = 0.001\n";
     let run = place.start(&(scene + &scenes::keyframes(0.01)));
     let mut client = joined(&run, "pilot");
     let outcome = pull_until_it_ends(&mut client);
@@ -68,7 +69,8 @@ fn a_log_is_whole_however_soon_the_simulation_fails() {
     let busy = BusyLoops::start(3);
     for _ in 0..4 {
         let place = Place::new();
-        let scene = scenes::shared("lockstep", 5.0) + "\n[manipulator]\nstiffness_scale = 0.001\n";
+        let scene =
+            scenes::shared("lockstep", 5.0) + "\n[manipulator]\nmodel = \"modal\"\nstiffness_scale = 0.001\n";
         let run = place.start(&scene);
         let mut client = joined(&run, "pilot");
         pull_until_it_ends(&mut client);

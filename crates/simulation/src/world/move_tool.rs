@@ -350,7 +350,7 @@ mod tests {
     /// Presses the tool sideways with the arm and a tendon.
     fn pressed(tick: u64, start: &State) -> Latched {
         let mut goal = start.t_world_base;
-        goal.position_m[0] += 0.01;
+        goal.position_m[0] += 0.03;
         let command = Command {
             sequence: tick + 1,
             tendon_mode: TENDON_SERVO_JF,
@@ -386,7 +386,7 @@ mod tests {
         let mut simulation = Simulation::new(&scene, Some(CtView { geometry, hu: &hu })).unwrap();
         let start = *simulation.state();
         let (mut spheres, mut dents) = (0, 0);
-        for tick in 0..60 {
+        for tick in 0..200 {
             simulation.step(&pressed(tick, &start)).unwrap();
             SEARCHES.set(0);
             simulation.note_depth();
