@@ -109,7 +109,7 @@ pub struct Course {
     watch: PlanWatch,
     /// Least clearances of the critical structures.
     pub clearances: ClearanceWatch,
-    /// The first [`KEPT_BREACHES`] breaches of the bone, one line each.
+    /// The first `KEPT_BREACHES` breaches of the bone, one line each.
     pub breaches: Vec<String>,
     /// Number of breaches of the bone.
     pub breach_count: u64,

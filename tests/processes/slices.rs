@@ -127,7 +127,8 @@ fn a_scene_is_shown_before_its_run() {
     let text = scenes::drill("lockstep", 3.0)
         .replace("burr_start_mm = [0.0, 0.0, -34.0]", "burr_start_mm = [0.0, 0.0, -20.0]");
     std::fs::write(&file, format!("{text}{hole}")).unwrap();
-    let shown = succeed(&[&"scene", &"show", &file, &"-o", &place.path("plan.png"), &"--json"]);
+    let shown =
+        succeed(&[&"scene", &"show", &file, &"--no-simulate", &"-o", &place.path("plan.png"), &"--json"]);
     let figures: Value = serde_json::from_str(&shown.out).unwrap();
 
     let mut view = View::start(&[&file], None);

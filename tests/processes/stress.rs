@@ -79,7 +79,7 @@ fn a_stress_test_measures_replays_reports_and_compares() {
     tested.iter().for_each(|tested| assert_measured(tested, 400));
     let loads: Vec<&str> = tested.iter().map(|t| t["combination"]["load"].as_str().unwrap()).collect();
     assert!(loads.contains(&"spin:2") && loads.contains(&"none"), "pairs are spread: {loads:?}");
-    assert_eq!(report["machine"]["findings"].as_array().unwrap().len(), 10);
+    assert_eq!(report["machine"]["findings"].as_array().unwrap().len(), 12);
 
     let csv = fs::read_to_string(folder.join("stress.csv")).unwrap();
     let columns: Vec<usize> = csv.lines().map(|line| line.split(',').count()).collect();

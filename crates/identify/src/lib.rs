@@ -4,7 +4,7 @@
 //! the data determine the parameters and [`undetermined`](wording::undetermined) says in words what they do
 //! not determine; [`rank`] says which further experiment would help most. A [`Study`](study::Study) is the
 //! file that describes all of it: parameters, experiments, and what each column of a measured file means
-//! ([`quantity`], [`unit`], [`signal`]).
+//! ([`quantity`], [`mod@unit`], [`signal`]).
 //!
 //! **Boundary:** text and numbers in, values out. Files, threads and simulations are up to the caller
 //! (`sim::identification`). **Invariant:** a result is a function of study, data and model: sums have a fixed
@@ -42,7 +42,7 @@
 //! | [`Parameter`], [`fit`], [`Model`] | ranges, the solver, what it fits |
 //! | [`Uncertainty`], [`wording`], [`ResidualStatistics`] | covariance, identifiability, residuals |
 //! | [`rank`] | expected information of candidate experiments |
-//! | [`study`], [`unit`], [`quantity`], [`signal`] | the study's file; what is measured, in which unit, and when |
+//! | [`study`], [`mod@unit`], [`quantity`], [`signal`] | the study; what is measured, its unit, and when |
 
 mod design;
 mod matrix;
