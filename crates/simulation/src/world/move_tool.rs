@@ -308,8 +308,6 @@ fn strengths_n(
     (from_m, moved_m): (&Vector3<f64>, &Vector3<f64>),
     planes: &[ContactPlane],
 ) -> [f64; PLANES_PER_SPHERE] {
-    #[cfg(test)]
-    tests::SEARCHES.set(tests::SEARCHES.get() + 1);
     let mut most_n = [0.0; PLANES_PER_SPHERE];
     // At most `MAX_REACH_M` over half a radius: a faster tool is lost.
     let count = (moved_m.norm().min(MAX_REACH_M) / (SWEEP_SHARE * radius_m)).ceil().max(1.0) as usize;
@@ -325,78 +323,4 @@ fn strengths_n(
         }
     }
     most_n
-}
-
-#[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "a test fails by it")]
-mod tests {
-    use core::cell::Cell;
-
-    use messages::{ARM_MOVE_CP, Command, Latched, LatchedCommand, SOURCE_FRESH, State, TENDON_SERVO_JF};
-    use scene::Scene;
-
-    use super::*;
-    use crate::bone::GridGeometry;
-    use crate::world::CtView;
-
-    thread_local! {
-        /// Number of calls of [`strengths_n`].
-        pub(super) static SEARCHES: Cell<usize> = const { Cell::new(0) };
-    }
-
-    const SCENE: &str = "name = \"tunnel\"\nrun = { mode = \"lockstep\", duration_s = 1.0 }\nvolume = { phantom = \"block\" }\n\
-        arm = { max_force_n = 1e5 }\n";
-
-    /// Presses the tool sideways with the arm and a tendon.
-    fn pressed(tick: u64, start: &State) -> Latched {
-        let mut goal = start.t_world_base;
-        goal.position_m[0] += 0.03;
-        let command = Command {
-            sequence: tick + 1,
-            tendon_mode: TENDON_SERVO_JF,
-            tendon_force_n: [60.0, 0.0, 0.0, 0.0],
-            arm_mode: ARM_MOVE_CP,
-            t_world_base: goal,
-            arm_speed_m_per_s: 0.2,
-            ..Command::zeroed()
-        };
-        let mut latched = Latched { tick, controller_count: 1, ..Latched::zeroed() };
-        latched.commands[0] =
-            LatchedCommand { source: SOURCE_FRESH, controller_index: 0, age_ticks: 0, command };
-        latched
-    }
-
-    /// Regression: the strengths of a sphere's planes were computed again for each of them that it dented: a
-    /// step with 400 planes took 0.5 s.
-    #[test]
-    fn the_strengths_of_a_sphere_are_computed_once_however_many_planes_it_dents() {
-        let scene =
-            Scene::parse(&format!("{SCENE}{}", test_support::scenes::TOOL), "t.toml".as_ref()).unwrap();
-        let dims = [48, 48, 240];
-        let origin = Vector3::new(-11.75e-3, -11.75e-3, -99.75e-3);
-        let geometry = GridGeometry::axis_aligned(dims, [0.5e-3; 3], origin);
-        // A tunnel of whole voxels: the corners of its staircase touch a sphere on all sides.
-        let hu: Vec<i16> = (0..dims.iter().product())
-            .map(|n: usize| {
-                let centre = geometry.voxel_centre_world_m(n % 48, n / 48 % 48, n / (48 * 48));
-                let is_open = Vector3::new(centre.x, centre.y, centre.z.max(0.0)).norm() < 3.3e-3;
-                if is_open { -1000 } else { 400 }
-            })
-            .collect();
-        let mut simulation = Simulation::new(&scene, Some(CtView { geometry, hu: &hu })).unwrap();
-        let start = *simulation.state();
-        let (mut spheres, mut dents) = (0, 0);
-        for tick in 0..200 {
-            simulation.step(&pressed(tick, &start)).unwrap();
-            SEARCHES.set(0);
-            simulation.note_depth();
-            let dented = simulation.indentations.iter().filter(|dent| dent.depth_m > SHELL_M);
-            let mut own: Vec<usize> = dented.map(|dent| dent.sphere_index).collect();
-            dents += own.len();
-            own.dedup();
-            spheres += own.len();
-            assert_eq!(SEARCHES.get(), own.len(), "tick {tick}");
-        }
-        assert!(spheres > 0 && dents > 2 * spheres, "{dents} dents of {spheres} spheres");
-    }
 }
