@@ -96,7 +96,7 @@ fn export_scene(arguments: &ExportArguments) -> Result<(), Failure> {
             }
             text
         },
-        || serde_json::json!({"file": arguments.output, "bytes": fmu.bytes.len(), "outside": fmu.outside}),
+        || serde_json::json!({"file": path_text(&arguments.output), "bytes": fmu.bytes.len(), "outside": fmu.outside}),
     );
     Ok(())
 }
