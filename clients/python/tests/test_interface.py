@@ -274,6 +274,8 @@ def starts_runs(scene: str, out: str) -> None:
     try:
         with t.run(scene, output=out, timeout_s=LIMIT_S) as client:
             folder = client.info.folder
+            # A run that has not begun leaves no log.
+            assert client.step(1, LIMIT_S).tick == 1
             raise KeyError("mine")
     except KeyError:
         pass

@@ -76,7 +76,7 @@ def numbers(said: str, begin: str) -> list[float]:
     found = []
     for word in line.replace(",", " ").split():
         try:
-            found.append(float(word))
+            found.append(float(word.strip("()")))
         except ValueError:
             pass
     return found
