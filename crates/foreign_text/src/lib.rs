@@ -5,7 +5,7 @@
 //! forge an output line, or characters that reverse or hide their neighbours. All of these are shown as
 //! escapes like `\u001b`: harmless, visible, and the same character in JSON.
 //!
-//! [`foreign`] formats a single value within a line. [`EscapingWriter`] is the last filter before the
+//! [`foreign`] formats a single value within a line; [`nearest_name`] finds what a misspelled name may mean. [`EscapingWriter`] is the last filter before the
 //! terminal: everything that a command prints goes through it.
 //!
 //! **Boundary:** text only; opens nothing and prints nothing. **Invariant:** the output holds no control
@@ -17,6 +17,10 @@
 //!
 //! assert_eq!(foreign("femur\u{1b}[2J\nend").to_string(), "femur\\u001b[2J\\u000aend");
 //! ```
+
+mod suggestion;
+
+pub use suggestion::nearest_name;
 
 use std::fmt::{self, Display, Write as _};
 use std::io::{self, Write};

@@ -1,6 +1,6 @@
 //! Units of measured columns.
 
-use strsim::jaro_winkler;
+use foreign_text::nearest_name;
 
 /// What a unit measures.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -76,8 +76,8 @@ impl Dimension {
         let own = UNITS.iter().find(|(name, dimension, _)| *name == unit && *dimension == self);
         own.map(|(.., size)| *size).ok_or_else(|| {
             let units = self.units();
-            let meant =
-                meant(unit, &units).map_or(String::new(), |near| format!(" (did you mean `{near}`?)"));
+            let near = nearest_name(unit, units.iter().copied());
+            let meant = near.map_or(String::new(), |near| format!(" (did you mean `{near}`?)"));
             format!("one of `{}`{meant}", units.join("`, `"))
         })
     }
@@ -98,16 +98,6 @@ impl Dimension {
         let ending = ENDINGS.iter().find(|(ending, _)| name.ends_with(ending));
         ending.map_or(Dimension::Number, |(_, dimension)| *dimension)
     }
-}
-
-/// Similarity (Jaro-Winkler) above which a name is suggested for another, as in clap.
-const NEAR: f64 = 0.7;
-
-/// Returns the known name that is nearest to another, if it is near.
-pub fn meant<'a>(name: &str, known: &[&'a str]) -> Option<&'a str> {
-    let near = |known: &&str| jaro_winkler(known, name);
-    let best = known.iter().copied().max_by(|a, b| near(a).total_cmp(&near(b)))?;
-    (near(&best) > NEAR).then_some(best)
 }
 
 #[cfg(test)]

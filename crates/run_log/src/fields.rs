@@ -1,5 +1,6 @@
 //! Reads fields from a message's bytes, using its generated description.
 
+use foreign_text::nearest_name;
 use messages::layout::{Description, Element, Field};
 
 /// One scalar of a message.
@@ -137,16 +138,11 @@ pub struct FieldLocation {
 
 /// Describes an unknown field name: the closest valid name, and all valid names.
 fn no_field(description: &Description, name: &str) -> String {
-    let near = |field: &&Field| strsim::jaro_winkler(field.name, name);
-    let nearest = description.fields.iter().max_by(|a, b| near(a).total_cmp(&near(b)));
-    let nearest = nearest.filter(|field| near(field) > NEAR_ENOUGH);
-    let meant = nearest.map_or(String::new(), |field| format!(" (did you mean '{}'?)", field.name));
+    let nearest = nearest_name(name, description.fields.iter().map(|field| field.name));
+    let meant = nearest.map_or(String::new(), |near| format!(" (did you mean '{near}'?)"));
     let names: Vec<&str> = description.fields.iter().map(|field| field.name).collect();
     format!("{} has no field '{name}'{meant}; available: {}", description.short_name(), names.join(", "))
 }
-
-/// Similarity (Jaro-Winkler) above which a valid name is suggested for a wrong one, as in clap.
-const NEAR_ENOUGH: f64 = 0.7;
 
 /// Finds a field by its path. The error says where the path stops matching.
 pub fn find(description: &'static Description, path: &str) -> Result<FieldLocation, String> {

@@ -2,6 +2,7 @@
 
 use core::ops::Range;
 
+use foreign_text::nearest_name;
 use toml::de::{DeTable, DeValue};
 
 /// The key whose name or value spans a byte of the text, with its path: `run.duration_s`,
@@ -79,17 +80,12 @@ pub(crate) fn in_words(message: &str) -> String {
     with_nearest_name(&message).unwrap_or(message)
 }
 
-/// Similarity (Jaro-Winkler) above which a valid name is suggested for a wrong one, as in clap.
-const NEAR_ENOUGH: f64 = 0.7;
-
 /// Adds the nearest valid name to the parser's message about an unknown key or value, which quotes all names;
 /// `None` for any other message, and if none is near.
 fn with_nearest_name(message: &str) -> Option<String> {
     let (unknown, expected) = message.split_once(", expected ")?;
     let given = unknown.strip_prefix("unknown ")?.split('`').nth(1)?;
-    let near = |name: &&str| strsim::jaro_winkler(name, given);
-    let names = expected.split('`').skip(1).step_by(2);
-    let nearest = names.max_by(|a, b| near(a).total_cmp(&near(b))).filter(|name| near(name) > NEAR_ENOUGH)?;
+    let nearest = nearest_name(given, expected.split('`').skip(1).step_by(2))?;
     Some(format!("{unknown} (did you mean `{nearest}`?), expected {expected}"))
 }
 

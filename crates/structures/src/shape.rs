@@ -30,7 +30,7 @@ pub enum Shape {
 
 impl Shape {
     /// Returns the shape of a scene's structure; `outside` is the distance from the outside of the bone.
-    /// `None` if the structure needs a volume and there is none.
+    /// `None` for a structure that is defined by a volume, without one.
     pub fn of(structure: &scene::Structure, outside: Option<&Arc<DistanceField>>) -> Option<Shape> {
         let metres = |point_mm: [f64; 3]| Vector3::from(point_mm) * 1e-3;
         if let Some(ball) = &structure.ball {

@@ -3,6 +3,7 @@
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
+use foreign_text::nearest_name;
 use messages::layout::Message;
 use messages::{ArmMode, BurrMode, Command, MAX_JOINTS, TendonMode, TubeMode};
 use sweep::{Scale, StudyError};
@@ -17,7 +18,7 @@ use crate::parameter::Parameter;
 use crate::quantity::{Body, Frame, Kind, Quantity};
 use crate::signal::{Shape, Signal};
 use crate::solver::Method;
-use crate::unit::{Dimension, meant};
+use crate::unit::Dimension;
 
 /// Residual from which Huber's loss grows linearly: 95 % efficiency for normal noise (Huber 1981, "Robust
 /// Statistics").
@@ -98,8 +99,8 @@ fn with_suggestion(message: &str) -> String {
     let (Some(unknown), true) = (quoted.next(), message.starts_with("unknown ")) else {
         return message.to_owned();
     };
-    let known: Vec<&str> = quoted.collect();
-    meant(unknown, &known).map_or(message.to_owned(), |near| format!("{message} (did you mean `{near}`?)"))
+    let near = nearest_name(unknown, quoted);
+    near.map_or(message.to_owned(), |near| format!("{message} (did you mean `{near}`?)"))
 }
 
 /// Returns whether a name may be part of a parameter's key and of a file name.

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::io::Read;
 use std::path::Path;
 
-use foreign_text::{foreign, foreign_path};
+use foreign_text::{foreign, foreign_path, nearest_name};
 use identify::signal::Rows;
 use mcap::records::Record;
 use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
@@ -50,7 +50,7 @@ pub(super) fn read(path: &Path, topic: &str, time: Option<&str>, wanted: &[&str]
             )),
             false => {
                 let listed: Vec<String> = known.iter().take(40).map(|it| foreign(it).to_string()).collect();
-                let near = identify::unit::meant(topic, &known);
+                let near = nearest_name(topic, known.iter().copied());
                 let near = near.map_or(String::new(), |near| format!(" (did you mean `{}`?)", foreign(near)));
                 Failure::bad_input(format!(
                     "{}: no topic `{}`{near}; it has {}",

@@ -11,10 +11,10 @@ use std::fs::{File, OpenOptions};
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 
-use foreign_text::{foreign, foreign_path};
+use foreign_text::{foreign, foreign_path, nearest_name};
 use identify::signal::Rows;
 use identify::study::Source;
-use identify::unit::{Dimension, meant};
+use identify::unit::Dimension;
 
 use crate::failure::Failure;
 
@@ -73,8 +73,8 @@ fn opened(file: &Path) -> Result<File, Failure> {
 
 /// Error of a column that a file does not have.
 fn no_column(file: &Path, name: &str, known: &[&str]) -> Failure {
-    let near =
-        meant(name, known).map_or(String::new(), |near| format!(" (did you mean `{}`?)", foreign(near)));
+    let near = nearest_name(name, known.iter().copied());
+    let near = near.map_or(String::new(), |near| format!(" (did you mean `{}`?)", foreign(near)));
     let listed: Vec<String> = known.iter().take(40).map(|name| foreign(name).to_string()).collect();
     Failure::bad_input(format!(
         "{}: no column `{}`{near}; it has {}",
