@@ -120,3 +120,10 @@ fn what_is_no_fmu_for_this_machine_is_refused_without_running_it() {
     assert!(of(b"PK\x05\x06".to_vec()).contains("not a ZIP archive"));
     assert!(of([&b"PK\x05\x06"[..], &[0; 18]].concat()).contains("no modelDescription.xml"));
 }
+
+/// Regression: `fmu drive /dev/zero` filled the memory.
+#[test]
+fn an_endless_file_is_refused() {
+    let refused = Archived::read(Path::new("/dev/zero")).unwrap_err().to_string();
+    assert!(refused.contains("/dev/zero") && refused.contains("not a regular file"), "{refused}");
+}

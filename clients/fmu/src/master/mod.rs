@@ -9,6 +9,8 @@ mod unzip;
 
 use std::path::{Path, PathBuf};
 
+use ipc_types::text_file;
+
 pub use library::Master;
 pub use model::{ForeignModel, ForeignVariable, VariableType};
 
@@ -44,15 +46,12 @@ impl Archived {
     /// Reads an FMU.
     ///
     /// # Errors
-    /// If it cannot be read, is no ZIP archive with plain names of at most 1 GiB a file and 2 GiB in all, or
-    /// has no model description for co-simulation, or no library for this machine.
+    /// If it cannot be read, is not a regular file, is no ZIP archive with plain names of at most 1 GiB a
+    /// file and 2 GiB in all, or has no model description for co-simulation, or no library for this machine.
     pub fn read(file: &Path) -> Result<Archived, FmuError> {
         let failed = |reason: String| FmuError::File { path: file.display().to_string(), reason };
-        let length = std::fs::metadata(file).map_err(|cause| failed(cause.to_string()))?.len();
-        if length > MOST_TOTAL_BYTES {
-            return Err(failed(format!("{length} bytes, at most {MOST_TOTAL_BYTES}")));
-        }
-        let bytes = std::fs::read(file).map_err(|cause| failed(cause.to_string()))?;
+        let read = text_file::read_bytes(file, MOST_TOTAL_BYTES);
+        let bytes = read.map_err(|cause| failed(cause.to_string()))?;
         Archived::of(bytes).map_err(|error| match error {
             FmuError::File { reason, .. } => failed(reason),
             other => other,
