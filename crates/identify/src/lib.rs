@@ -49,6 +49,7 @@ mod matrix;
 mod parameter;
 pub mod quantity;
 mod residual;
+mod rough;
 pub mod signal;
 mod solver;
 pub mod study;

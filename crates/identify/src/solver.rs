@@ -80,6 +80,10 @@ pub struct Optimum {
     pub weights: Vec<f64>,
     /// Derivatives of the residuals by each coordinate.
     pub columns: Vec<Vec<f64>>,
+    /// Step of each derivative in the unit cube.
+    pub steps: Vec<f64>,
+    /// Covariance of the gradient in the unit cube by the model's roughness; `None` where it is smooth.
+    pub roughness: Option<DMatrix<f64>>,
     /// Steps that were taken.
     pub iterations: u32,
     /// Why it ended.
@@ -141,10 +145,16 @@ const MOST_STEP: f64 = 0.05;
 
 /// A point with its residuals.
 #[derive(Debug, Clone)]
-struct Point {
-    unit: Vec<f64>,
-    residuals: Vec<f64>,
-    cost: f64,
+pub(crate) struct Point {
+    pub unit: Vec<f64>,
+    pub residuals: Vec<f64>,
+    pub cost: f64,
+}
+
+impl Point {
+    pub(crate) fn of(optimum: &Optimum) -> Point {
+        Point { unit: optimum.unit.clone(), residuals: optimum.residuals.clone(), cost: optimum.cost }
+    }
 }
 
 /// Finite differences.
@@ -154,10 +164,10 @@ enum Difference {
     Central,
 }
 
-struct Solver<'a, M: Model> {
+pub(crate) struct Solver<'a, M: Model> {
     model: &'a mut M,
-    parameters: &'a [Parameter],
-    method: Method,
+    pub(crate) parameters: &'a [Parameter],
+    pub(crate) method: Method,
     evaluations: u64,
     /// Factor on the steps of finite differences, raised where the model is rough on their scale.
     widening: f64,
@@ -211,12 +221,12 @@ pub fn fit<M: Model>(
             Err(other) => return Err(other),
         }
     }
-    let best = best.ok_or(SolveError::Start { reason })?;
+    let best = solver.averaged(best.ok_or(SolveError::Start { reason })?)?;
     Ok(Fit { best, costs, first_cost, evaluations: solver.evaluations })
 }
 
-/// Returns the derivatives of the residuals by each coordinate at a point, by central differences, with the
-/// residuals there.
+/// Returns the derivatives of the residuals by each coordinate at a point, by central differences over these
+/// steps, with the residuals there.
 ///
 /// # Errors
 /// [`SolveError`].
@@ -225,12 +235,14 @@ pub fn linearised<M: Model>(
     model: &mut M,
     parameters: &[Parameter],
     unit: &[f64],
+    steps: &[f64],
 ) -> Result<(Vec<f64>, Vec<Vec<f64>>), SolveError<M::Error>> {
     let method = Method { starts: 1, seed: 0, iterations: 0, huber: None };
     let mut solver = Solver { model, parameters, method, evaluations: 0, widening: 1.0 };
     let point = solver.points(vec![unit.to_vec()])?.remove(0);
     let point = point.map_err(|reason| SolveError::Start { reason })?;
-    let columns = solver.columns(&point, Difference::Central)?;
+    let sides: Vec<[f64; 2]> = unit.iter().zip(steps).map(|(unit, step)| either_side(*unit, *step)).collect();
+    let columns = solver.columns_at(&point, &sides)?;
     Ok((point.residuals, columns))
 }
 
@@ -251,12 +263,12 @@ fn loss(residual: f64, huber: Option<f64>) -> f64 {
 }
 
 impl<M: Model> Solver<'_, M> {
-    fn values(&self, unit: &[f64]) -> Vec<f64> {
+    pub(crate) fn values(&self, unit: &[f64]) -> Vec<f64> {
         self.parameters.iter().zip(unit).map(|(parameter, unit)| parameter.value(*unit)).collect()
     }
 
     /// Returns each parameter's (x − mean) / sd and its derivative by the coordinate; zero without a prior.
-    fn priors(&self, unit: &[f64]) -> Vec<(f64, f64)> {
+    pub(crate) fn priors(&self, unit: &[f64]) -> Vec<(f64, f64)> {
         let prior = |(parameter, unit): (&Parameter, &f64)| match parameter.prior {
             Some(prior) => {
                 ((parameter.value(*unit) - prior.mean) / prior.sd, parameter.slope(*unit) / prior.sd)
@@ -266,7 +278,7 @@ impl<M: Model> Solver<'_, M> {
         self.parameters.iter().zip(unit).map(prior).collect()
     }
 
-    fn points(&mut self, units: Vec<Vec<f64>>) -> Result<Vec<Result<Point, String>>, M::Error> {
+    pub(crate) fn points(&mut self, units: Vec<Vec<f64>>) -> Result<Vec<Result<Point, String>>, M::Error> {
         let values: Vec<Vec<f64>> = units.iter().map(|unit| self.values(unit)).collect();
         self.evaluations += values.len() as u64;
         let outcomes = self.model.residuals(&values)?;
@@ -286,6 +298,15 @@ impl<M: Model> Solver<'_, M> {
     /// Returns the columns of the Jacobian at a point.
     fn columns(&mut self, at: &Point, by: Difference) -> Result<Vec<Vec<f64>>, SolveError<M::Error>> {
         let steps: Vec<[f64; 2]> = (0..self.parameters.len()).map(|j| self.steps(at, j, by)).collect();
+        self.columns_at(at, &steps)
+    }
+
+    /// Returns the columns of the Jacobian at a point by differences over one or two steps for each.
+    pub(crate) fn columns_at(
+        &mut self,
+        at: &Point,
+        steps: &[[f64; 2]],
+    ) -> Result<Vec<Vec<f64>>, SolveError<M::Error>> {
         let mut units = Vec::new();
         for (j, steps) in steps.iter().enumerate() {
             for step in steps.iter().filter(|step| **step != 0.0) {
@@ -296,7 +317,7 @@ impl<M: Model> Solver<'_, M> {
         }
         let mut points = self.points(units)?.into_iter();
         let mut columns = Vec::new();
-        for (j, [a, b]) in steps.into_iter().enumerate() {
+        for (j, &[a, b]) in steps.iter().enumerate() {
             let mut next = |step: f64| (step != 0.0).then(|| points.next()).flatten();
             let (first, second) = (next(a), next(b));
             let column = difference(at, (a, first), (b, second))
@@ -321,13 +342,10 @@ impl<M: Model> Solver<'_, M> {
     fn steps(&self, at: &Point, j: usize, by: Difference) -> [f64; 2] {
         let given = self.parameters[j].difference();
         let (unit, h) = (at.unit[j], (given * self.widening).min(given.max(MOST_STEP)));
-        let (has_above, has_below) = (unit + h <= 1.0, unit - h >= 0.0);
-        match (by, has_above, has_below) {
-            (Difference::OneSided, true, _) => [h, 0.0],
-            (Difference::OneSided, false, _) => [-h, 0.0],
-            (Difference::Central, true, true) => [h, -h],
-            (Difference::Central, true, false) => [h, 2.0 * h],
-            (Difference::Central, false, _) => [-h, -2.0 * h],
+        match by {
+            Difference::OneSided if unit + h <= 1.0 => [h, 0.0],
+            Difference::OneSided => [-h, 0.0],
+            Difference::Central => either_side(unit, h),
         }
     }
 
@@ -384,6 +402,8 @@ impl<M: Model> Solver<'_, M> {
             cost: point.cost,
             residuals: point.residuals,
             columns,
+            steps: self.parameters.iter().map(Parameter::difference).collect(),
+            roughness: None,
             iterations,
             stop,
         })
@@ -440,6 +460,15 @@ impl<M: Model> Solver<'_, M> {
             }
         });
         Normal { bounds: bounds.collect(), hessian, slope }
+    }
+}
+
+/// Returns two steps within the range: one to either side of a coordinate, or two to one side.
+pub(crate) fn either_side(unit: f64, h: f64) -> [f64; 2] {
+    match (unit + h <= 1.0, unit - h >= 0.0) {
+        (true, true) => [h, -h],
+        (true, false) => [h, 2.0 * h],
+        (false, _) => [-h, -2.0 * h],
     }
 }
 

@@ -123,7 +123,8 @@ fn student_quantile(freedom: f64) -> f64 {
 impl Uncertainty {
     /// Computes the uncertainty at an optimum. `series` holds the rows of each measured column, in the order
     /// of their times. A parameter at a bound counts as fixed. Where residuals are larger than the noise or
-    /// correlated, the covariance is that of White (1980, Econometrica 48) with their inflation.
+    /// correlated, the covariance is that of White (1980, Econometrica 48) with their inflation; the
+    /// roughness of the model adds to it.
     pub fn of(parameters: &[Parameter], optimum: &Optimum, series: &[Range<usize>]) -> Uncertainty {
         let n = parameters.len();
         let whole = information(parameters, &optimum.unit, &optimum.columns, &optimum.weights);
@@ -146,7 +147,11 @@ impl Uncertainty {
                 middle += gram(&columns, &optimum.weights[rows.clone()]) * (statistics.inflation - 1.0);
             }
         }
-        let is_plain = statistics.iter().all(|statistics| statistics.inflation <= 1.0);
+        if let Some(roughness) = &optimum.roughness {
+            middle += DMatrix::from_fn(free.len(), free.len(), |i, j| roughness[(free[i], free[j])]);
+        }
+        let is_plain =
+            optimum.roughness.is_none() && statistics.iter().all(|statistics| statistics.inflation <= 1.0);
         let small = if is_plain { inverse } else { product(&product(&inverse, &middle), &inverse) };
         let mut covariance = DMatrix::zeros(n, n);
         for (i, &row) in free.iter().enumerate() {

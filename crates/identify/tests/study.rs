@@ -26,7 +26,7 @@ time = "t"
 time_unit = "ms"
 
 [experiment.commands]
-column = [{ name = "pull", field = "tendon_force_n[0]", column = "force", unit = "mN" }]
+column = [{ name = "pull", field = "tendon_force_n[0]", column = "force", unit = "mN", delay_ms = 4.0 }]
 
 [[experiment.measured]]
 name = "tip"
@@ -56,6 +56,9 @@ fn a_study_is_read_with_its_units_modes_and_targets() {
     assert_eq!(study.settings(&[1.25, 3.0]), ["manipulator.stiffness_scale=1.25"]);
     let (offset_s, signal) = study.signal(0, measured, &[1.25, 3.0]);
     assert_eq!((offset_s, signal.delay_s), (0.0, 0.003));
+    assert_eq!(study.command(&table.columns[0], &[1.25, 3.0]), (1.0, 0.0, 0.004));
+    let free = parsed(&STUDY.replace("measured.tip.delay_ms", "command.pull.delay_ms")).unwrap();
+    assert_eq!(free.command(&table.columns[0], &[1.25, 3.0]), (1.0, 0.0, 0.003));
 }
 
 #[test]

@@ -483,6 +483,7 @@ impl Checker<'_> {
                 unit: size.map_err(|expected| self.value(at("unit"), format!("`{unit}`"), expected))?,
                 gain: self.finite(&at("gain"), column.gain.unwrap_or(1.0), -1e9, 1e9)?,
                 bias: self.finite(&at("bias"), column.bias.unwrap_or(0.0), -1e9, 1e9)?,
+                delay_s: self.finite(&at("delay_ms"), column.delay_ms.unwrap_or(0.0), -1e6, 1e6)? * 1e-3,
             });
         }
         Ok(Commands::Table(CommandTable {

@@ -118,6 +118,8 @@ pub struct CommandColumn {
     pub gain: f64,
     /// Added to the column, in its unit.
     pub bias: f64,
+    /// Time from a row until the plant obeys it, s.
+    pub delay_s: f64,
 }
 
 /// Where a command's value comes from.
@@ -200,9 +202,9 @@ impl Study {
         (offset_s, signal)
     }
 
-    /// Returns gain and bias of a command's column for values of the parameters.
-    pub fn command(&self, column: &CommandColumn, values: &[f64]) -> (f64, f64) {
-        let (mut gain, mut bias) = (column.gain, column.bias);
+    /// Returns gain, bias and delay in seconds of a command's column for values of the parameters.
+    pub fn command(&self, column: &CommandColumn, values: &[f64]) -> (f64, f64, f64) {
+        let (mut gain, mut bias, mut delay_s) = (column.gain, column.bias, column.delay_s);
         for (target, value) in self.targets.iter().zip(values) {
             if let Target::Command { name, part } = target
                 && *name == column.name
@@ -210,9 +212,10 @@ impl Study {
                 match part {
                     CommandPart::Gain => gain = *value,
                     CommandPart::Bias => bias = *value,
+                    CommandPart::Delay => delay_s = *value * 1e-3,
                 }
             }
         }
-        (gain, bias)
+        (gain, bias, delay_s)
     }
 }

@@ -50,11 +50,13 @@ pub enum CommandPart {
     Gain,
     /// `bias`.
     Bias,
+    /// `delay_ms`.
+    Delay,
 }
 
 /// What keys of signals look like, for errors.
 pub(super) const EXPECTED: &str = "`measured.NAME.` with `delay_ms`, `gain`, `bias`, `bias.0`, `frame_mm.0` or \
-                                   `frame_deg.0`; `command.NAME.` with `gain` or `bias`; \
+                                   `frame_deg.0`; `command.NAME.` with `gain`, `bias` or `delay_ms`; \
                                    `experiment.NAME.clock_offset_s`; or a key of the scene";
 
 impl SignalPart {
@@ -123,6 +125,7 @@ impl Target {
                 let part = match rest {
                     "gain" => CommandPart::Gain,
                     "bias" => CommandPart::Bias,
+                    "delay_ms" => CommandPart::Delay,
                     _ => return Err(format!("is not {EXPECTED}")),
                 };
                 let target = Target::Command { name: name.to_owned(), part };

@@ -113,6 +113,7 @@ pub(super) struct CommandColumnText {
     pub unit: Option<String>,
     pub gain: Option<f64>,
     pub bias: Option<f64>,
+    pub delay_ms: Option<f64>,
 }
 
 #[derive(Debug, Deserialize)]

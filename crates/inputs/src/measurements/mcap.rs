@@ -13,8 +13,10 @@ use ros_interface::definition::{Definition, FieldPath};
 use super::{MAX_ROWS, mcap_files, no_column, opened, too_long};
 use crate::failure::Failure;
 
-/// Longest record, bytes: chunks of recorders have some megabytes.
-const MAX_RECORD_BYTES: usize = 1 << 30;
+/// Longest record, bytes, of a file that is not longer itself: chunks of recorders have some megabytes.
+const MAX_RECORD_BYTES: u64 = 1 << 26;
+/// Bytes that are read at a time: a record of a damaged length takes no more memory than the file has bytes.
+const BYTES_AT_ONCE: usize = 1 << 20;
 
 /// Names of the times that every message has.
 const LOG_TIME: &str = "log_time";
@@ -74,8 +76,9 @@ fn append(
 ) -> Result<(), Failure> {
     let bad = |why: String| Failure::bad_input(format!("{}: {why}", foreign_path(file)));
     let mut from = opened(file)?;
+    let longest = from.metadata().map_or(0, |metadata| metadata.len()).max(MAX_RECORD_BYTES);
     let options = LinearReaderOptions::default()
-        .with_record_length_limit(MAX_RECORD_BYTES)
+        .with_record_length_limit(longest as usize)
         .with_validate_chunk_crcs(true);
     let mut reader = LinearReader::new_with_options(options);
     let mut schemas = BTreeMap::new();
@@ -84,7 +87,7 @@ fn append(
         let (opcode, data) =
             match event.map_err(|cause| bad(format!("damaged or not an MCAP file ({cause})")))? {
                 LinearReadEvent::ReadRequest(count) => {
-                    let read = from.read(reader.insert(count));
+                    let read = from.read(reader.insert(count.min(BYTES_AT_ONCE)));
                     let read = read.map_err(|cause| bad(format!("cannot be read ({cause})")))?;
                     reader.notify_read(read);
                     continue;

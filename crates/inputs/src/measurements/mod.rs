@@ -89,24 +89,28 @@ fn too_long(file: &Path) -> Failure {
     Failure::bad_input(format!("{}: more than {MAX_ROWS} rows", foreign_path(file)))
 }
 
+/// Advice for a bag of rosbag2 in SQLite: a database only to read it would double what measured files need.
+const SQLITE: &str = "a bag in SQLite; convert it with `ros2 bag convert` to the storage `mcap`";
+
 /// Returns the MCAP files of a path: itself, or those of a rosbag2 folder in the order of their names.
 fn mcap_files(path: &Path) -> Result<Vec<PathBuf>, Failure> {
-    if !path.is_dir() {
-        return Ok(vec![path.to_owned()]);
+    let is = |file: &Path, ending: &str| file.extension().is_some_and(|found| found == ending);
+    let refused = |why: &str| Err(Failure::bad_input(format!("{}: {why}", foreign_path(path))));
+    match () {
+        () if is(path, "db3") => return refused(SQLITE),
+        () if is(path, "bag") => return refused("a bag of ROS 1; convert it to MCAP with ROS 2 messages"),
+        () if !path.is_dir() => return Ok(vec![path.to_owned()]),
+        () => {}
     }
     let entries = std::fs::read_dir(path)
         .map_err(|cause| Failure::bad_input(format!("{}: cannot be read ({cause})", foreign_path(path))))?;
     let mut files: Vec<PathBuf> = entries.flatten().map(|entry| entry.path()).collect();
     files.sort();
-    let has = |ending: &str| files.iter().any(|file| file.extension().is_some_and(|found| found == ending));
-    if !has("mcap") {
-        let advice = match has("db3") {
-            true => "it holds a bag in SQLite; convert it with `ros2 bag convert` to the storage `mcap`",
-            false => "expected a folder with .mcap files",
-        };
-        return Err(Failure::bad_input(format!("{}: {advice}", foreign_path(path))));
+    let has_sqlite = files.iter().any(|file| is(file, "db3"));
+    files.retain(|file| is(file, "mcap"));
+    if files.is_empty() {
+        return refused(if has_sqlite { SQLITE } else { "expected a folder with .mcap files" });
     }
-    files.retain(|file| file.extension().is_some_and(|found| found == "mcap"));
     Ok(files)
 }
 

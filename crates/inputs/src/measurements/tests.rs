@@ -126,4 +126,9 @@ fn topics_of_a_bag_are_read_by_field_with_either_time() {
     std::fs::remove_file(folder.path().join("bag_0.mcap")).unwrap();
     std::fs::write(folder.path().join("bag_0.db3"), "").unwrap();
     assert!(refused("/tip", "x").contains("`ros2 bag convert`"));
+    for (name, advice) in [("bag_0.db3", "`ros2 bag convert`"), ("old.bag", "a bag of ROS 1")] {
+        let source = source(folder.path().join(name), Some("/tip"), None, "s");
+        let error = read(&source, &names(&["x"])).unwrap_err();
+        assert!(error.code == 2 && error.message.contains(advice), "{}", error.message);
+    }
 }

@@ -5,8 +5,8 @@ use std::collections::BTreeMap;
 use identify::study::{Role, Target};
 use identify::wording::undetermined;
 use identify::{
-    Bound, Fit, Method, Model, ResidualStatistics, SolveError, Stop, Uncertainty, expected_sd, gram,
-    information, linearised, rank,
+    Bound, Fit, Method, Model, Parameter, ResidualStatistics, SolveError, Stop, Uncertainty, expected_sd,
+    gram, information, linearised, rank,
 };
 use inputs::failure::Failure;
 
@@ -186,7 +186,7 @@ impl OpenedStudy {
         self.report(&fitted.model, &best.residuals, &sd, None, &fitted, &errors, (&mut reports, &mut series));
         let mut others = self.model(&[Role::HeldOut, Role::Predicted], &fitted.noise, is_to_end);
         if !others.columns.is_empty() {
-            let linear = linearised(&mut others, parameters, &best.unit).map_err(solved)?;
+            let linear = linearised(&mut others, parameters, &best.unit, &best.steps).map_err(solved)?;
             let sd = linear_sd(&others, &linear.1, &covariance);
             let by = (self.study.draws, self.study.method.seed);
             let sampled = sampled_half_widths(&mut others, parameters, &best.unit, &covariance, by)?;
@@ -457,24 +457,28 @@ impl OpenedStudy {
         }
         let parameters = &self.study.parameters;
         let has_data = self.study.experiments.iter().any(|experiment| experiment.role == Role::Fitted);
-        let (unit, present, noise) = match has_data {
+        let (unit, steps, present, noise) = match has_data {
             true => {
-                let fitted = self.fitted(is_to_end)?;
+                let mut fitted = self.fitted(is_to_end)?;
                 let best = &fitted.fit.best;
-                let present = information(parameters, &best.unit, &best.columns, &best.weights);
-                (best.unit.clone(), present, fitted.noise)
+                // By the differences that the candidates get, so that roughness counts alike.
+                let (_, columns) =
+                    linearised(&mut fitted.model, parameters, &best.unit, &best.steps).map_err(solved)?;
+                let present = information(parameters, &best.unit, &columns, &best.weights);
+                (best.unit.clone(), best.steps.clone(), present, fitted.noise)
             }
             false => {
                 let none = vec![Vec::new(); parameters.len()];
                 let present = information(parameters, &self.start, &none, &[]);
-                (self.start.clone(), present, EstimatedNoise::new())
+                let steps = parameters.iter().map(Parameter::difference).collect();
+                (self.start.clone(), steps, present, EstimatedNoise::new())
             }
         };
         let mut more = Vec::new();
         for &candidate in &candidates {
             let of = |experiment, measured, column| self.noise(&noise, (experiment, measured, column));
             let mut model = ExperimentModel::new(self, |experiment| experiment == candidate, of, is_to_end);
-            let (residuals, columns) = linearised(&mut model, parameters, &unit).map_err(solved)?;
+            let (residuals, columns) = linearised(&mut model, parameters, &unit, &steps).map_err(solved)?;
             more.push(gram(&columns, &vec![1.0; residuals.len()]));
         }
         let half_width = |sd: Vec<f64>| -> Vec<f64> {

@@ -201,6 +201,7 @@ impl OpenedStudy {
                     Some(match part {
                         identify::study::CommandPart::Gain => column.gain,
                         identify::study::CommandPart::Bias => column.bias,
+                        identify::study::CommandPart::Delay => column.delay_s * 1e3,
                     })
                 }
             }

@@ -130,7 +130,7 @@ pub(super) fn simulated(
                 None => return Err(SimError::CommandCount { given: latched.len(), driven: sim.driven() }),
             },
             OpenedCommands::Table(rows) => {
-                let commands = player.commands(rows, tick as f64 * dt_s);
+                let commands = player.commands(rows, tick as f64 * dt_s, dt_s);
                 sim.step(commands, 1)?;
             }
         }
@@ -140,17 +140,31 @@ pub(super) fn simulated(
     Ok(traces)
 }
 
-/// Turns rows of a file into commands: each holds until the next row.
+/// Turns rows of a file into commands: each holds until the next row. A row that takes effect within a tick
+/// counts for the rest of it, so that a command depends smoothly on its delay.
 struct Player<'a> {
     table: Option<&'a CommandTable>,
-    /// Gain, bias and unit of each column.
-    scales: Vec<(f64, f64, f64)>,
-    /// Next row.
-    next: usize,
+    columns: Vec<Playing>,
     commands: Vec<Command>,
     /// Index of the driven controller among those that the caller drives.
     driven: usize,
 }
+
+/// Where a column is.
+struct Playing {
+    gain: f64,
+    bias: f64,
+    /// Size of the unit in SI units.
+    unit: f64,
+    delay_s: f64,
+    /// Next row.
+    next: usize,
+    /// Value of the last row with one, in SI units.
+    held: Option<f64>,
+}
+
+/// Half a nanosecond, for times that are multiples of the tick in decimal.
+const ROUNDING_S: f64 = 5e-10;
 
 impl<'a> Player<'a> {
     fn of(study: &'a OpenedStudy, job: &Job, sim: &Sim) -> Player<'a> {
@@ -159,16 +173,15 @@ impl<'a> Player<'a> {
             _ => None,
         };
         let columns = table.map(|table| table.columns.as_slice()).unwrap_or_default();
-        let scale = |column: &identify::study::CommandColumn| {
-            let (gain, bias) = study.study.command(column, &job.values);
-            (gain, bias, column.unit)
+        let playing = |column: &identify::study::CommandColumn| {
+            let (gain, bias, delay_s) = study.study.command(column, &job.values);
+            Playing { gain, bias, unit: column.unit, delay_s, next: 0, held: None }
         };
         let names = sim.driven();
         let controller = table.and_then(|table| table.controller.as_ref());
         Player {
             table,
-            scales: columns.iter().map(scale).collect(),
-            next: 0,
+            columns: columns.iter().map(playing).collect(),
             commands: vec![Command::zeroed(); names.len()],
             driven: controller
                 .and_then(|name| names.iter().position(|driven| driven == name))
@@ -176,29 +189,54 @@ impl<'a> Player<'a> {
         }
     }
 
-    /// Returns the commands at a time, one for each driven controller.
-    fn commands(&mut self, rows: &CommandRows, time_s: f64) -> &[Command] {
-        // Half a nanosecond, for times that are multiples of the tick in decimal.
-        let is_due = |row: usize| rows.times_s.get(row).is_some_and(|due| *due <= time_s + 5e-10);
-        let before = self.next;
-        while is_due(self.next) {
-            self.next += 1;
-        }
-        let (Some(table), true) = (self.table, self.next > before) else { return &self.commands };
-        let Some(command) = self.commands.get_mut(self.driven) else { return &self.commands };
-        [command.tendon_mode, command.arm_mode, command.burr_mode, command.tube_mode] = table.modes;
-        let places = table.columns.iter().zip(&rows.fields).zip(&self.scales).zip(&rows.columns);
-        for (((column, field), (gain, bias, unit)), values) in places {
-            let value = match column.from {
-                ColumnOrValue::Value(value) => value,
+    /// Returns the commands of a tick, one for each driven controller.
+    fn commands(&mut self, rows: &CommandRows, time_s: f64, dt_s: f64) -> &[Command] {
+        let Some((table, command)) = self.table.zip(self.commands.get_mut(self.driven)) else {
+            return &self.commands;
+        };
+        for (((column, playing), field), values) in
+            table.columns.iter().zip(&mut self.columns).zip(&rows.fields).zip(&rows.columns)
+        {
+            let value = |row: usize| match column.from {
+                ColumnOrValue::Value(value) => Some(value),
                 // A missing value leaves the last one.
-                ColumnOrValue::Column(_) => match values.get(self.next - 1) {
-                    Some(value) if value.is_finite() => *value,
-                    _ => continue,
-                },
+                ColumnOrValue::Column(_) => values.get(row).copied().filter(|value| value.is_finite()),
             };
-            field.put_f64(command.as_mut_bytes(), (gain * value + bias) * unit);
+            if let Some(value) = playing.mean(&rows.times_s, value, time_s, dt_s) {
+                [command.tendon_mode, command.arm_mode, command.burr_mode, command.tube_mode] = table.modes;
+                field.put_f64(command.as_mut_bytes(), value);
+            }
         }
         &self.commands
+    }
+}
+
+impl Playing {
+    /// Returns the mean over a tick, in SI units; `None` before the first row.
+    fn mean(
+        &mut self,
+        times_s: &[f64],
+        value: impl Fn(usize) -> Option<f64>,
+        time_s: f64,
+        dt_s: f64,
+    ) -> Option<f64> {
+        let (mut sum, mut from) = (0.0, 0.0);
+        while let Some(row_s) = times_s.get(self.next) {
+            let due = row_s + self.delay_s - time_s;
+            if due >= dt_s - ROUNDING_S {
+                break;
+            }
+            if let Some(value) = value(self.next) {
+                // The first row, and one at the beginning of the tick, count for all of it.
+                if let (Some(held), true) = (self.held, due > ROUNDING_S) {
+                    sum += held * (due - from);
+                    from = due;
+                }
+                self.held = Some((self.gain * value + self.bias) * self.unit);
+            }
+            self.next += 1;
+        }
+        let held = self.held?;
+        Some(if from > 0.0 { (sum + held * (dt_s - from)) / dt_s } else { held })
     }
 }
