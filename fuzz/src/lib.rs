@@ -14,6 +14,7 @@ pub mod client_message;
 pub mod fmu;
 pub mod keyframe;
 pub mod log;
+pub mod measurements;
 pub mod mesh;
 pub mod openigtlink;
 pub mod plan;
@@ -50,5 +51,6 @@ pub const TARGETS: &[Target] = &[
     Target { name: "urdf", run: urdf::urdf, seeds: urdf::seeds },
     Target { name: "fmu", run: fmu::fmu, seeds: fmu::seeds },
     Target { name: "mesh", run: mesh::mesh, seeds: mesh::seeds },
+    Target { name: "measurements", run: measurements::measurements, seeds: measurements::seeds },
     Target { name: "openigtlink", run: openigtlink::openigtlink, seeds: openigtlink::seeds },
 ];
