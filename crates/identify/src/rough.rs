@@ -130,8 +130,8 @@ impl<M: Model> Solver<'_, M> {
         columns.iter().zip(self.parameters).map(step).collect()
     }
 
-    /// Whether no step decreases the residuals although the derivatives say so, or the residuals are not smooth
-    /// within an eighth of a standard deviation.
+    /// Whether no step decreases the residuals although the derivatives say so, or the residuals are not
+    /// smooth within an eighth of a standard deviation.
     fn is_rough(&mut self, at: &Optimum, steps: &[f64]) -> Result<bool, M::Error> {
         if at.stop == Stop::Rough {
             return Ok(true);
