@@ -130,12 +130,23 @@ fn check_choices(volume: &Volume, checker: &Checker) -> Result<(), SceneError> {
         ("volume.series", volume.series.is_some()),
         ("volume.resample", volume.resample.is_some()),
         ("volume.label", volume.label.is_some()),
+        ("volume.slope", volume.slope != 1.0),
+        ("volume.intercept", volume.intercept != 0.0),
     ];
     if let Some((key, _)) = chosen.iter().find(|(_, given)| *given && volume.path.is_none()) {
         return Err(checker.invalid(key, "applies only to a file, not to a phantom"));
     }
     if volume.label.is_some() && !volume.mask {
         return Err(checker.invalid("volume.label", "applies only to a mask; set `volume.mask = true`"));
+    }
+    if volume.slope == 0.0 {
+        return Err(checker.invalid("volume.slope", "is 0, expected -1e6 to 1e6 without 0"));
+    }
+    if volume.mask && (volume.slope, volume.intercept) != (1.0, 0.0) {
+        return Err(checker.invalid(
+            "volume.mask",
+            "and `volume.slope`, `volume.intercept` are mutually exclusive: a mask has no grey values",
+        ));
     }
     Ok(())
 }
