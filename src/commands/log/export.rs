@@ -172,7 +172,8 @@ fn table(log: &Path, arguments: &ExportArguments) -> Result<(String, Verdict), F
         read_rows(&LogFile::at(log), &arguments.topic, &columns, arguments.ticks(), &mut counted)
     })?;
     let (columns, topic) = (columns.len() + 2, &arguments.topic);
-    Ok((format!("{count} rows and {columns} columns of {topic}"), verdict))
+    let rows = foreign_text::counted(count, "row");
+    Ok((format!("{rows} and {columns} columns of {topic}"), verdict))
 }
 
 /// Writes a `.csv` file, or else a Parquet file. The rows before the damage of a log still make a valid
@@ -235,7 +236,8 @@ fn pictures(log: &Path, arguments: &ExportArguments) -> Result<(String, Verdict)
     if let Some(damage) = damage {
         return Err(damage);
     }
-    Ok((format!("{written} images, {without} frames without an image in the log"), reader.verdict()))
+    let (images, frames) = (foreign_text::counted(written, "image"), foreign_text::counted(without, "frame"));
+    Ok((format!("{images}, {frames} without an image in the log"), reader.verdict()))
 }
 
 fn name(sequence: u64, tick: u64) -> String {
