@@ -15,11 +15,12 @@ from scenes import EXTERNAL, GUIDED, pushing, written
 from support import LIMIT_S
 from trabecula.sim import Sim, Snapshot
 
-#: Continues a pickled simulation to tick 1000 and prints tick and hash, then the drilled voxels.
+#: Prints where a pickled simulation is, continues it to tick 1000, and prints tick, hash and drilled voxels.
 CONTINUES = """
 import pickle, sys
 from scenes import pushing
 sim = pickle.load(sys.stdin.buffer)
+print(sim.tick, sim.hash)
 while sim.tick < 1000:
     sim.step(pushing(sim.tick) if sim.driven else None)
 print(sim.tick, sim.hash, sim.drilled().tolist())
@@ -51,8 +52,9 @@ def test_a_pickle_taken_while_drilling_continues_in_another_process(tmp_path: Pa
     snapshot = pickle.loads(pickle.dumps(sim.snapshot()))
     copies = [copy.copy(sim), copy.deepcopy({"sim": sim})["sim"]]
     scene.unlink()
+    here = f"{sim.tick} {sim.hash}"
     expected = continued(sim)
-    assert in_another_process(pickled) == expected
+    assert in_another_process(pickled) == f"{here}\n{expected}"
     assert [continued(one) for one in copies] == [expected] * 2
     assert pickle.loads(pickled).scene_toml == sim.scene_toml
     assert isinstance(snapshot, Snapshot) and snapshot.state.tick == 700
