@@ -51,7 +51,8 @@ fn every_refusal_names_the_scenes_file() {
     for (text, part) in cases {
         std::fs::write(&file, text).unwrap();
         let source = SceneSource::File(file.clone());
-        let checked = plan::load_scene(&source).and_then(|(scene, _)| feasibility::check(&scene, &source, None));
+        let checked =
+            plan::load_scene(&source).and_then(|(scene, _)| feasibility::check(&scene, &source, None));
         let refusal = checked.unwrap_err();
         assert!(refusal.code == 2 && refusal.message.contains(part), "{part}: {refusal}");
         let named = refusal.message.lines().all(|line| line.starts_with(file.to_str().unwrap()));
