@@ -17,7 +17,7 @@ use super::structures::StructureWatch;
 use super::tendon_drive::TendonDrive;
 use super::tool::{described, twist_rad_per_m};
 use super::tube_drive::TubeDrive;
-use super::{Bone, Driver, Hounsfield, Simulation, SimulationError};
+use super::{Bone, Driver, Hounsfield, Simulation, SimulationError, ToolEffort};
 use crate::arm::{Arm, ArmParameters, Compliance, ComplianceParameters, initial_q_rad, place_base_for};
 use crate::bone::{
     BoneField, BoneParameters, ContactBuffer, ContactKind, CuttingLaw, GridGeometry, Outside, Removal,
@@ -73,6 +73,7 @@ pub(super) fn build<'v>(
         arm,
         compliance,
         reach: vec![super::SearchRange::none(); sphere_count],
+        effort: ToolEffort::default(),
         before: manipulator.snapshot(),
         manipulator,
         bone,
