@@ -5,8 +5,8 @@ from pathlib import Path
 
 from page import Page
 
-# Draws the section twice, with the triangles sorted by the cut and with all of them in both passes; returns the
-# triangles of the bone in each picture and the mean difference of a pixel's channels.
+# Draws the section twice: with the triangles sorted by the cut, and with all of them in both passes. Returns
+# the triangles of the bone in each picture and the mean difference of a pixel's channels.
 SORTED = """() => {
     const { view, model } = trabecula, { gl, surface } = view;
     const drawElements = gl.drawElements, draw = surface.draw;

@@ -5,8 +5,8 @@
 //! tick leaves its own footprint: its strength is then the largest on its way; otherwise, a long step would
 //! pass through bone. If the attempts end before the assumed strengths hold, the last one does not yield: a
 //! tick may stop the tool too early, but never crushes bone with less force than the bone supports. They also
-//! end when the tick has cost too much ([`MOST_ITERATIONS`], [`MOST_LISTED`]). An attempt keeps the planes and
-//! strengths of the spheres for which nothing has changed since the last one.
+//! end when the tick has cost too much ([`MOST_ITERATIONS`], [`MOST_LISTED`]). An attempt keeps planes and
+//! strengths of a sphere that has not moved farther or deeper than in the one before.
 
 use nalgebra::Vector3;
 

@@ -1,11 +1,11 @@
-// Detail of a view that is rendered in software: while it changes, as many pixels as it can render fast enough.
+// Detail of a view that is rendered in software: while it changes, as many pixels as can be rendered quickly.
 
 /** Shares of the pixels along a side, each with two thirds of the pixels of the one before. */
 export const RATIOS = [1, 0.82, 0.67, 0.54, 0.44, 0.36, 0.3];
 const FIRST = 2;
-/** A picture that takes longer is too slow for 10 per second beside the rest of the page. */
+/** A picture that takes longer is too slow for 10 per second besides the rest of the page. */
 const SLOW_MS = 75;
-/** So many pictures in a row in less time allow half as many pixels again. */
+/** After this number of pictures in a row in less time, the next one has half as many pixels again. */
 const QUICK_MS = 35;
 const QUICK_PICTURES = 8;
 
