@@ -166,6 +166,7 @@ def holds_a_speed(page: Page) -> None:
 def costs_little(page: Page) -> None:
     """Measures the time to the first picture with bone, and the page's script time while the run continues at full rate, with
     and without slices. Nothing is asserted, because the figures depend on the machine."""
+    page.until("the first picture with bone is noted", lambda: page.page.evaluate("window.firstBone > 0"))
     print(f"first picture with bone {page.page.evaluate('window.firstBone') / 1000:.2f} s after the page was requested; load average "
           f"{os.getloadavg()[0]:.1f}", flush=True)
     for slices_are in ("with slices", "without slices"):
