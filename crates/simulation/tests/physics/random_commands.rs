@@ -44,6 +44,7 @@ fn efforts(seed: u64, tolerance_m_per_s: Option<f64>) -> Vec<ToolEffort> {
     (0..TICKS).map(step).collect()
 }
 
+#[allow(clippy::approx_constant, reason = "a joint's speed, just below a turn per second")]
 fn random(draw: &mut Draw, simulation: &Simulation, sequence: u64) -> Command {
     let tendons = [TendonMode::None, TendonMode::ServoJf, TendonMode::ServoJp, TendonMode::MoveJp];
     let arms = [ArmMode::None, ArmMode::ServoCp, ArmMode::MoveCp, ArmMode::Hold, ArmMode::ServoJv];
