@@ -85,8 +85,8 @@ impl Demonstration {
 /// Exports the data set.
 ///
 /// # Errors
-/// Not a log of this build, an unknown field or controller, no rows in this range of ticks, incompatible runs,
-/// a folder that is not empty (2); a log with a gap in these ticks, a damaged log, a full disk (1); a log that
+/// Not a log of this build, an unknown field or controller, no rows in this range of ticks, incompatible
+/// runs, a folder that is not empty (2); a log with a gap in these ticks, a damaged log, a full disk (1); a log that
 /// is truncated or was not ended (3).
 pub fn export(arguments: &ExportArguments) -> Result<(), Failure> {
     refuse_used(&arguments.output)?;

@@ -255,7 +255,8 @@ impl Features {
     }
 }
 
-/// An episode being written: its numbers stay in memory for the statistics, its pictures until they are written.
+/// An episode being written: its numbers stay in memory for the statistics, its pictures until they are
+/// written.
 pub struct Episode<W: Write + Send> {
     writer: TableWriter<W>,
     features: Features,
