@@ -9,7 +9,9 @@ use std::path::Path;
 
 use crate::declaration::{Range, SCENE};
 use crate::error::SceneError;
-use crate::model::{Body, CArm, Drr, FARTHEST_MM, ManipulatorRung, Scene, Structure, Tool, Volume};
+use crate::model::{
+    Body, CArm, CutterShape, DrillingLaw, Drr, FARTHEST_MM, ManipulatorRung, Scene, Structure, Tool, Volume,
+};
 use crate::ranges;
 
 pub(crate) use tool::tool;
@@ -88,6 +90,11 @@ fn check_relations(scene: &Scene, checker: &Checker) -> Result<(), SceneError> {
     if scene.drilling.edge_force_n_per_mm.is_some() && scene.drilling.edge_pressure_mpa.is_some() {
         let problem = "and `drilling.edge_pressure_mpa` are mutually exclusive; set only one";
         return Err(checker.invalid("drilling.edge_force_n_per_mm", problem));
+    }
+    let shape = scene.manipulator.tool.as_ref().map(|tool| tool.burr.shape());
+    if scene.drilling.law == Some(DrillingLaw::TwistDrill) && shape != Some(CutterShape::Bit) {
+        let problem = "is `twist_drill`, which needs a tool whose `burr.shape` is `bit`";
+        return Err(checker.invalid("drilling.law", problem));
     }
     arm::check(&scene.arm, checker)?;
     if let Some(drr) = &scene.drr {
