@@ -325,12 +325,13 @@ typedef struct trb_state {
     double motor_work_j;
     /* Work of free bodies on the tool since the start. */
     double body_work_j;
-    /* Energy lost to the friction of contacts with bone since the start. */
+    /* Energy lost to the friction of contacts with bone, and of tendons in their channels, since the
+     * start. */
     double friction_energy_j;
     /* Energy lost to the damping of flexures and mount since the start. */
     double damping_energy_j;
-    /* Remainder of the ledger since the start: energy lost to the integrator, impacts, the friction of
-     * tendons in their channels, and the feed against cut bone. */
+    /* Remainder of the ledger since the start: energy lost to the integrator, impacts, and the feed
+     * against cut bone. */
     double numerical_energy_j;
     /* Energy that ticks created beyond the error of the integrator, since the start; 0 if every tick's
      * ledger closes. */

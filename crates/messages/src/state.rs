@@ -114,12 +114,13 @@ message! {
         motor_work_j: f64,
         /// Work of free bodies on the tool since the start.
         body_work_j: f64,
-        /// Energy lost to the friction of contacts with bone since the start.
+        /// Energy lost to the friction of contacts with bone, and of tendons in their channels, since the
+        /// start.
         friction_energy_j: f64,
         /// Energy lost to the damping of flexures and mount since the start.
         damping_energy_j: f64,
-        /// Remainder of the ledger since the start: energy lost to the integrator, impacts, the friction of
-        /// tendons in their channels, and the feed against cut bone.
+        /// Remainder of the ledger since the start: energy lost to the integrator, impacts, and the feed
+        /// against cut bone.
         numerical_energy_j: f64,
         /// Energy that ticks created beyond the error of the integrator, since the start; 0 if every tick's
         /// ledger closes.

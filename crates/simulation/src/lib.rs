@@ -66,6 +66,6 @@ mod world;
 
 pub use world::{
     CtView, Finding, KeyframeError, LostTool, Simulation, SimulationError, SimulationSnapshot, StateEntry,
-    StateVectorError, ToolEffort, Verdict, contact_kind, findings, manipulator_parameters, planned_time_s,
-    pose, rung,
+    StateVectorError, ToolEffort, Verdict, contact_kind, creation_bound_j, findings, manipulator_parameters,
+    planned_time_s, pose, rung, validated_range,
 };

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 
 use clap::{Args, Subcommand};
 
+use crate::charts::stability::random::Ranges;
 use crate::charts::{coverage, drr, flexure, physics, stability};
 use crate::sheet::Sheet;
 use trabecula::failure::Failure;
@@ -62,6 +63,9 @@ pub struct StabilityArguments {
     #[arg(long, value_name = "SCENES", conflicts_with = "quick",
         value_parser = clap::value_parser!(u64).range(1..=100_000))]
     random: Option<u64>,
+    /// Draw the random scenes within the ranges for which the simulation is validated, steps of 0.1 to 5 ms.
+    #[arg(long, requires = "random")]
+    validated: bool,
     /// Seed of the first random scene; the others follow.
     #[arg(long, default_value_t = 1, requires = "random",
         value_parser = clap::value_parser!(u64).range(0..=1_000_000_000))]
@@ -237,7 +241,8 @@ pub fn run(command: &ChartCommand) -> Result<(), Failure> {
                 return stability::run(&arguments.common.output, effort);
             };
             let mut sheet = Sheet::new(arguments.figures);
-            let wrong = stability::survey::run(count, arguments.seed, &mut sheet)?;
+            let ranges = if arguments.validated { Ranges::Validated } else { Ranges::Documented };
+            let wrong = stability::survey::run(count, arguments.seed, ranges, &mut sheet)?;
             sheet.end();
             match wrong {
                 0 => Ok(()),

@@ -262,6 +262,10 @@ impl ManipulatorModel for Manipulator {
         self.common.mount_damping_w() + flexures.map(|(damping, rate)| damping * rate * rate).sum::<f64>()
     }
 
+    fn tendon_friction_w(&self) -> f64 {
+        tendon::friction_w(&self.tendon_tensions_n(), &self.tendon.lost, self.joint_velocities_rad_per_s())
+    }
+
     fn mass_moment_kg_m(&self) -> Vector3<f64> {
         let across_m = self.common.state.position[1];
         (0..=self.layout.joints).fold(Vector3::zeros(), |sum, link| {

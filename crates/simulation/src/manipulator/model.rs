@@ -79,6 +79,8 @@ pub trait ManipulatorModel {
     }
     /// Returns the power that the damping of flexures and mount takes, W.
     fn damping_w(&self) -> f64;
+    /// Returns the power that the friction of tendons in their channels takes, W.
+    fn tendon_friction_w(&self) -> f64;
     /// Returns the sum of mass times position relative to the base origin, base axes, kg m.
     fn mass_moment_kg_m(&self) -> Vector3<f64>;
 
@@ -364,6 +366,10 @@ impl ManipulatorModel for AnyManipulator {
 
     fn damping_w(&self) -> f64 {
         self.model().damping_w()
+    }
+
+    fn tendon_friction_w(&self) -> f64 {
+        self.model().tendon_friction_w()
     }
 
     fn mass_moment_kg_m(&self) -> Vector3<f64> {

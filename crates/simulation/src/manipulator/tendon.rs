@@ -150,6 +150,8 @@ pub(super) struct TendonLoad {
     pub slope: [Generalised; MAX_TENDONS],
     /// Gradient -d torque_i / d take-up of each tendon, N m/m.
     pub gradient: [Generalised; MAX_TENDONS],
+    /// Part of the slope of each tendon with friction whose share of the tension friction takes.
+    pub lost: [[f64; MAX_JOINTS]; MAX_TENDONS],
     /// True for each tendon whose gradient is not zero.
     pub coupled: [bool; MAX_TENDONS],
     /// True if the step assumes that this tendon's friction does not change: it was sliding at the given
@@ -167,6 +169,7 @@ impl TendonLoad {
             stiffness: [0.0; MAX_JOINTS],
             slope: [Generalised::ZERO; MAX_TENDONS],
             gradient: [Generalised::ZERO; MAX_TENDONS],
+            lost: [[0.0; MAX_JOINTS]; MAX_TENDONS],
             coupled: [false; MAX_TENDONS],
             slides_on: [false; MAX_TENDONS],
             tension_n: [0.0; MAX_TENDONS],
@@ -205,6 +208,9 @@ impl TendonLoad {
             let frictional = parameters.friction_coefficient > 0.0 && tension > 0.0;
             self.coupled[t] = elastic > 0.0 || (frictional && !saturated);
             self.slides_on[t] = frictional && saturated;
+            if !frictional && parameters.friction_coefficient > 0.0 {
+                self.lost[t].fill(0.0);
+            }
             let mut wrap = 0.0;
             for i in self.channels.flexures(t) {
                 wrap += 0.5 * q[i].abs();
@@ -221,6 +227,7 @@ impl TendonLoad {
                 self.stiffness[i] -= local * curvature;
                 self.gradient[t].joint[i] = elastic * share * slope;
                 if frictional {
+                    self.lost[t][i] = (1.0 - share) * slope;
                     let friction = local * parameters.friction_coefficient * slope;
                     self.stiffness[i] += 0.5 * friction * sliding * sign(q[i]);
                     if !saturated {
@@ -269,6 +276,20 @@ pub(super) fn turns<S: AsRef<[f64]>>(
         .iter()
         .zip(slope)
         .any(|(slides_on, slope)| *slides_on && rate(slope, before) * rate(slope, after) < 0.0)
+}
+
+/// Returns the power that friction takes from tendons with these tensions, W: of each the tension times `lost`,
+/// the part of its slope that friction takes, times the rates.
+pub(super) fn friction_w<S: AsRef<[f64]>>(
+    tension_n: &[f64; MAX_TENDONS],
+    lost: &[S; MAX_TENDONS],
+    rate_rad_per_s: &[f64],
+) -> f64 {
+    let pulls = tension_n.iter().zip(lost).filter(|(tension_n, _)| **tension_n > 0.0);
+    let each_w = pulls.map(|(tension_n, lost)| {
+        tension_n * lost.as_ref().iter().zip(rate_rad_per_s).map(|(lost, rate)| lost * rate).sum::<f64>()
+    });
+    each_w.sum()
 }
 
 /// Returns d|x| / dx, with 0 at 0.

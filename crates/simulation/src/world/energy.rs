@@ -11,9 +11,9 @@
 //! - bodies: their contacts' forces times the tool's motion.
 //!
 //! The energy of the tool is kinetic and elastic, with the springs of tendons, contacts and stops. What the
-//! sum leaves after cutting, crushing, contact friction and damping is lost to the integrator, impacts, the
-//! friction of the tendons in their channels and feed against cut bone. This remainder may be negative only
-//! by the integrator's error; beyond a bound, the tick has created energy.
+//! sum leaves after cutting, crushing, friction of contacts and tendons, and damping is lost to the integrator,
+//! impacts and feed against cut bone. This remainder may be negative only by the integrator's error; beyond a
+//! bound, the tick has created energy.
 
 use messages::State;
 use nalgebra::{Isometry3, Vector3};
@@ -27,6 +27,12 @@ use crate::rigid::ToolDrive;
 const FREE_J: f64 = 1.0e-4;
 const FREE_WORK_SHARE: f64 = 0.1;
 const FREE_ENERGY_SHARE: f64 = 0.01;
+
+/// Returns the energy that a tick may create without a report, J. `gross_j` is the sum of the magnitudes of
+/// all works, `energy_j` the tool's energy at the end of the tick at which it is larger.
+pub fn creation_bound_j(gross_j: f64, energy_j: f64) -> f64 {
+    FREE_J + FREE_WORK_SHARE * gross_j + FREE_ENERGY_SHARE * energy_j
+}
 
 /// State of the tool at the start of a tick.
 #[derive(Debug, Clone, Copy)]
@@ -127,6 +133,7 @@ impl Simulation<'_> {
         let tip_moved_m = tip.translation.vector - tip_m - carried(&tip_m);
         let tip_turned = (tip.rotation * start.t_world_tip.rotation.inverse()).scaled_axis() - turned;
         let side_j = drive.tip_wrench.force_n.dot(&tip_moved_m) + drive.tip_wrench.torque_nm.dot(&tip_turned);
+        friction_j += tool.tendon_friction_w() * self.dt_s;
         let damping_j = tool.damping_w() * self.dt_s;
 
         let energy_j = self.tool_energy_j();
@@ -135,8 +142,7 @@ impl Simulation<'_> {
         let works_j = [tendon_j, arm_j, gravity_j, body_j, side_j];
         let left_j = works_j.iter().sum::<f64>() - (energy_j - start.tool_energy_j) - crushed_j;
         let gross_j: f64 = works_j.iter().map(|work_j| work_j.abs()).sum();
-        let free_j =
-            FREE_J + FREE_WORK_SHARE * gross_j + FREE_ENERGY_SHARE * energy_j.max(start.tool_energy_j);
+        let bound_j = creation_bound_j(gross_j, energy_j.max(start.tool_energy_j));
         let state: &mut State = &mut self.state;
         state.tool_energy_j = energy_j;
         state.tendon_work_j += tendon_j;
@@ -147,6 +153,6 @@ impl Simulation<'_> {
         state.friction_energy_j += friction_j;
         state.damping_energy_j += damping_j;
         state.numerical_energy_j += left_j - friction_j - damping_j;
-        state.energy_created_j += (-left_j - free_j).max(0.0);
+        state.energy_created_j += (-left_j - bound_j).max(0.0);
     }
 }

@@ -64,8 +64,9 @@ use structures::StructureWatch;
 use tendon_drive::{TendonDrive, TendonDriveState};
 use tube_drive::{TubeDrive, TubeDriveState};
 
+pub use energy::creation_bound_j;
 pub use error::SimulationError;
-pub use feasibility::{Finding, Verdict, findings, planned_time_s};
+pub use feasibility::{Finding, Verdict, findings, planned_time_s, validated_range};
 pub use keyframe::KeyframeError;
 pub use lost::LostTool;
 pub use message::pose;

@@ -31,6 +31,7 @@ mod gantry;
 mod gap;
 mod grid_phase;
 mod helical_tendons;
+mod ledger;
 mod manipulator_contact;
 mod manipulator_dynamics;
 mod manipulator_rungs;

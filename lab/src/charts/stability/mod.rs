@@ -4,7 +4,7 @@ pub mod bone;
 mod bone_cases;
 mod cases;
 mod figure;
-mod random;
+pub mod random;
 pub mod survey;
 pub mod tools;
 mod watch;

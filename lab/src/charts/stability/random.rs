@@ -1,4 +1,4 @@
-//! Random scenes over the documented ranges, from the scene's own schema.
+//! Random scenes over the documented or the validated ranges, from the scene's own schema.
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -6,6 +6,7 @@ use std::path::Path;
 use ipc_types::messages::MAX_TENDONS;
 use ipc_types::scene::{self, Scene};
 use serde_json::Value;
+use simulation::validated_range;
 
 use crate::random::uniform;
 use crate::reproduce::rig::Block;
@@ -22,6 +23,28 @@ const COMMAND_S: f64 = 0.05;
 /// Time for which the scene then rests under the last command, s.
 pub const REST_S: f64 = 0.2;
 const BONE: f64 = 0.5;
+/// Validated steps, ms.
+const STEPS_MS: [f64; 2] = [0.1, 5.0];
+
+/// The ranges from which scenes are drawn.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Ranges {
+    /// Those that a scene accepts.
+    Documented,
+    /// Those within which the simulation is validated.
+    Validated,
+}
+
+impl Ranges {
+    /// Returns the ends of a key's range, given the documented ones.
+    fn of(self, key: &str, documented: [f64; 2]) -> [f64; 2] {
+        match self {
+            Ranges::Documented => documented,
+            Ranges::Validated if key == "run.dt_ms" => STEPS_MS,
+            Ranges::Validated => validated_range(key).unwrap_or(documented),
+        }
+    }
+}
 
 /// A scene, and its commands.
 pub struct Drawn {
@@ -44,7 +67,7 @@ impl Drawn {
     ///
     /// # Errors
     /// The schema lacks a table that is drawn, or the scene is refused.
-    pub fn of(seed: u64) -> Result<Drawn, Failure> {
+    pub fn of(seed: u64, ranges: Ranges) -> Result<Drawn, Failure> {
         let schema = scene::json_schema();
         let random = &mut (seed ^ 0x5eed_0000_0000_0000);
         let mut keys = String::new();
@@ -55,13 +78,15 @@ impl Drawn {
             for (key, property) in properties {
                 if uniform(random) < probability
                     && may_follow(key, &keys)
-                    && let Some(value) = value_of(&schema, property, random)
+                    && let Some(value) =
+                        value_of(&schema, property, (ranges, &format!("{table}.{key}")), random)
                 {
                     let _ = writeln!(keys, "{key} = {value}");
                 }
             }
         }
-        let dt_ms = value_of(&schema, &schema["definitions"]["Run"]["properties"]["dt_ms"], random);
+        let dt_ms = &schema["definitions"]["Run"]["properties"]["dt_ms"];
+        let dt_ms = value_of(&schema, dt_ms, (ranges, "run.dt_ms"), random);
         let dt_ms = dt_ms.ok_or_else(|| missing("Run"))?;
         let tension = &schema["definitions"]["Hold"]["properties"]["tension_n"];
         let tensions_n = (0..(DRIVEN_S / COMMAND_S) as usize).map(|_| draw_tensions(tension, random));
@@ -138,7 +163,7 @@ fn ends(property: &Value) -> Option<[f64; 2]> {
     Some([property["minimum"].as_f64()?, property["maximum"].as_f64()?])
 }
 
-/// Draws each end of the range in a quarter of the cases.
+/// Draws each end of the range with a probability of a quarter.
 fn draw(low: f64, high: f64, random: &mut u64) -> f64 {
     match uniform(random) {
         u if u < 0.25 => low,
@@ -150,8 +175,14 @@ fn draw(low: f64, high: f64, random: &mut u64) -> f64 {
 
 /// Returns a key's value as TOML: a number within its range, or one of its words. `None` for a path, a text
 /// or a table.
-fn value_of(schema: &Value, property: &Value, random: &mut u64) -> Option<String> {
-    if let Some([low, high]) = ends(property) {
+fn value_of(
+    schema: &Value,
+    property: &Value,
+    (ranges, key): (Ranges, &str),
+    random: &mut u64,
+) -> Option<String> {
+    if let Some(documented) = ends(property) {
+        let [low, high] = ranges.of(key, documented);
         let value = draw(low, high, random);
         let whole = property["type"] == "integer";
         return Some(if whole { format!("{}", value as u64) } else { format!("{value:?}") });
@@ -188,8 +219,23 @@ mod tests {
 
     #[test]
     fn every_drawn_scene_can_be_read() {
-        let with_modes = (0..600).filter(|seed| Drawn::of(*seed).unwrap().keys.contains("modes")).count();
+        let drawn = |seed| Drawn::of(seed, Ranges::Documented).unwrap();
+        let with_modes = (0..600).filter(|seed| drawn(*seed).keys.contains("modes")).count();
         assert!(with_modes > 10, "{with_modes}");
+    }
+
+    #[test]
+    fn validated_scenes_stay_within_the_validated_ranges() {
+        for seed in 0..200 {
+            let scene = Drawn::of(seed, Ranges::Validated).unwrap().scene;
+            let within = |[low, high]: [f64; 2], value: f64| (low..=high).contains(&value);
+            assert!(within(STEPS_MS, scene.run.dt_ms), "{seed}: {} ms", scene.run.dt_ms);
+            let tool = &scene.manipulator;
+            for (key, value) in [("stiffness_scale", tool.stiffness_scale), ("mass_scale", tool.mass_scale)] {
+                let range = validated_range(&format!("manipulator.{key}")).unwrap();
+                assert!(value.is_none_or(|value| within(range, value)), "{seed}: {key} {value:?}");
+            }
+        }
     }
 
     /// A key of a kind unknown to the generator would be left out silently.
@@ -201,7 +247,8 @@ mod tests {
             for (key, property) in properties.iter().filter(|(key, _)| !DESCRIBED.contains(&key.as_str())) {
                 let random = &mut 1;
                 let values: Vec<String> = (0..200)
-                    .map(|_| value_of(&schema, property, random).unwrap_or_else(|| panic!("{key}")))
+                    .map(|_| value_of(&schema, property, (Ranges::Documented, key), random))
+                    .map(|value| value.unwrap_or_else(|| panic!("{key}")))
                     .collect();
                 if let Some([low, high]) = ends(property) {
                     let has = |end: f64| values.iter().any(|value| value.parse::<f64>() == Ok(end));

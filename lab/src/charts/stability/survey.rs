@@ -1,5 +1,5 @@
-//! `trabecula-lab chart stability --random N`: random scenes at the ends of the documented ranges, run in
-//! this process and evaluated.
+//! `trabecula-lab chart stability --random N`: random scenes at the ends of the documented ranges, or of the
+//! validated ones with `--validated`, run in this process and evaluated.
 
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -11,15 +11,15 @@ use rayon::prelude::*;
 use serde_json::json;
 use simulation::{CtView, Simulation, SimulationError, findings};
 
-use super::random::{DRIVEN_S, Drawn, REST_S};
-use super::watch::{Watch, explained_m_per_s};
+use super::random::{DRIVEN_S, Drawn, REST_S, Ranges};
+use super::watch::{Imbalance, Watch, explained_m_per_s};
 use crate::sheet::Sheet;
 use trabecula::failure::Failure;
 
 /// Maximum speed of the burr without an explanation, m/s.
 const FAST_M_PER_S: f64 = 50.0;
-/// Largest angle past a stop, rad: 0.1 degrees.
-const MOST_PAST_STOP_RAD: f64 = 0.1 * core::f64::consts::PI / 180.0;
+/// Largest angle past a stop, rad: 0.1 degrees, at which a solve that does not converge ends, and rounding.
+const MOST_PAST_STOP_RAD: f64 = (0.1 + 1e-9) * core::f64::consts::PI / 180.0;
 /// Evaluated part of the rest.
 const JUDGED_S: f64 = 0.5 * REST_S;
 
@@ -66,6 +66,15 @@ impl Class {
 struct Seen {
     class: Class,
     what: String,
+    worst: Imbalance,
+    past_stop_rad: f64,
+}
+
+impl Seen {
+    /// Returns the observations of a run without a state to evaluate.
+    fn ended(class: Class, what: String) -> Seen {
+        Seen { class, what, worst: Imbalance::default(), past_stop_rad: 0.0 }
+    }
 }
 
 /// A scene, its observations, and whether `scene check` warns that nothing is claimed for it.
@@ -83,18 +92,18 @@ struct Count {
     warned: usize,
 }
 
-/// Runs `count` scenes from `seed` on; prints each unsound one, and the counts. Returns the number that are
-/// not finite, fail with an error other than a lost tool, or are lost, chatter, are fast without a cause,
-/// pass a stop or create energy without a warning.
+/// Runs `count` scenes from `seed` on; prints each unsound one, the counts, and the worst imbalance of the
+/// energy ledger. Returns the number that are not finite, fail with an error other than a lost tool, or are
+/// lost, chatter, are fast without a cause, pass a stop or create energy without a warning.
 ///
 /// # Errors
 /// A scene cannot be drawn.
-pub fn run(count: u64, seed: u64, sheet: &mut Sheet) -> Result<usize, Failure> {
+pub fn run(count: u64, seed: u64, ranges: Ranges, sheet: &mut Sheet) -> Result<usize, Failure> {
     let done = AtomicUsize::new(0);
     let judged: Vec<Judged> = (seed..seed + count)
         .into_par_iter()
         .map(|seed| {
-            let drawn = Drawn::of(seed)?;
+            let drawn = Drawn::of(seed, ranges)?;
             let (seen, warned) = (judge(&drawn), is_warned_of(&drawn));
             if (done.fetch_add(1, Ordering::Relaxed) + 1).is_multiple_of(50) {
                 tell!("stability: {} of {count} scenes", done.load(Ordering::Relaxed));
@@ -119,6 +128,20 @@ pub fn run(count: u64, seed: u64, sheet: &mut Sheet) -> Result<usize, Failure> {
         .map(|(class, Count { all, warned })| format!("{all} {} ({warned} with a warning)", class.name()))
         .collect();
     sheet.line(&format!("{count} scenes: {}", counted.join(", ")));
+    let unwarned = || judged.iter().filter(|judged| !judged.warned);
+    let past_rad = unwarned().map(|judged| judged.seen.past_stop_rad).fold(0.0, f64::max);
+    if let Some(judged) = unwarned().max_by(|a, b| a.seen.worst.share().total_cmp(&b.seen.worst.share())) {
+        let (seed, Imbalance { tick, created_j, bound_j }) = (judged.seed, judged.seen.worst);
+        let [created_mj, bound_mj] = [created_j, bound_j].map(|joules| joules * 1e3);
+        sheet.line(&format!(
+            "without a warning, at most {:.3} degrees past a stop; worst imbalance of energy in seed {seed}, \
+             tick {tick}: {created_mj:.3} mJ created, bound {bound_mj:.3} mJ",
+            past_rad.to_degrees()
+        ));
+        let worst = json!({"seed": seed, "tick": tick, "created_mj": created_mj, "bound_mj": bound_mj});
+        sheet.set("worst_imbalance", worst);
+        sheet.set("past_stop_rad", json!(past_rad));
+    }
     for (class, Count { all, warned }) in &counts {
         sheet.set(class.name(), json!({"all": all, "warned": warned}));
     }
@@ -149,7 +172,7 @@ fn judge(drawn: &Drawn) -> Seen {
     let ct = drawn.bone.as_ref().map(|block| CtView { geometry: block.geometry, hu: &block.hu });
     let simulation = match Simulation::new(&drawn.scene, ct) {
         Ok(simulation) => simulation,
-        Err(cause) => return Seen { class: Class::Refused, what: cause.to_string() },
+        Err(cause) => return Seen::ended(Class::Refused, cause.to_string()),
     };
     let mut run = InProcess::new(&drawn.scene, simulation);
     let mut watch = Watch::default();
@@ -162,11 +185,14 @@ fn judge(drawn: &Drawn) -> Seen {
         });
         if let Err(cause) = made {
             let lost = matches!(&cause, InProcessError::Plant { cause: SimulationError::Lost(_), .. });
-            return Seen { class: if lost { Class::Lost } else { Class::Failed }, what: cause.to_string() };
+            return Seen::ended(if lost { Class::Lost } else { Class::Failed }, cause.to_string());
         }
         watch.look(run.plant().state(), seconds >= DRIVEN_S + REST_S - JUDGED_S);
     }
-    verdict(&watch, drawn)
+    let (class, what) = verdict(&watch, drawn);
+    let is_modal = drawn.scene.manipulator.model == Some(ManipulatorRung::Modal);
+    let past_stop_rad = if is_modal { 0.0 } else { watch.past_stop_rad };
+    Seen { class, what, worst: watch.worst, past_stop_rad }
 }
 
 fn drive(drawn: &Drawn, seconds: f64, command: &mut Command) {
@@ -187,32 +213,29 @@ fn drive(drawn: &Drawn, seconds: f64, command: &mut Command) {
     }
 }
 
-fn verdict(watch: &Watch, drawn: &Drawn) -> Seen {
+fn verdict(watch: &Watch, drawn: &Drawn) -> (Class, String) {
     if let Some(tick) = watch.not_finite {
-        return Seen { class: Class::NotFinite, what: format!("tick {tick}") };
+        return (Class::NotFinite, format!("tick {tick}"));
     }
     let mass_scale = drawn.scene.manipulator.mass_scale.unwrap_or(1.0);
     let explained = explained_m_per_s(drawn.greatest_tension_n(), mass_scale).max(FAST_M_PER_S);
     if watch.fastest_m_per_s > explained {
         let what = format!("{:.0} m/s, the tendons explain {explained:.0}", watch.fastest_m_per_s);
-        return Seen { class: Class::Fast, what };
+        return (Class::Fast, what);
     }
     if let Some(chatter) = watch.chatter() {
         let (um, percent) = (chatter.to_and_fro_m * 1e6, chatter.turned_back * 100.0);
-        return Seen {
-            class: Class::Chatter,
-            what: format!("{um:.0} um per tick, {percent:.0} % turn back"),
-        };
+        return (Class::Chatter, format!("{um:.0} um per tick, {percent:.0} % turn back"));
     }
     // The modal model is known not to hold its stops, and a run says so.
     if watch.past_stop_rad > MOST_PAST_STOP_RAD
         && drawn.scene.manipulator.model != Some(ManipulatorRung::Modal)
     {
         let what = format!("{:.3} degrees", watch.past_stop_rad.to_degrees());
-        return Seen { class: Class::PastStop, what };
+        return (Class::PastStop, what);
     }
     if watch.created_j > 0.0 {
-        return Seen { class: Class::Creating, what: format!("{:.3} mJ", watch.created_j * 1e3) };
+        return (Class::Creating, format!("{:.3} mJ", watch.created_j * 1e3));
     }
-    Seen { class: Class::Sound, what: String::new() }
+    (Class::Sound, String::new())
 }

@@ -2,6 +2,7 @@
 
 use ipc_types::messages::State;
 use nalgebra::Vector3;
+use simulation::creation_bound_j;
 
 /// Maximum oscillation at rest, m per tick.
 const CHATTER_M: f64 = 10e-6;
@@ -37,6 +38,56 @@ pub struct Watch {
     pub past_stop_rad: f64,
     /// Energy that ticks created beyond the integrator's error, J.
     pub created_j: f64,
+    /// The tick that created the largest share of the energy that it may create.
+    pub worst: Imbalance,
+    ledger: Ledger,
+}
+
+/// Imbalance of the energy ledger in a tick.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Imbalance {
+    /// Number of the tick.
+    pub tick: u64,
+    /// Energy that the tick created, J.
+    pub created_j: f64,
+    /// Largest energy that it may create without a report, J.
+    pub bound_j: f64,
+}
+
+impl Imbalance {
+    /// Returns the created energy over its bound.
+    pub fn share(&self) -> f64 {
+        if self.bound_j > 0.0 { self.created_j / self.bound_j } else { 0.0 }
+    }
+}
+
+/// The ledger's sums after a tick, J.
+#[derive(Debug, Clone, Copy, Default)]
+struct Ledger {
+    /// Works of tendons, arm, gravity, bodies and the cutting's side force.
+    works_j: [f64; 5],
+    /// What the works left.
+    left_j: f64,
+    tool_j: f64,
+}
+
+impl Ledger {
+    fn of(state: &State) -> Ledger {
+        let side_j = state.motor_work_j - state.cutting_energy_j;
+        let (arm_j, body_j) = (state.arm_work_j, state.body_work_j);
+        Ledger {
+            works_j: [state.tendon_work_j, arm_j, state.gravity_work_j, body_j, side_j],
+            left_j: state.numerical_energy_j + state.friction_energy_j + state.damping_energy_j,
+            tool_j: state.tool_energy_j,
+        }
+    }
+
+    fn imbalance(&self, before: &Ledger, tick: u64) -> Imbalance {
+        let works_j = self.works_j.iter().zip(before.works_j);
+        let gross_j = works_j.map(|(now_j, before_j)| (now_j - before_j).abs()).sum();
+        let bound_j = creation_bound_j(gross_j, self.tool_j.max(before.tool_j));
+        Imbalance { tick, created_j: before.left_j - self.left_j, bound_j }
+    }
 }
 
 impl Watch {
@@ -47,6 +98,14 @@ impl Watch {
         }
         self.past_stop_rad = self.past_stop_rad.max(state.stop_excess_rad);
         self.created_j = state.energy_created_j;
+        let ledger = Ledger::of(state);
+        if self.last.is_some() {
+            let imbalance = ledger.imbalance(&self.ledger, state.tick);
+            if imbalance.share() > self.worst.share() {
+                self.worst = imbalance;
+            }
+        }
+        self.ledger = ledger;
         let burr = Vector3::from(state.t_world_burr.position_m);
         let moved = self.last.map_or(Vector3::zeros(), |last| burr - last);
         let dt_s = state.sim_time_s / state.tick as f64;

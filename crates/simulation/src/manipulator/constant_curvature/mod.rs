@@ -20,8 +20,8 @@ use super::model::{ManipulatorModel, Rung, own_parts};
 use super::parameters::{ManipulatorParameters, TendonRoute};
 use super::row::StopLaw;
 use super::state::{BaseMotion, StepInput, StepReport};
-use super::tendon::Channels;
-use super::{CONTACTS_PER_SPHERE, MAX_LINKS, MAX_SHAFT_SPHERES};
+use super::tendon::{Channels, friction_w};
+use super::{CONTACTS_PER_SPHERE, MAX_LINKS, MAX_SHAFT_SPHERES, MAX_TENDONS};
 use arc::Arc;
 
 /// Maximum contacts per step; excess contacts are rejected and counted.
@@ -63,6 +63,8 @@ pub struct ConstantCurvature {
     edges_m: Vec<f64>,
     contact: ContactSolver<4>,
     channels: Channels,
+    /// Part of the slope of each tendon whose share of the tension friction took in the last step.
+    lost: [[f64; 1]; MAX_TENDONS],
 }
 
 impl ConstantCurvature {
@@ -112,6 +114,7 @@ impl ConstantCurvature {
             lumps,
             contact: ContactSolver::new(vec![0, 4], MAX_CONTACTS),
             channels,
+            lost: [[0.0]; MAX_TENDONS],
         };
         tool.common.state.position[3] = rest_rad;
         tool.follow_state();
@@ -196,6 +199,10 @@ impl ManipulatorModel for ConstantCurvature {
     fn damping_w(&self) -> f64 {
         let v = self.velocity();
         self.damping.component_mul(&v).dot(&v)
+    }
+
+    fn tendon_friction_w(&self) -> f64 {
+        friction_w(&self.tendon_tensions_n(), &self.lost, &[self.velocity()[3]])
     }
 
     fn mass_moment_kg_m(&self) -> Vector3<f64> {

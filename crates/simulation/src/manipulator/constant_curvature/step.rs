@@ -4,12 +4,12 @@
 use nalgebra::{Matrix4, Vector3, Vector4};
 
 use super::{ConstantCurvature, mass_matrix};
-use crate::manipulator::ManipulatorModel;
 use crate::manipulator::contact::{BaseDrive, ContactPlacement};
 use crate::manipulator::error::ManipulatorError;
 use crate::manipulator::loads::Frame;
 use crate::manipulator::state::{StepInput, StepReport, TendonCommand};
 use crate::manipulator::tendon::{base_tension, sign};
+use crate::manipulator::{MAX_TENDONS, ManipulatorModel};
 
 /// Index of the bending coordinate.
 const BEND: usize = 3;
@@ -21,6 +21,8 @@ struct TendonTorque {
     /// True if the step assumes that a tendon's friction does not change: it was sliding at the given rate
     /// and keeps sliding.
     slides_on: bool,
+    /// See [`ConstantCurvature::lost`].
+    lost: [[f64; 1]; MAX_TENDONS],
 }
 
 impl ConstantCurvature {
@@ -29,16 +31,17 @@ impl ConstantCurvature {
         let (drive, frame) = self.common.begin(dt, input)?;
         let (q, before) = (self.position(), self.velocity());
         let (loads, mut moment) = self.loads(&frame);
-        let tendon = self.tendon_torque(before[3], &input.tendon);
+        let mut tendon = self.tendon_torque(before[3], &input.tendon);
         let (free, operator) = self.free_velocity(dt, &loads, &tendon);
         let mut report = StepReport::none();
         let mut after = self.with_contacts(dt, input, &drive, &operator, free, &mut report);
         if tendon.slides_on && after[3] * before[3] < 0.0 {
-            let tendon = self.tendon_torque(after[3], &input.tendon);
+            tendon = self.tendon_torque(after[3], &input.tendon);
             let (free, operator) = self.free_velocity(dt, &loads, &tendon);
             report = StepReport::none();
             after = self.with_contacts(dt, input, &drive, &operator, free, &mut report);
         }
+        self.lost = tendon.lost;
         self.store(dt, &drive, &mut moment, &mut report);
         moment -= self.momentum_moment(&q, &(after - before)) / dt;
         let state = &mut self.common.state;
@@ -79,7 +82,8 @@ impl ConstantCurvature {
     /// |bend|`. `rate`, the bend rate, shows whether a saturated sliding state is about to reverse.
     fn tendon_torque(&self, rate: f64, command: &TendonCommand) -> TendonTorque {
         let bend = self.position()[3];
-        let mut sum = TendonTorque { torque_nm: 0.0, stiffness_nm_per_rad: 0.0, slides_on: false };
+        let lost = [[0.0]; MAX_TENDONS];
+        let mut sum = TendonTorque { torque_nm: 0.0, stiffness_nm_per_rad: 0.0, slides_on: false, lost };
         for t in 0..self.channels.count {
             let p = &self.channels.cable[t];
             let slope = self.channels.offset_m[t][0];
@@ -91,6 +95,7 @@ impl ConstantCurvature {
             let sliding = self.common.state.tendon[t].sliding_at(take_up, p);
             let x = p.friction_coefficient * sliding * bend.abs();
             sum.torque_nm += tension * mean_share(x) * slope;
+            sum.lost[t] = [(1.0 - mean_share(x)) * slope];
             if command.is_displacement() {
                 sum.stiffness_nm_per_rad += p.stiffness_n_per_m * mean_share(x) * slope * slope;
             }

@@ -31,7 +31,7 @@ use super::helix;
 use super::model::{ManipulatorModel, Rung, own_parts};
 use super::parameters::{ManipulatorParameters, TendonRoute};
 use super::state::{BaseMotion, StepInput, StepReport};
-use super::tendon::Channels;
+use super::tendon::{Channels, friction_w};
 use super::{MAX_CONTACTS, MAX_JOINTS};
 use basis::Basis;
 use operator::Dynamics;
@@ -247,6 +247,10 @@ impl<const N: usize> ManipulatorModel for MomentModes<N> {
         let [_, v] = self.freedoms();
         let modes: f64 = v[MOUNT..].iter().map(|rate| self.damping_s * rate * rate).sum();
         self.common.mount_damping_w() + modes
+    }
+
+    fn tendon_friction_w(&self) -> f64 {
+        friction_w(&self.tendon_tensions_n(), &self.tendons.lost, self.joint_velocities_rad_per_s())
     }
 
     fn mass_moment_kg_m(&self) -> Vector3<f64> {

@@ -52,6 +52,9 @@ pub(super) struct Tendons<const N: usize> {
     /// Slope d take-up / d freedom of each pulling tendon, and gradient -d force / d take-up.
     pub slope: [[f64; N]; MAX_TENDONS],
     pub gradient: [[f64; N]; MAX_TENDONS],
+    /// Part of the slope d take-up / d angle of each tendon with friction whose share of the tension friction
+    /// takes.
+    pub lost: [FlexureArray; MAX_TENDONS],
     /// True for each tendon whose gradient is not zero.
     pub coupled: [bool; MAX_TENDONS],
     /// True if the step assumes that this tendon's friction does not change: it was sliding at the given
@@ -69,6 +72,7 @@ impl<const N: usize> Tendons<N> {
             stiffness: [0.0; MAX_JOINTS],
             slope: [[0.0; N]; MAX_TENDONS],
             gradient: [[0.0; N]; MAX_TENDONS],
+            lost: [[0.0; MAX_JOINTS]; MAX_TENDONS],
             coupled: [false; MAX_TENDONS],
             slides_on: [false; MAX_TENDONS],
             tension_n: [0.0; MAX_TENDONS],
@@ -93,10 +97,13 @@ impl<const N: usize> Tendons<N> {
             let tension = base_tension(&cable, command, t, take_up_m);
             self.tension_n[t] = tension;
             (self.coupled[t], self.slides_on[t]) = (false, false);
+            let frictional = cable.friction_coefficient > 0.0;
             if tension <= 0.0 {
+                if frictional {
+                    self.lost[t].fill(0.0);
+                }
                 continue;
             }
-            let frictional = cable.friction_coefficient > 0.0;
             let (offset_m, gap_m) = (self.channels.offset_m[t][0], cable.gap_m);
             let (mut slope, mut curvature) = ([0.0; MAX_JOINTS], [0.0; MAX_JOINTS]);
             for i in 0..MAX_JOINTS {
@@ -142,6 +149,7 @@ impl<const N: usize> Tendons<N> {
             for i in self.channels.flexures(t) {
                 wrap += 0.5 * q[i].abs();
                 let share = libm::exp(-mu * sliding * wrap);
+                self.lost[t][i] = (1.0 - share) * slope[i];
                 let local = tension * share;
                 let friction = local * mu * slope[i];
                 self.torque[i] += local * slope[i];

@@ -28,6 +28,7 @@ use super::model::{ManipulatorModel, Rung, own_parts};
 use super::parameters::ManipulatorParameters;
 use super::pressed::PressedStops;
 use super::state::{BaseMotion, StepInput, StepReport};
+use super::tendon::friction_w;
 use super::{CONTACTS_PER_SPHERE, MAX_LINKS, MAX_SHAFT_SPHERES};
 use articulated::Articulated;
 use layout::{Configuration, MOUNT, SpatialLayout};
@@ -203,6 +204,10 @@ impl<const D: usize> ManipulatorModel for SpatialChain<D> {
             .zip(&self.common.state.velocity)
             .map(|(damping, rate)| damping * rate * rate)
             .sum()
+    }
+
+    fn tendon_friction_w(&self) -> f64 {
+        friction_w(&self.tendon_tensions_n(), &self.tendon.lost, &self.common.state.velocity)
     }
 
     fn mass_moment_kg_m(&self) -> Vector3<f64> {

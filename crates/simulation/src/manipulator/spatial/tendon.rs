@@ -29,6 +29,8 @@ pub(super) struct TendonLoad {
     pub slope: [Vec<f64>; MAX_TENDONS],
     /// Gradient -d force_i / d take-up of each tendon.
     pub gradient: [Vec<f64>; MAX_TENDONS],
+    /// Part of the slope of each tendon with friction whose share of the tension friction takes.
+    pub lost: [Vec<f64>; MAX_TENDONS],
     /// True for each tendon whose gradient is not zero.
     pub coupled: [bool; MAX_TENDONS],
     /// Tension at the proximal end, N.
@@ -107,6 +109,7 @@ impl TendonLoad {
             stiffness: blank(),
             slope: core::array::from_fn(|_| blank()),
             gradient: core::array::from_fn(|_| blank()),
+            lost: core::array::from_fn(|_| blank()),
             coupled: [false; MAX_TENDONS],
             tension_n: [0.0; MAX_TENDONS],
             slides_on: [false; MAX_TENDONS],
@@ -142,6 +145,9 @@ impl TendonLoad {
             let frictional = p.friction_coefficient > 0.0 && tension > 0.0;
             self.coupled[t] = elastic > 0.0 || (frictional && !saturated);
             self.slides_on[t] = frictional && saturated;
+            if !frictional && p.friction_coefficient > 0.0 {
+                self.lost[t].fill(0.0);
+            }
             if tension == 0.0 && !self.coupled[t] {
                 continue;
             }
@@ -165,6 +171,9 @@ impl TendonLoad {
                     let slope = self.slope[t][k];
                     self.torque[k] += local * slope;
                     self.gradient[t][k] = (elastic * share + friction) * slope;
+                    if frictional {
+                        self.lost[t][k] = (1.0 - share) * slope;
+                    }
                 }
                 for k in 0..D.min(2) {
                     self.stiffness[bend + k] += winding * take_up.turn_slope[k] * self.slope[t][bend + k]

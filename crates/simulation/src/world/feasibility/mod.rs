@@ -14,6 +14,7 @@ use std::fmt::{self, Display, Formatter};
 use scene::{Controller, Drives, Scene};
 
 use super::{CtView, Simulation, SimulationError};
+pub use ranges::validated_range;
 
 /// Consequence of a finding.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -63,6 +63,11 @@ const fn trusted(
     Trusted { key, value, range, outside }
 }
 
+/// Returns the validated range of a scene key, if it is narrower than the range that a scene accepts.
+pub fn validated_range(key: &str) -> Option<[f64; 2]> {
+    TRUSTED.iter().find(|trusted| trusted.key == key).map(|trusted| trusted.range)
+}
+
 /// Returns a finding for each value outside its validated range.
 pub(super) fn findings(scene: &Scene) -> impl Iterator<Item = Finding> {
     TRUSTED.iter().filter_map(|Trusted { key, value, range: [low, high], outside }| {
