@@ -97,7 +97,9 @@ impl StructureSurface {
             return Err(format!("has more than {MAX_STRUCTURE_TRIANGLES} triangles; use a coarser mesh"));
         }
         let triangles = self.unpacked().ok_or("has a malformed `surface`; expected that of a mesh file")?;
-        if let Some(far) = triangles.iter().flatten().flatten().find(|x| !(x.abs() <= FARTHEST_MM as f32)) {
+        if let Some(far) =
+            triangles.iter().flatten().flatten().find(|x| x.is_nan() || x.abs() > FARTHEST_MM as f32)
+        {
             return Err(format!("has a coordinate of {far} mm; allowed: within {FARTHEST_MM} mm"));
         }
         ClosedMesh::new(&triangles).map_err(|fault| fault.to_string())
