@@ -14,10 +14,6 @@ const LIMITS: AxisLimits<MAX_TENDONS> = AxisLimits {
 
 /// The actuators' setpoint as plain data.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[expect(
-    clippy::large_enum_variant,
-    reason = "one per simulation; boxing would add an indirection to every tick"
-)]
 pub(super) enum TendonDriveState {
     /// Tension setpoints, N.
     Force([f64; MAX_TENDONS]),
