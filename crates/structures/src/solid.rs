@@ -235,6 +235,23 @@ mod tests {
             prop_assert!((solid.distance_m(&point) - exact).abs() < 1e-12);
         }
 
+        /// At the acute edges and the tip of a spike, the sign is that of the half spaces that bound it.
+        #[test]
+        fn the_sign_at_acute_edges_is_that_of_the_half_spaces(at in [-2.0..6.0, -1.5..1.5, -1.5..1.5_f64]) {
+            let corners: [[f32; 3]; 4] = [[5.0, 0.0, 0.0], [0.0, 0.3, -0.2], [0.0, -0.3, -0.2], [0.0, 0.0, 0.4]];
+            let faces = [[1, 2, 3], [0, 2, 1], [0, 3, 2], [0, 1, 3]];
+            let triangles: Vec<Triangle> = faces.iter().map(|face| face.map(|i: usize| corners[i])).collect();
+            let solid = Solid::new(&ClosedMesh::new(&triangles).unwrap(), Vector3::from);
+            let point = Vector3::from(at);
+            let beyond = |triangle: &Triangle| {
+                let [a, b, c] = triangle.map(|corner| Vector3::from(corner.map(f64::from)));
+                (b - a).cross(&(c - a)).normalize().dot(&(point - a))
+            };
+            let deepest = triangles.iter().map(beyond).fold(f64::NEG_INFINITY, f64::max);
+            prop_assume!(deepest.abs() > 1e-9);
+            prop_assert_eq!(solid.distance_m(&point) < 0.0, deepest < 0.0);
+        }
+
         /// The distance from a ball of 5120 triangles is between those of the balls within and around them.
         #[test]
         fn the_distance_from_a_fine_ball_is_that_of_the_ball(at in [-3.0..3.0, -3.0..3.0, -3.0..3.0_f64]) {
