@@ -11,6 +11,7 @@ use run_log::hash_text;
 use serde_json::{Value, json};
 use sim::{Drive, SharedScene, Sim, SimError};
 use simulation::planned_time_s;
+use structures::Regions;
 use voxel_grid::Ct;
 
 use crate::failure::Failure;
@@ -86,7 +87,10 @@ impl Prediction {
             }
             Err(error) => return Err(failure(error)),
         };
-        let Follower { course, path_m, .. } = follower;
+        let Follower { mut course, path_m, .. } = follower;
+        if let Some(regions) = Regions::of(scene, shared.ct().map(|ct| &ct.volume)) {
+            course.note_drilled(&regions, sim.drilled());
+        }
         let mut found = findings(scene, &course);
         if let Reach::Failed(cause) = &reach {
             found.insert(0, format!("the simulation fails: {cause}"));
@@ -146,6 +150,9 @@ impl Prediction {
         for structure in self.course.clearances.summaries() {
             if let Some(least_mm) = structure.least_clearance_mm {
                 row("clearance", format!("{}: {least_mm:.2} mm at tick {}", structure.name, structure.tick));
+            }
+            if let Some(removed) = structure.removed_text() {
+                row("removed", removed);
             }
         }
         let count = |count: u64| if count == 0 { "none".to_owned() } else { count.to_string() };

@@ -13,6 +13,7 @@ use ipc_types::scene::{Controller, Scene};
 use ipc_types::session::SessionError;
 use recorder_proc::process::OUTPUT_FILE;
 use rustix::process::Signal;
+use structures::Regions;
 use voxel_grid::Ct;
 
 use super::ending::Ending;
@@ -130,6 +131,8 @@ pub struct RunResult {
     pub processor: Vec<(String, Duration)>,
     /// Distance between the volume's voxels along i, j, k; `None` without a volume.
     pub volume_spacing_m: Option<[f64; 3]>,
+    /// Where the critical structures are in the volume; `None` without a volume or a structure.
+    pub regions: Option<Regions>,
     /// The viewer, if it is now showing the run's log; it ends with the page.
     pub viewer: Option<PartProcess>,
 }
@@ -157,6 +160,7 @@ impl RunResult {
                 .map(|(name, time)| (name.clone(), time.as_secs_f64()))
                 .collect(),
             volume_spacing_m: self.volume_spacing_m,
+            regions: self.regions.clone(),
             replay_command,
         }
     }
@@ -235,6 +239,7 @@ pub fn run_with(
     let mut own_memory = Memory::default();
     own_memory.measure("self");
     let volume_spacing_m = ct.as_ref().map(|ct| ct.volume.grid.spacing_m());
+    let regions = Regions::of(&plan.scene, ct.as_ref().map(|ct| &ct.volume));
     // Keep only the copy in shared memory.
     drop(ct);
     let subscriptions = Subscriptions::open(&hub.host.session)?;
@@ -289,6 +294,7 @@ pub fn run_with(
         memory,
         processor,
         volume_spacing_m,
+        regions,
         viewer,
     })
 }

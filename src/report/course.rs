@@ -4,6 +4,7 @@ use ipc_types::messages::{Breach, MAX_TENDONS, State};
 use ipc_types::scene::Scene;
 use markups::vector::{cross, dot, length, minus};
 use simulation::manipulator_parameters;
+use structures::Regions;
 
 use super::outcome::{ClearanceWatch, PlanSummary, PlanWatch};
 use super::summary::{DrillingSummary, ToolSummary, ratio};
@@ -109,6 +110,8 @@ pub struct Course {
     watch: PlanWatch,
     /// Least clearances of the critical structures.
     pub clearances: ClearanceWatch,
+    /// Volume of the removed bone outside of all targets; `None` without a target.
+    healthy_removed_mm3: Option<f64>,
     /// The first `KEPT_BREACHES` breaches of the bone, one line each.
     pub breaches: Vec<String>,
     /// Number of breaches of the bone.
@@ -170,6 +173,12 @@ impl Course {
         }
     }
 
+    /// Sets the voxels that the run drilled, once it has ended.
+    pub fn note_drilled(&mut self, regions: &Regions, drilled: &[u32]) {
+        self.clearances.set_removed(regions, drilled);
+        self.healthy_removed_mm3 = regions.healthy_mm3(drilled);
+    }
+
     /// Returns the tool at the start and end, or `None` without a state.
     pub fn tool(&self) -> Option<ToolSummary> {
         let (first, last, deepest) = (self.first.as_ref()?, self.last.as_ref()?, self.deepest.as_ref()?);
@@ -196,6 +205,7 @@ impl Course {
             removed_voxels: last.removed_total,
             removed_volume_mm3: self.voxel_volume_mm3.map(|volume| volume * last.removed_total as f64),
             cutting_energy_j: last.cutting_energy_j,
+            healthy_removed_mm3: self.healthy_removed_mm3,
             crushing_energy_j: last.crushing_energy_j,
             contact_share: ratio(peaks.ticks_in_contact as f64, self.ticks as f64).unwrap_or(0.0).min(1.0),
             ..peaks.drilling

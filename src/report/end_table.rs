@@ -122,6 +122,7 @@ impl Summary {
                     format!("{}: {least_mm:.2} mm at tick {}", structure.name, structure.tick),
                 ));
             }
+            rows.extend(structure.removed_text().map(|removed| ("removed", removed)));
         }
         rows
     }

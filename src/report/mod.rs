@@ -37,6 +37,7 @@ use std::path::Path;
 
 use figures::FigureError;
 use inputs::failure::Failure;
+use structures::Regions;
 
 pub use run_log::timeline;
 
@@ -81,6 +82,8 @@ pub struct RunFacts {
     pub processor_s: BTreeMap<String, f64>,
     /// Distance between the volume's voxels along i, j, k; `None` without a volume.
     pub volume_spacing_m: Option<[f64; 3]>,
+    /// Where the critical structures are in the volume; `None` without a volume or a structure.
+    pub regions: Option<Regions>,
     /// Command line that replays the run.
     pub replay_command: String,
 }
@@ -128,6 +131,10 @@ pub fn write(folder: &Path, facts: &RunFacts) -> Result<Report, ReportError> {
     let timing = TimingLane::read(&paths[1])?;
     let mut run =
         RunLane::read(&paths[0], Some(timing.end_ns).filter(|&end_ns| end_ns > 0), facts.volume_spacing_m);
+    if let Some(regions) = &facts.regions {
+        let drilled = std::mem::take(&mut run.drilled);
+        run.course.note_drilled(regions, &drilled);
+    }
     timing.breaches.iter().for_each(|(tick, text)| run.course.add_breach(*tick, text));
     let bytes = paths.map(|path| path.metadata().map_or(0, |metadata| metadata.len()));
     let frames = [("before", &run.frames.before), ("half", &run.frames.half), ("after", &run.frames.after)];

@@ -2,11 +2,12 @@
 //! for one that is predicted (the findings of `scene check --simulate`).
 
 use ipc_types::messages::{ArmProtectiveStop, SensorKind, SensorReading, State};
-use ipc_types::scene::{Drives, Scene, planned_path_in_bone_mm};
+use ipc_types::scene::{Drives, Scene, StructureRole, planned_path_in_bone_mm};
 use markups::vector::{dot, length, minus, plus};
 use serde::{Deserialize, Serialize};
 use simulation::arm::ArmParameters;
 use simulation::manipulator::ManipulatorParameters;
+use structures::Regions;
 
 use super::course::{Course, distance_m};
 
@@ -111,6 +112,15 @@ pub struct StructureSummary {
     pub ticks_within_margin: u64,
     /// Ticks after which the tool was inside.
     pub ticks_inside: u64,
+    /// Whether the tool was to remove it.
+    #[serde(default)]
+    pub is_target: bool,
+    /// Volume of the bone removed in it; `None` without a volume, and for a `built_in` structure.
+    #[serde(default)]
+    pub removed_mm3: Option<f64>,
+    /// For a target, the share of its bone that was removed, without pilot holes.
+    #[serde(default)]
+    pub removed_share: Option<f64>,
 }
 
 impl StructureSummary {
@@ -123,10 +133,18 @@ impl StructureSummary {
         self.ticks_inside += u64::from(clearance_mm < 0.0);
     }
 
+    /// Returns what was removed in it, if anything, or if it is a target.
+    pub fn removed_text(&self) -> Option<String> {
+        let removed_mm3 = self.removed_mm3.filter(|mm3| *mm3 > 0.0 || self.is_target)?;
+        let share =
+            self.removed_share.map_or(String::new(), |share| format!(", {:.1} % of it", 100.0 * share));
+        Some(format!("{}: {removed_mm3:.1} mm3{share}", self.name))
+    }
+
     /// Returns the finding about it, if the tool came closer than the margin.
     fn finding(&self) -> Option<String> {
         let StructureSummary { name, margin_mm, tick, .. } = self;
-        let least_mm = self.least_clearance_mm.filter(|least_mm| least_mm < margin_mm)?;
+        let least_mm = self.least_clearance_mm.filter(|least_mm| least_mm < margin_mm && !self.is_target)?;
         Some(match least_mm < 0.0 {
             true => format!("the tool entered `{name}`, up to {:.2} mm deep at tick {tick}", -least_mm),
             false => format!(
@@ -149,6 +167,9 @@ impl ClearanceWatch {
             tick: 0,
             ticks_within_margin: 0,
             ticks_inside: 0,
+            is_target: structure.role == StructureRole::Target,
+            removed_mm3: None,
+            removed_share: None,
         };
         ClearanceWatch(scene.structure.iter().map(summary).collect())
     }
@@ -161,6 +182,14 @@ impl ClearanceWatch {
                 .iter_mut()
                 .zip(values)
                 .for_each(|(structure, value)| structure.add(reading.tick, value[0]));
+        }
+    }
+
+    /// Sets what was removed in each structure.
+    pub(super) fn set_removed(&mut self, regions: &Regions, drilled: &[u32]) {
+        for (summary, removal) in self.0.iter_mut().zip(regions.removals(drilled)) {
+            summary.removed_mm3 = removal.map(|removal| removal.volume_mm3);
+            summary.removed_share = removal.and_then(|removal| removal.share);
         }
     }
 

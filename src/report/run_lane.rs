@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use ipc_types::messages::{Frame, ImagePrefix, MAX_TENDONS, Pose, SensorReading, State};
+use ipc_types::messages::{Frame, ImagePrefix, MAX_TENDONS, Pose, Removed, SensorReading, State};
 use ipc_types::scene::Scene;
 use recorder_proc::log_file::LogFile;
 use run_log::{LogError, LogHeader, LogMessage, MessageStream, ReadOptions, Topic};
@@ -91,6 +91,8 @@ pub struct RunLane {
     pub end_ns: u64,
     /// Reduced states.
     pub course: Course,
+    /// Voxels drilled since the start or the last reset.
+    pub drilled: Vec<u32>,
     /// Curves for the figures; `None` without a state.
     pub curves: Option<Curves>,
     /// Frames.
@@ -165,6 +167,7 @@ impl RunLane {
                     self.course.clearances.add(&reading);
                 }
             }
+            Some(Topic::Removed) => self.removed(message.body),
             Some(Topic::DrrFrame) => {
                 self.frames.count += u64::from(Frame::read_from_bytes(message.body).is_ok())
             }
@@ -176,6 +179,17 @@ impl RunLane {
                 }
             }
             _ => (),
+        }
+    }
+
+    /// Adds the voxels that a tick removed; those of tick 0 are the pilot holes.
+    fn removed(&mut self, body: &[u8]) {
+        let Ok((removed, voxels)) = Removed::read_from_prefix(body) else { return };
+        if removed.restore_first != 0 {
+            self.drilled.clear();
+        }
+        if removed.tick > 0 {
+            self.drilled.extend(voxels.as_chunks::<4>().0.iter().map(|bytes| u32::from_le_bytes(*bytes)));
         }
     }
 

@@ -103,6 +103,9 @@ pub struct DrillingSummary {
     pub removed_voxels: u64,
     /// Volume of the removed voxels; `None` without a volume.
     pub removed_volume_mm3: Option<f64>,
+    /// Volume of the removed bone outside of all targets; `None` without a `[[structure]]` of this role.
+    #[serde(default)]
+    pub healthy_removed_mm3: Option<f64>,
     /// Energy spent on cutting since the start or the last reset.
     pub cutting_energy_j: f64,
     /// Energy absorbed by bone that the tool crushed, since the start or the last reset.

@@ -6,6 +6,7 @@ use std::sync::Arc;
 
 use run_log::hash_text;
 use sim::{Drive, SharedScene, Sim, SimError};
+use structures::Regions;
 
 use super::row::{Ending, Row};
 use crate::failure::Failure;
@@ -78,6 +79,9 @@ fn follow(
         course.add(sim.state());
         course.note_breach(sim.breach());
         sim.readings().iter().for_each(|reading| course.clearances.add(reading));
+    }
+    if let Some(regions) = Regions::of(shared.scene(), shared.ct().map(|ct| &ct.volume)) {
+        course.note_drilled(&regions, sim.drilled());
     }
     sim.close_recording()?;
     Ok(true)

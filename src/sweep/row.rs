@@ -66,7 +66,7 @@ type Figure = (&'static str, fn(&Row) -> Option<f64>);
 
 /// The results of a row; those of [`ToolSummary`], [`PlanSummary`] and
 /// [`DrillingSummary`] are defined as in `summary.json`.
-pub const FIGURES: [Figure; 26] = [
+pub const FIGURES: [Figure; 29] = [
     ("ticks", |row| Some(row.ticks as f64)),
     ("simulated_s", |row| Some(row.simulated_s)),
     ("target_error_mm", |row| row.tool.as_ref()?.target_error_mm),
@@ -93,6 +93,14 @@ pub const FIGURES: [Figure; 26] = [
     ("least_clearance_mm", |row| {
         row.structures.iter().filter_map(|structure| structure.least_clearance_mm).reduce(f64::min)
     }),
+    ("structure_removed_mm3", |row| {
+        let avoided = row.structures.iter().filter(|structure| !structure.is_target);
+        avoided.filter_map(|structure| structure.removed_mm3).reduce(|a, b| a + b)
+    }),
+    ("target_removed_share", |row| {
+        row.structures.iter().filter_map(|structure| structure.removed_share).reduce(f64::min)
+    }),
+    ("healthy_removed_mm3", |row| row.drilling.as_ref()?.healthy_removed_mm3),
     ("breaches", |row| row.plan.as_ref().map(|_| row.breaches as f64)),
     ("contact_share", |row| Some(row.drilling.as_ref()?.contact_share)),
 ];

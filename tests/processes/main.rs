@@ -70,6 +70,7 @@ mod slices;
 mod stalled_recorder;
 mod strays;
 mod stress;
+mod structures;
 mod survival;
 mod suspended;
 mod sweeps;

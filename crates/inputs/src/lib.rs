@@ -22,6 +22,7 @@ pub mod log;
 pub mod measurements;
 pub mod plan;
 pub mod scenes;
+mod structure_files;
 pub mod suspicions;
 pub mod text;
 pub mod volume_source;

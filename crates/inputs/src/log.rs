@@ -55,7 +55,7 @@ impl OpenedLog {
         mismatches.extend(layout_mismatches(&reader));
         let mut scene = recorded.clone();
         if let Some(file) = &overrides.scene {
-            scene = ipc_types::scene_file::load(file).map_err(Failure::bad_input)?;
+            scene = crate::scenes::load(file).map_err(Failure::bad_input)?;
             mismatches.extend(scene_mismatch(&recorded, &scene, file));
         }
         if let Some(file) = &overrides.volume {

@@ -10,6 +10,7 @@ use clap::ValueEnum;
 use ipc_types::scene::{BACKSLASH, DECIMAL_COMMA, Scene, SceneError, is_number_with_comma, list_default};
 
 use crate::failure::Failure;
+use crate::structure_files;
 
 /// A built-in scene.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -147,11 +148,13 @@ impl SceneSource {
 
     fn parsed(&self) -> Result<Scene, SceneError> {
         let text = match self {
-            SceneSource::File(file) => return ipc_types::scene_file::load(file),
+            SceneSource::File(file) => return load(file),
             SceneSource::BuiltIn(scene) => scene.text(),
             SceneSource::Changed { text, .. } => text,
         };
-        ipc_types::scene_file::parse(text, &self.path())
+        let mut scene = ipc_types::scene_file::parse(text, &self.path())?;
+        structure_files::put_in(&mut scene, &self.path())?;
+        Ok(scene)
     }
 
     fn refused(&self, error: SceneError) -> Failure {
@@ -227,6 +230,16 @@ fn set(table: &mut toml::Table, path: &str, value: toml::Value) -> Result<(), St
         }
         _ => Err(format!("`{first}` is not a table")),
     }
+}
+
+/// Reads and checks a scene file and all files that it names.
+///
+/// # Errors
+/// As [`ipc_types::scene_file::load`]; also if a label map or mesh of a `[[structure]]` is refused.
+pub fn load(file: &Path) -> Result<Scene, SceneError> {
+    let mut scene = ipc_types::scene_file::load(file)?;
+    structure_files::put_in(&mut scene, file)?;
+    Ok(scene)
 }
 
 impl fmt::Display for SceneSource {

@@ -281,6 +281,7 @@ mod tests {
             "drr.carm.row_axis",
             "drr.carm.column_axis",
             "structure.tube.points_mm",
+            "structure.label.voxels.axes",
         ];
         assert_eq!(without, elsewhere);
     }

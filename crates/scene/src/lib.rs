@@ -51,6 +51,8 @@ mod planned_path;
 mod ranges;
 pub mod reference;
 mod schema;
+mod structure_content;
+mod structure_curve;
 mod tool;
 mod tool_file;
 mod truth;
@@ -66,6 +68,7 @@ pub use no_effect::{NoEffect, keys_without_effect};
 pub use place::is_number_with_comma;
 pub use planned_path::planned_path_mm;
 pub use schema::json_schema;
+pub use structure_content::{FIELD_REACH_MM, MAX_STRUCTURE_TRIANGLES, MAX_STRUCTURE_VOXELS};
 pub use tool::{FlexurePlace, Holder, OuterTubeSize, STANDARD_HOLDER, STANDARD_RADII, ToolRadii};
 pub use truth::planned_path_in_bone_mm;
 
@@ -126,7 +129,8 @@ impl Scene {
     }
 
     /// As [`Scene::parse`], with a function that reads the files that the scene names (`tool.plan`,
-    /// `manipulator.file`, `arm.urdf`). The returned scene holds their content and no longer names them.
+    /// `manipulator.file`, `arm.urdf`, `structure.curve`). The returned scene holds their content and no
+    /// longer names them.
     ///
     /// # Errors
     /// As [`Scene::parse`]; a file cannot be read, is of the wrong kind, or sets what the scene sets too.
@@ -139,7 +143,8 @@ impl Scene {
         let tool = tool_file::put_in(&mut given, folder, read, &checker)?;
         let planned = plan::put_in(&mut given, folder, read, &checker)?;
         let arm = urdf::put_in(&mut given, folder, read, &checker)?;
-        let completed = match tool || planned || arm {
+        let curved = structure_curve::put_in(&mut given, folder, read, &checker)?;
+        let completed = match tool || planned || arm || curved {
             // The scene as written, with its line numbers.
             false => text.to_owned(),
             true => toml::to_string(&given).map_err(|cause| SceneError::Malformed {
@@ -170,6 +175,12 @@ impl Scene {
         }
         for mesh in self.arm.mesh.iter_mut().flatten() {
             mesh.file = absolute(folder.join(&mesh.file));
+        }
+        for structure in &mut self.structure {
+            let label = structure.label.iter_mut().map(|label| &mut label.file);
+            for file in label.chain(structure.mesh.iter_mut().map(|mesh| &mut mesh.file)) {
+                *file = absolute(folder.join(&*file));
+            }
         }
     }
 

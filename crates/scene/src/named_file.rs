@@ -50,3 +50,15 @@ pub(crate) fn take_flag(
 pub(crate) fn numbers(place: [f64; 3]) -> Value {
     Value::Array(place.map(Value::Float).to_vec())
 }
+
+/// The tables of an array of tables.
+pub(crate) fn tables<'t>(scene: &'t mut Table, key: &str) -> impl Iterator<Item = &'t mut Table> {
+    let values = match scene.get_mut(key) {
+        Some(Value::Array(values)) => values.as_mut_slice(),
+        _ => &mut [],
+    };
+    values.iter_mut().filter_map(|value| match value {
+        Value::Table(table) => Some(table),
+        _ => None,
+    })
+}

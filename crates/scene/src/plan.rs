@@ -10,7 +10,7 @@ use toml::{Table, Value};
 
 use crate::check::Checker;
 use crate::error::SceneError;
-use crate::named_file::{ReadText, numbers, take_text};
+use crate::named_file::{ReadText, numbers, tables, take_text};
 use crate::tool::STANDARD_RADII;
 
 /// Clearance of the pilot hole around the burr, mm in diameter: as in the scenes of `configs/`, 7 mm for a
@@ -113,16 +113,4 @@ fn steer(controller: &mut Table, plan: &Plan, checker: &Checker) -> Result<(), S
         skiving.entry("depth_mm").or_insert_with(|| Value::Float(plan.arc(0.0).length_mm));
     }
     Ok(())
-}
-
-/// The tables of an array of tables.
-fn tables<'t>(scene: &'t mut Table, key: &str) -> impl Iterator<Item = &'t mut Table> {
-    let values = match scene.get_mut(key) {
-        Some(Value::Array(values)) => values.as_mut_slice(),
-        _ => &mut [],
-    };
-    values.iter_mut().filter_map(|value| match value {
-        Value::Table(table) => Some(table),
-        _ => None,
-    })
 }

@@ -2,12 +2,16 @@
 
 use std::sync::Arc;
 
-use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
+use scene::{BuiltInStructure, Scene, StructureCuboid, StructureVoxels};
+use thiserror::Error;
+use voxel_grid::{GridError, VoxelGrid};
 
 use crate::field::DistanceField;
+use crate::solid::Solid;
 
 /// A shape in the patient frame.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, PartialEq)]
 pub enum Shape {
     /// All points within a radius of a polyline: a ball for one point, a capsule for two, a canal or vessel
     /// for more.
@@ -24,34 +28,89 @@ pub enum Shape {
         /// Half extents along its axes, m.
         half_m: Vector3<f64>,
     },
-    /// What a volume defines.
-    Field(Arc<DistanceField>),
+    /// What a mesh bounds.
+    Solid(Arc<Solid>),
+    /// What a volume defines, and all that is closer to it than `more_m`.
+    Field {
+        /// Distance from what the volume defines.
+        field: Arc<DistanceField>,
+        /// Width that is added to it, m.
+        more_m: f64,
+    },
+}
+
+/// Why a structure of a scene has no shape.
+#[derive(Debug, Error)]
+pub enum StructureError {
+    /// The scene was not read from a file together with the files that it names.
+    #[error("the file of structure `{0}` has not been read: read the scene from its file")]
+    Unread(String),
+    /// Its content is malformed.
+    #[error("structure `{name}` {problem}")]
+    Malformed {
+        /// Its name.
+        name: String,
+        /// What is wrong.
+        problem: String,
+    },
+    /// Its voxels are not a grid.
+    #[error("structure `{name}` has {cause}")]
+    Grid {
+        /// Its name.
+        name: String,
+        /// What is wrong.
+        cause: GridError,
+    },
+    /// It is defined by the bone of a volume, and there is none.
+    #[error("structure `{0}` needs a volume")]
+    NoVolume(String),
 }
 
 impl Shape {
-    /// Returns the shape of a scene's structure; `outside` is the distance from the outside of the bone.
-    /// `None` for a structure that is defined by a volume, without one.
-    pub fn of(structure: &scene::Structure, outside: Option<&Arc<DistanceField>>) -> Option<Shape> {
-        let metres = |point_mm: [f64; 3]| Vector3::from(point_mm) * 1e-3;
+    /// Returns the shape of a scene's structure where the bone of `[truth]` is; `outside` is the distance
+    /// from the outside of the bone.
+    ///
+    /// # Errors
+    /// [`StructureError`]: its file has not been read, or it needs a volume.
+    pub fn of(
+        scene: &Scene,
+        structure: &scene::Structure,
+        outside: Option<&Arc<DistanceField>>,
+    ) -> Result<Shape, StructureError> {
+        let place_m = |point_mm: [f64; 3]| Vector3::from(scene.in_bone_mm(point_mm)) * 1e-3;
+        let name = || structure.name.clone();
+        let malformed = |problem: String| StructureError::Malformed { name: name(), problem };
         if let Some(ball) = &structure.ball {
-            return Some(Shape::Tube {
-                points_m: vec![metres(ball.centre_mm)],
-                radius_m: ball.radius_mm * 1e-3,
-            });
+            let points_m = vec![place_m(ball.centre_mm)];
+            return Ok(Shape::Tube { points_m, radius_m: ball.radius_mm * 1e-3 });
         }
         if let Some(tube) = &structure.tube {
-            let points_m = tube.points_mm.iter().copied().map(metres).collect();
-            return Some(Shape::Tube { points_m, radius_m: tube.radius_mm * 1e-3 });
+            let points_m = tube.points_mm.iter().copied().map(place_m).collect();
+            return Ok(Shape::Tube { points_m, radius_m: tube.radius_mm * 1e-3 });
         }
         if let Some(cuboid) = &structure.cuboid {
-            let turn_rad = cuboid.rotation_vector_deg.map(f64::to_radians);
-            let t_world_cuboid = Isometry3::from_parts(
-                Translation3::from(metres(cuboid.centre_mm)),
-                UnitQuaternion::from_scaled_axis(Vector3::from(turn_rad)),
-            );
-            return Some(Shape::Cuboid { t_world_cuboid, half_m: metres(cuboid.half_extents_mm) });
+            return Ok(placed_cuboid(scene, cuboid));
         }
-        outside.map(|field| Shape::Field(Arc::clone(field)))
+        if let Some(label) = &structure.label {
+            let voxels = label.voxels.as_ref().ok_or_else(|| StructureError::Unread(name()))?;
+            let is_inside = voxels.is_inside().map_err(malformed)?;
+            let field = grid(scene, voxels)
+                .and_then(|grid| DistanceField::around(&grid, &is_inside, voxels.grown_by()))
+                .map_err(|cause| StructureError::Grid { name: name(), cause })?;
+            return Ok(Shape::Field { field, more_m: 0.0 });
+        }
+        if let Some(mesh) = &structure.mesh {
+            let surface = mesh.surface.as_ref().ok_or_else(|| StructureError::Unread(name()))?;
+            let mesh = surface.mesh().map_err(malformed)?;
+            return Ok(Shape::Solid(Arc::new(Solid::new(&mesh, place_m))));
+        }
+        // The volume lies where the bone is.
+        let field = Arc::clone(outside.ok_or_else(|| StructureError::NoVolume(name()))?);
+        let thickness_mm = match structure.built_in {
+            Some(BuiltInStructure::Cortex) => structure.thickness_mm.unwrap_or(0.0),
+            _ => 0.0,
+        };
+        Ok(Shape::Field { field, more_m: thickness_mm * 1e-3 })
     }
 
     /// Returns the distance of a point from the surface, m, negative inside.
@@ -63,9 +122,38 @@ impl Shape {
                 let beyond = local.abs() - half_m;
                 beyond.map(|x| x.max(0.0)).norm() + beyond.max().min(0.0)
             }
-            Shape::Field(field) => field.distance_m(point_m),
+            Shape::Solid(solid) => solid.distance_m(point_m),
+            Shape::Field { field, more_m } => field.distance_m(point_m) - more_m,
         }
     }
+
+    /// Returns the largest change of the distance over the way of a point.
+    pub fn steepness(&self) -> f64 {
+        match self {
+            Shape::Field { field, .. } => field.steepness(),
+            _ => 1.0,
+        }
+    }
+}
+
+/// Returns the grid of a label's voxels where the bone is.
+fn grid(scene: &Scene, voxels: &StructureVoxels) -> Result<VoxelGrid, GridError> {
+    let origin_m = scene.in_bone_mm(voxels.origin_mm).map(|x| x * 1e-3);
+    let axes = voxels.axes.map(|axis| scene.turned_with_bone(axis));
+    VoxelGrid::new(voxels.dims, voxels.spacing_mm.map(|x| x * 1e-3), origin_m, axes)
+}
+
+/// Returns a box where the bone is.
+fn placed_cuboid(scene: &Scene, cuboid: &StructureCuboid) -> Shape {
+    let turn_rad = Vector3::from(cuboid.rotation_vector_deg.map(f64::to_radians));
+    let axes = UnitQuaternion::from_scaled_axis(turn_rad).to_rotation_matrix();
+    let axis =
+        |index: usize| Vector3::from(scene.turned_with_bone(axes.matrix().column(index).into_owned().into()));
+    let turned = Rotation3::from_matrix_unchecked(Matrix3::from_columns(&[axis(0), axis(1), axis(2)]));
+    let centre_m = Vector3::from(scene.in_bone_mm(cuboid.centre_mm)) * 1e-3;
+    let t_world_cuboid =
+        Isometry3::from_parts(Translation3::from(centre_m), UnitQuaternion::from_rotation_matrix(&turned));
+    Shape::Cuboid { t_world_cuboid, half_m: Vector3::from(cuboid.half_extents_mm) * 1e-3 }
 }
 
 /// Returns the distance of a point from a polyline, m.

@@ -10,7 +10,8 @@ use std::path::Path;
 use crate::declaration::{Range, SCENE};
 use crate::error::SceneError;
 use crate::model::{
-    Body, CArm, CutterShape, DrillingLaw, Drr, FARTHEST_MM, ManipulatorRung, Scene, Structure, Tool, Volume,
+    Body, BuiltInStructure, CArm, CutterShape, DrillingLaw, Drr, FARTHEST_MM, ManipulatorRung, Scene,
+    Structure, StructureAction, StructureRole, Tool, Volume,
 };
 use crate::ranges;
 
@@ -170,17 +171,40 @@ fn check_bodies(scene: &Scene, checker: &Checker) -> Result<(), SceneError> {
 
 fn check_structures(scene: &Scene, checker: &Checker) -> Result<(), SceneError> {
     for (index, structure) in scene.structure.iter().enumerate() {
-        let Structure { name, ball, cuboid, tube, built_in, .. } = structure;
+        let Structure { name, ball, cuboid, tube, label, mesh, built_in, thickness_mm, .. } = structure;
         if scene.structure[..index].iter().any(|other| other.name == *name) {
             return Err(checker.invalid("structure.name", format!("has a duplicate: `{name}`")));
         }
-        let shapes = [ball.is_some(), cuboid.is_some(), tube.is_some(), built_in.is_some()];
+        let shapes = [
+            ball.is_some(),
+            cuboid.is_some(),
+            tube.is_some(),
+            label.is_some(),
+            mesh.is_some(),
+            built_in.is_some(),
+        ];
         let key = format!("structure `{name}`");
         if shapes.iter().filter(|shape| **shape).count() != 1 {
-            return Err(checker.invalid(&key, "needs exactly one of `ball`, `cuboid`, `tube`, `built_in`"));
+            let problem =
+                "needs exactly one of `ball`, `cuboid`, `tube`, `curve`, `label`, `mesh`, `built_in`";
+            return Err(checker.invalid(&key, problem));
         }
         if built_in.is_some() && scene.volume.is_none() {
             return Err(checker.invalid(&key, "needs a `[volume]`, whose bone it is defined by"));
+        }
+        if (*built_in == Some(BuiltInStructure::Cortex)) != thickness_mm.is_some() {
+            let problem = "needs `thickness_mm` and `built_in = \"cortex\"` together, or neither";
+            return Err(checker.invalid(&key, problem));
+        }
+        let is_fixture = [structure.on_margin, structure.on_breach].contains(&StructureAction::Fixture);
+        if is_fixture && scene.manipulator.outer_tube().is_some() {
+            return Err(checker.invalid(&key, "has a `fixture`, which does not hold back an outer tube"));
+        }
+        let has_action =
+            structure.on_margin != StructureAction::Event || structure.on_breach != StructureAction::Event;
+        if structure.role == StructureRole::Target && (has_action || built_in.is_some()) {
+            let problem = "is a `target`: remove `on_margin`, `on_breach` and `built_in`";
+            return Err(checker.invalid(&key, problem));
         }
         let mut coordinates = tube.iter().flat_map(|tube| tube.points_mm.iter().flatten());
         if let Some(far_mm) = coordinates.find(|mm| mm.is_nan() || mm.abs() > FARTHEST_MM) {
@@ -188,7 +212,7 @@ fn check_structures(scene: &Scene, checker: &Checker) -> Result<(), SceneError> 
             return checker.range("structure.tube.points_mm", *far_mm, range);
         }
     }
-    Ok(())
+    scene.check_structure_content().map_err(|(key, problem)| checker.invalid(&key, problem))
 }
 
 fn check_shape(body: &Body, checker: &Checker) -> Result<(), SceneError> {

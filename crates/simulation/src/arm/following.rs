@@ -3,12 +3,15 @@
 use super::motion::{JointMotion, Motion, NextPath, PathMotion};
 use super::path::{JointsOnPath, Path, PathFollower};
 use messages::MAX_ARM_JOINTS;
-use nalgebra::SVector;
+use nalgebra::{Isometry3, SVector};
 
-use super::{Arm, ArmCommand, ArmError, ArmMode, AxisLimits, AxisState, Goal, LinkFrames, Segment};
+use super::{Arm, ArmCommand, ArmError, ArmMode, AxisLimits, AxisState, Goal, Joints, LinkFrames, Segment};
 
 /// Factor over its velocity limit at which a joint makes the arm abandon a path.
 const PATH_FAULT_FACTOR: f64 = 1.5;
+
+/// Number of poses on the way of a stop.
+const STOP_SAMPLES: usize = 4;
 
 impl Arm {
     pub(super) fn follower(&self) -> PathFollower<'_> {
@@ -188,6 +191,70 @@ impl Arm {
                 self.begin(None);
             }
         }
+    }
+
+    /// Brakes as quickly as the limits allow, on the path if on one, and advances by one tick. A stop that is
+    /// already in progress goes on.
+    pub fn brake(&mut self, reason: ArmError) {
+        let is_stopping = match &self.motion {
+            Motion::Rest => true,
+            Motion::Joint(motion) => motion.segment.goal == Goal::Standstill && motion.next.is_none(),
+            Motion::Path(motion) => motion.segment.goal == Goal::Standstill && motion.next.is_none(),
+        };
+        if !is_stopping {
+            if self.stop_then(None).is_err() {
+                return self.give_up(reason);
+            }
+            self.stay(reason);
+        }
+        self.step();
+    }
+
+    /// Cancels a motion that has just begun from rest at `q_rad`.
+    pub fn stand(&mut self, q_rad: &Joints, reason: ArmError) {
+        let stand = AxisState::at_rest(*q_rad);
+        self.publish(&self.parameters.geometry.frames(q_rad), &stand);
+        self.begin(None);
+        self.stay(reason);
+    }
+
+    /// Notes that the arm holds for a reason of its own.
+    fn stay(&mut self, reason: ArmError) {
+        self.state.fault = Some(reason);
+        self.state.mode = ArmMode::Hold;
+        self.last_command = ArmCommand::Hold;
+    }
+
+    /// Visits poses of the tool's base, patient frame, on the way of a stop that begins now, and the last one
+    /// where it ends. Nothing changes.
+    ///
+    /// # Errors
+    /// Ruckig finds no stop.
+    pub fn visit_stop(&mut self, mut visit: impl FnMut(&Isometry3<f64>)) -> Result<(), ArmError> {
+        let base = &self.parameters.t_world_arm_base;
+        let part = |duration_s: f64, sample: usize| duration_s * sample as f64 / STOP_SAMPLES as f64;
+        match self.motion {
+            Motion::Rest => {}
+            Motion::Joint(_) => {
+                let (start, limits) = (self.joint_state(), self.joint_axis_limits(1.0));
+                let segment = Segment { start, goal: Goal::Standstill, limits };
+                let duration_s = self.joint_planner.plan(&segment)?;
+                for sample in 1..=STOP_SAMPLES {
+                    let q_rad = self.joint_planner.sample_candidate(part(duration_s, sample)).position;
+                    visit(&(base * self.parameters.geometry.forward(&q_rad)));
+                }
+            }
+            Motion::Path(motion) => {
+                let start = self.path_planner.sample(self.time_s(motion.tick));
+                let segment = Segment { start, goal: Goal::Standstill, limits: motion.segment.limits };
+                let duration_s = self.path_planner.plan(&segment)?;
+                for sample in 1..=STOP_SAMPLES {
+                    let [at] = self.path_planner.sample_candidate(part(duration_s, sample)).position;
+                    visit(&(base * motion.path.pose(at)));
+                }
+            }
+        }
+        Ok(())
     }
 
     /// Writes the joints and the tool base to the state.

@@ -361,6 +361,12 @@ pub enum ArmError {
     /// The tool came close to a critical structure, or entered it.
     #[error("protective stop: the tool is too close to a critical structure; send `hold`, then another goal")]
     StructureNear,
+    /// The arm would come closer to a critical structure than its fixture allows.
+    #[error("the fixture of `structure[{structure}]` holds the arm back; send a goal that leads away")]
+    Fixture {
+        /// Index of the structure in the scene.
+        structure: usize,
+    },
     /// The scene has no arm to move.
     #[error(
         "the scene has no arm (`arm.model` is \"fixed\"); remove the arm command, or choose another \

@@ -24,6 +24,9 @@ impl Simulation<'_> {
             if entry.command.arm_mode() != Ok(ArmMode::None) && outcomes[1].is_ok() {
                 self.arm_driver = Driver { controller, sequence: entry.command.sequence };
             }
+            if entry.command.tendon_mode() != Ok(TendonMode::None) {
+                self.tendon_driver = Driver { controller, sequence: entry.command.sequence };
+            }
             if entry.command.burr_mode() == Ok(BurrMode::Speed) {
                 self.burr_drive.state.command_rad_per_s = entry.command.burr_speed_rad_per_s;
                 self.burr_driver = Driver { controller, sequence: entry.command.sequence };
@@ -45,8 +48,14 @@ impl Simulation<'_> {
             core::array::from_fn(|t| if t < self.manipulator.tendon_count() { all[t] } else { 0.0 })
         };
         match command.tendon_mode() {
-            Ok(TendonMode::ServoJf) => self.tendon.servo_force(mine(&command.tendon_force_n)),
-            Ok(TendonMode::ServoJp) => self.tendon.servo_displacement(mine(&command.tendon_displacement_m)),
+            Ok(TendonMode::ServoJf) => {
+                let now_n = self.manipulator.tendon_tensions_n();
+                self.tendon.servo_force(mine(&command.tendon_force_n), now_n);
+            }
+            Ok(TendonMode::ServoJp) => {
+                let now_m = self.manipulator.tendon_displacements_m();
+                self.tendon.servo_displacement(mine(&command.tendon_displacement_m), now_m);
+            }
             Ok(TendonMode::MoveJp) => {
                 let now_m = self.manipulator.tendon_displacements_m();
                 let goal_m = mine(&command.tendon_displacement_m);
@@ -130,6 +139,12 @@ impl Simulation<'_> {
 }
 
 impl Simulation<'_> {
+    /// Reports to the sender of the last tendon command that a fixture holds it back.
+    pub(super) fn tell_tendon_driver(&mut self, reason: String) {
+        let Driver { controller, sequence } = self.tendon_driver;
+        self.refusals.push(Refusal { controller, sequence, reason, stopped_later: true });
+    }
+
     /// Reports a problem to the sender of the last burr command.
     pub(super) fn tell_burr_driver(&mut self, reason: String) {
         let Driver { controller, sequence } = self.burr_driver;

@@ -1,5 +1,6 @@
 //! Errors of building a simulation and of computing a tick.
 
+use structures::StructureError;
 use thiserror::Error;
 
 use super::{KeyframeError, LostTool, StateVectorError, TubeRefusal};
@@ -26,6 +27,9 @@ pub enum SimulationError {
     /// The rigid bodies rejected their parameters or input.
     #[error("rigid bodies: {0}")]
     Rigid(#[from] RigidError),
+    /// A critical structure has no shape.
+    #[error(transparent)]
+    Structure(#[from] StructureError),
     /// The tube drive could not plan a stop.
     #[error("tube: {0}")]
     Tube(#[from] TubeRefusal),

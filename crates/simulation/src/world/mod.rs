@@ -21,6 +21,7 @@ mod drive_shaft;
 mod energy;
 mod error;
 mod feasibility;
+mod fixture;
 mod keyframe;
 mod lost;
 mod message;
@@ -191,6 +192,8 @@ pub struct Simulation<'v> {
     arm_driver: Driver,
     /// The sender of the last burr command.
     burr_driver: Driver,
+    /// The sender of the last tendon command.
+    tendon_driver: Driver,
     /// The arm fault that has already been reported.
     arm_fault: Option<ArmError>,
     initial: Option<Box<SimulationSnapshot>>,
@@ -238,6 +241,7 @@ impl<'v> Simulation<'v> {
     fn start(mut simulation: Simulation<'v>) -> Result<Simulation<'v>, SimulationError> {
         simulation.update_state(&Latched::zeroed(), 0);
         simulation.measure_clearances();
+        simulation.look_ahead()?;
         simulation.sample_sensors();
         simulation.initial = Some(Box::new(simulation.snapshot()));
         Ok(simulation)
@@ -377,7 +381,7 @@ impl<'v> Simulation<'v> {
         let slid_j = if self.tube.is_some() { self.tool_energy_j() - start.tool_energy_j() } else { 0.0 };
         self.turn_burr();
         self.report_arm_fault();
-        let tendon = self.tendon.step(self.dt_s);
+        let tendon = self.step_tendons();
         let drive = ToolDrive { base, tendon, tip_wrench: self.cutting_wrench() };
         let report = self.move_tool(&drive)?;
         self.check_not_lost()?;
@@ -386,6 +390,7 @@ impl<'v> Simulation<'v> {
         let removed = self.wear()?;
         self.balance_energy(&start, slid_j, &drive);
         self.watch_structures();
+        self.look_ahead()?;
         self.update_state(latched, removed);
         self.update_hash(latched);
         self.sample_sensors();
@@ -400,7 +405,7 @@ impl<'v> Simulation<'v> {
         if let Some(limit_n) = self.max_flange_force_n {
             self.arm.watch_force(self.manipulator.flange_wrench().force_n.norm(), limit_n);
         }
-        self.arm.step();
+        self.step_arm();
         let wrench = self.flange_wrench();
         if let Some(compliance) = &mut self.compliance {
             compliance.step(&self.arm, &wrench.force_n, &wrench.torque_nm)?;
@@ -545,6 +550,7 @@ impl<'v> Simulation<'v> {
         self.note_arm();
         self.note_breach();
         self.measure_clearances();
+        self.look_ahead()?;
         self.give_clearances();
         self.sensors.restore(&snapshot.sensors);
         Ok(())

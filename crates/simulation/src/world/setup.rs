@@ -60,7 +60,8 @@ pub(super) fn build<'v>(
             (Some(bone), predrilled)
         }
     };
-    let structure_watch = StructureWatch::new(given, bone.as_ref().map(|bone| &bone.outside));
+    let structure_watch = StructureWatch::new(given, bone.as_ref().map(|bone| &bone.outside))?;
+    let has_fixture = structure_watch.fixture.is_some();
     let rigid = if scene.body.is_empty() {
         None
     } else {
@@ -80,7 +81,7 @@ pub(super) fn build<'v>(
         bone,
         rigid,
         planes: Vec::with_capacity(sphere_count * (PLANES_PER_SPHERE + scene.body.len())),
-        tendon: TendonDrive::new(),
+        tendon: TendonDrive::new(has_fixture),
         tube: scene.manipulator.outer_tube().map(TubeDrive::new),
         burr_drive,
         burr_speed_rad_per_s: 0.0,
@@ -96,13 +97,14 @@ pub(super) fn build<'v>(
         sensors: sensors::SensorArray::new(scene),
         state: State::zeroed(),
         predrilled,
-        refusals: Vec::with_capacity(3 * messages::MAX_CONTROLLERS + 2),
+        refusals: Vec::with_capacity(3 * messages::MAX_CONTROLLERS + 3),
         holder: scene.arm.holder(),
         arm_watch: super::ArmWatch::default(),
         breach_watch: super::BreachWatch::default(),
         structure_watch,
         arm_driver: Driver::default(),
         burr_driver: Driver::default(),
+        tendon_driver: Driver::default(),
         arm_fault: None,
         initial: None,
     })

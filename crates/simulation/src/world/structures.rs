@@ -7,19 +7,22 @@
 use std::sync::Arc;
 
 use messages::Approach;
-use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
-use scene::{BuiltInStructure, MAX_STRUCTURES, Scene, StructureAction};
-use structures::{Clearance, DistanceField, Shape, Structure};
+use scene::{MAX_STRUCTURES, Scene, StructureAction, StructureRole};
+use structures::{Clearance, DistanceField, Memory, Shape, Spheres, Structure, StructureError};
 use voxel_grid::VoxelGrid;
 
 use super::Simulation;
+use super::fixture::Fixture;
 use crate::bone::Outside;
 use crate::manipulator::{ManipulatorModel, ProxySphere, SphereKind};
 
 /// The structures of a scene and the tool's clearance from them.
 #[derive(Debug, Default)]
 pub(super) struct StructureWatch {
-    structures: Vec<Structure>,
+    pub(super) structures: Vec<Structure>,
+    pub(super) spheres: Spheres,
+    pub(super) memories: Vec<Memory>,
+    pub(super) fixture: Option<Fixture>,
     /// Clearance of each structure, from the present state.
     clearances: Vec<Clearance>,
     /// The structures that the tool came close to or entered in the last tick.
@@ -36,18 +39,33 @@ enum Nearness {
 
 impl StructureWatch {
     /// Creates the watch for a scene, whose `[truth]` moves the structures with the bone.
-    pub fn new(scene: &Scene, outside: Option<&Arc<Outside>>) -> StructureWatch {
-        let needs_outside =
-            scene.structure.iter().any(|it| it.built_in == Some(BuiltInStructure::OutsideOfBone));
-        let field = outside.filter(|_| needs_outside).and_then(|outside| outside.field()).map(Arc::new);
-        let structures: Vec<Structure> =
-            scene.structure.iter().filter_map(|it| structure(scene, it, field.as_ref())).collect();
+    ///
+    /// # Errors
+    /// A structure's file has not been read.
+    pub fn new(scene: &Scene, outside: Option<&Arc<Outside>>) -> Result<StructureWatch, StructureError> {
+        let needs_outside = scene.structure.iter().any(|it| it.built_in.is_some());
+        let field = outside.filter(|_| needs_outside).and_then(|outside| outside.field());
+        let structure = |of: &scene::Structure| {
+            Ok(Structure {
+                name: Arc::from(of.name.as_str()),
+                shape: Shape::of(scene, of, field.as_ref())?,
+                margin_m: of.margin_mm * 1e-3,
+                is_entrance: of.built_in.is_some(),
+                is_target: of.role == StructureRole::Target,
+                on_margin: of.on_margin,
+                on_breach: of.on_breach,
+            })
+        };
+        let structures = scene.structure.iter().map(structure).collect::<Result<Vec<_>, _>>()?;
         let count = structures.len();
-        StructureWatch {
+        Ok(StructureWatch {
+            fixture: Fixture::new(&structures),
             structures,
+            spheres: Spheres::default(),
+            memories: vec![Memory::default(); count],
             clearances: Vec::with_capacity(count),
             approaches: Vec::with_capacity(2 * MAX_STRUCTURES),
-        }
+        })
     }
 
     /// Returns the clearances of the present state, in the scene's order.
@@ -71,52 +89,14 @@ impl StructureWatch {
     }
 }
 
-fn structure(
-    scene: &Scene,
-    of: &scene::Structure,
-    outside: Option<&Arc<DistanceField>>,
-) -> Option<Structure> {
-    let metres = |point_mm: [f64; 3]| Vector3::from(scene.in_bone_mm(point_mm)) * 1e-3;
-    let shape = match Shape::of(of, outside)? {
-        Shape::Tube { points_m, radius_m } => {
-            let moved = |point_m: Vector3<f64>| metres((point_m * 1e3).into());
-            Shape::Tube { points_m: points_m.into_iter().map(moved).collect(), radius_m }
-        }
-        Shape::Cuboid { t_world_cuboid, half_m } => {
-            let axes = t_world_cuboid.rotation.to_rotation_matrix();
-            let axis = |index: usize| {
-                Vector3::from(scene.turned_with_bone(axes.matrix().column(index).into_owned().into()))
-            };
-            let turned =
-                Rotation3::from_matrix_unchecked(Matrix3::from_columns(&[axis(0), axis(1), axis(2)]));
-            let centre_m = metres((t_world_cuboid.translation.vector * 1e3).into());
-            let rotation = UnitQuaternion::from_rotation_matrix(&turned);
-            Shape::Cuboid {
-                t_world_cuboid: Isometry3::from_parts(Translation3::from(centre_m), rotation),
-                half_m,
-            }
-        }
-        // The volume lies where the bone is.
-        Shape::Field(field) => Shape::Field(field),
-    };
-    Some(Structure {
-        name: Arc::from(of.name.as_str()),
-        shape,
-        margin_m: of.margin_mm * 1e-3,
-        is_entrance: of.built_in == Some(BuiltInStructure::OutsideOfBone),
-        on_margin: of.on_margin,
-        on_breach: of.on_breach,
-    })
-}
-
 impl Outside {
     /// Returns the distance from this outside, negative in it; `None` if the grid is not one of a volume.
-    fn field(&self) -> Option<DistanceField> {
+    fn field(&self) -> Option<Arc<DistanceField>> {
         let geometry = self.geometry();
         let axes = [0, 1, 2].map(|axis| geometry.direction_world_grid.column(axis).into_owned().into());
         let grid =
             VoxelGrid::new(geometry.dims, geometry.spacing_m, geometry.origin_world_m.into(), axes).ok()?;
-        Some(DistanceField::new(&grid, &self.bits()))
+        Some(DistanceField::shared(&grid, &self.bits()))
     }
 }
 
@@ -135,7 +115,7 @@ impl Simulation<'_> {
         let count = self.structure_watch.structures.len();
         for (index, before) in before.into_iter().enumerate().take(count) {
             let nearness = self.structure_watch.nearness(index);
-            if nearness <= before {
+            if nearness <= before || self.structure_watch.structures[index].is_target {
                 continue;
             }
             let watch = &mut self.structure_watch;
@@ -165,10 +145,13 @@ impl Simulation<'_> {
     pub(super) fn measure_clearances(&mut self) {
         let watch = &mut self.structure_watch;
         watch.clearances.clear();
-        for structure in &watch.structures {
-            let spheres = self.manipulator.proxy_spheres().iter();
-            let nearest = structure.nearest(spheres.map(|sphere| (sphere.centre_m, sphere.radius_m)));
-            watch.clearances.extend(nearest);
+        if watch.structures.is_empty() {
+            return;
+        }
+        let spheres = self.manipulator.proxy_spheres().iter();
+        watch.spheres.place(spheres.map(|sphere| (sphere.centre_m, sphere.radius_m)));
+        for (structure, memory) in watch.structures.iter().zip(&mut watch.memories) {
+            watch.clearances.extend(structure.nearest(&watch.spheres, memory));
         }
     }
 }

@@ -14,10 +14,6 @@ const LIMITS: AxisLimits<MAX_TENDONS> = AxisLimits {
 
 /// The actuators' setpoint as plain data.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[expect(
-    clippy::large_enum_variant,
-    reason = "one per simulation; boxing would add an indirection to every tick"
-)]
 pub(super) enum TendonDriveState {
     /// Tension setpoints, N.
     Force([f64; MAX_TENDONS]),
@@ -30,17 +26,36 @@ pub(super) enum TendonDriveState {
         /// Ticks since its start.
         ticks: u64,
     },
+    /// Following setpoints at rates that a fixture limits.
+    Limited {
+        /// Setpoints, N or m.
+        goal: [f64; MAX_TENDONS],
+        /// Where the actuators are, N or m.
+        now: [f64; MAX_TENDONS],
+        /// Whether they are tensions.
+        is_force: bool,
+    },
+}
+
+/// Largest rates of the actuators, N/s or m/s, of an increase and of a decrease of each setpoint.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct RateLimits {
+    pub up: [f64; MAX_TENDONS],
+    pub down: [f64; MAX_TENDONS],
 }
 
 /// The actuators of the tendons.
 pub(super) struct TendonDrive {
     state: TendonDriveState,
     planner: Planner<MAX_TENDONS>,
+    /// Whether a fixture limits the rates.
+    is_limited: bool,
 }
 
 impl TendonDrive {
-    pub(super) fn new() -> TendonDrive {
-        TendonDrive { state: TendonDriveState::Force([0.0; MAX_TENDONS]), planner: Planner::new() }
+    pub(super) fn new(is_limited: bool) -> TendonDrive {
+        let state = TendonDriveState::Force([0.0; MAX_TENDONS]);
+        TendonDrive { state, planner: Planner::new(), is_limited }
     }
 
     pub(super) fn snapshot(&self) -> TendonDriveState {
@@ -56,12 +71,39 @@ impl TendonDrive {
         }
     }
 
-    pub(super) fn servo_force(&mut self, tension_n: [f64; MAX_TENDONS]) {
-        self.state = TendonDriveState::Force(tension_n);
+    /// Commands tensions; `now_n` are the present ones.
+    pub(super) fn servo_force(&mut self, tension_n: [f64; MAX_TENDONS], now_n: [f64; MAX_TENDONS]) {
+        self.state = match self.state {
+            _ if !self.is_limited => TendonDriveState::Force(tension_n),
+            TendonDriveState::Limited { now, is_force: true, .. } | TendonDriveState::Force(now) => {
+                TendonDriveState::Limited { goal: tension_n, now, is_force: true }
+            }
+            _ => TendonDriveState::Limited { goal: tension_n, now: now_n, is_force: true },
+        };
     }
 
-    pub(super) fn servo_displacement(&mut self, displacement_m: [f64; MAX_TENDONS]) {
-        self.state = TendonDriveState::Displacement(displacement_m);
+    /// Commands displacements; `now_m` are the present ones.
+    pub(super) fn servo_displacement(
+        &mut self,
+        displacement_m: [f64; MAX_TENDONS],
+        now_m: [f64; MAX_TENDONS],
+    ) {
+        self.state = match self.state {
+            _ if !self.is_limited => TendonDriveState::Displacement(displacement_m),
+            TendonDriveState::Limited { now, is_force: false, .. } => {
+                TendonDriveState::Limited { goal: displacement_m, now, is_force: false }
+            }
+            _ => TendonDriveState::Limited { goal: displacement_m, now: now_m, is_force: false },
+        };
+    }
+
+    /// Returns the setpoints that a fixture's limits apply to, and whether they are tensions; `None` if the
+    /// actuators are where they should be.
+    pub(super) fn is_force_under_way(&self) -> Option<bool> {
+        match &self.state {
+            TendonDriveState::Limited { goal, now, is_force } if goal != now => Some(*is_force),
+            _ => None,
+        }
     }
 
     /// Starts a motion from the current displacements to a goal; a repeat of the current goal has no effect.
@@ -71,13 +113,17 @@ impl TendonDrive {
         now_m: [f64; MAX_TENDONS],
         dt_s: f64,
     ) -> Result<(), crate::arm::TrajectoryError> {
+        if self.is_limited {
+            self.servo_displacement(goal_m, now_m);
+            return Ok(());
+        }
         let start = match self.state {
             TendonDriveState::Move { segment, .. } if segment.goal == Goal::Independent(goal_m) => {
                 return Ok(());
             }
             TendonDriveState::Move { ticks, .. } => self.planner.sample(ticks as f64 * dt_s),
             TendonDriveState::Displacement(displacement_m) => AxisState::at_rest(displacement_m),
-            TendonDriveState::Force(_) => AxisState::at_rest(now_m),
+            TendonDriveState::Force(_) | TendonDriveState::Limited { .. } => AxisState::at_rest(now_m),
         };
         let segment = Segment { start, goal: Goal::Independent(goal_m), limits: LIMITS };
         self.planner.plan(&segment)?;
@@ -86,9 +132,20 @@ impl TendonDrive {
         Ok(())
     }
 
-    /// Returns the tendon command for this tick.
-    pub(super) fn step(&mut self, dt_s: f64) -> TendonCommand {
+    /// Returns the tendon command for this tick, within the limits of a fixture.
+    pub(super) fn step(&mut self, dt_s: f64, limits: &RateLimits) -> TendonCommand {
         match &mut self.state {
+            TendonDriveState::Limited { goal, now, is_force } => {
+                for t in 0..MAX_TENDONS {
+                    let missing = goal[t] - now[t];
+                    let step = missing.clamp(-limits.down[t] * dt_s, limits.up[t] * dt_s);
+                    now[t] = if step == missing { goal[t] } else { now[t] + step };
+                }
+                match is_force {
+                    true => TendonCommand::EachForce(*now),
+                    false => TendonCommand::EachDisplacement(*now),
+                }
+            }
             TendonDriveState::Force(tension_n) => TendonCommand::EachForce(*tension_n),
             TendonDriveState::Displacement(displacement_m) => {
                 TendonCommand::EachDisplacement(*displacement_m)
