@@ -96,8 +96,8 @@ type Get3<T> = unsafe extern "C" fn(*mut c_void, *const u32, usize, *mut T, usiz
 type Set2<T> = unsafe extern "C" fn(*mut c_void, *const u32, usize, *const T) -> c_int;
 type Set3<T> = unsafe extern "C" fn(*mut c_void, *const u32, usize, *const T, usize) -> c_int;
 
-/// Loads a shared library for the rest of the process, with its functions visible to the FMUs loaded after it.
-/// `name` is a path, or a name that the loader searches.
+/// Loads a shared library for the rest of the process, with its functions visible to the FMUs loaded after
+/// it. `name` is a path, or a name that the loader searches.
 ///
 /// # Errors
 /// If it cannot be loaded.
