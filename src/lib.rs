@@ -13,6 +13,7 @@ pub mod say;
 pub mod cli;
 pub mod commands;
 mod dataset;
+pub mod fmu_controller;
 pub mod geometry;
 pub mod help;
 mod identify;

@@ -9,6 +9,7 @@ use ipc_types::process::end_with_parent;
 use ipc_types::session::{SegmentSweeper, host_is_alive};
 
 use crate::failure::Failure;
+use crate::fmu_controller;
 use crate::keeper;
 
 /// The part to run.
@@ -27,6 +28,9 @@ pub enum ProcCommand {
         #[command(flatten)]
         joined: SessionArgument,
     },
+    /// One of the scene's controllers that are FMUs, named by `TRABECULA_CONTROLLER`. Its library runs in
+    /// this process.
+    Fmu(SessionArgument),
     /// The recorder.
     Recorder {
         /// Folder for `run.mcap` and `timing.mcap`.
@@ -66,6 +70,10 @@ pub fn run(command: &ProcCommand) -> Result<ExitCode, Failure> {
         ProcCommand::Controller { name, joined } => {
             controller_proc::process::run(joined.to_living()?, name).map_err(Failure::failed)?;
         }
+        ProcCommand::Fmu(joined) => {
+            joined.to_living()?;
+            fmu_controller::drive_of_scene()?;
+        }
         ProcCommand::Recorder { output, joined } => {
             let recorded = recorder_proc::process::run(joined.to_living()?, output);
             recorded.map_err(|error| Failure { code: error.exit_code(), message: error.to_string() })?;
@@ -81,6 +89,7 @@ impl ProcCommand {
         match self {
             ProcCommand::Physics(joined)
             | ProcCommand::Drr(joined)
+            | ProcCommand::Fmu(joined)
             | ProcCommand::Controller { joined, .. }
             | ProcCommand::Recorder { joined, .. } => Some(&joined.session),
             ProcCommand::Keep { .. } => None,

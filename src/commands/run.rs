@@ -15,6 +15,7 @@ use voxel_grid::Ct;
 use super::{Choice, choice};
 use crate::failure::{EXIT_INTERRUPTED, Failure};
 use crate::feasibility;
+use crate::fmu_controller;
 use crate::launcher::hub::{Recording, View, refuse_scarce_memory, session_plan};
 use crate::launcher::interrupt::{Interrupts, remove_empty};
 use crate::launcher::part::{self, PartProcess};
@@ -239,6 +240,7 @@ fn volume_of(plan: &RunPlan, source: &SceneSource) -> Result<Option<Ct>, Failure
     loaded.iter().flat_map(|loaded| &loaded.notes).for_each(|note| tell!("{note}"));
     let ct = loaded.map(|loaded| loaded.ct);
     let warnings = feasibility::check(&plan.scene, source, ct.as_ref().map(|ct| &ct.volume))?;
+    fmu_controller::check(&plan.scene, source)?;
     warnings.iter().for_each(|warning| tell!("{warning}"));
     Ok(ct)
 }

@@ -12,6 +12,7 @@ use super::from_markups::{self, FromMarkupsArguments};
 use super::show::{self, ShowArguments};
 use crate::failure::Failure;
 use crate::feasibility;
+use crate::fmu_controller;
 use crate::launcher::volume_source::{self, VolumeFiles};
 use crate::output::refuse_existing;
 use crate::prediction::Prediction;
@@ -112,6 +113,7 @@ pub(super) fn examine(
     let volume = loaded.as_ref().map(|loaded| &loaded.ct.volume);
     let warnings = feasibility::check(scene, source, volume)
         .inspect_err(|_| notes.iter().for_each(|note| tell!("{note}")))?;
+    fmu_controller::check(scene, source)?;
     notes.extend(warnings);
     let prediction = match simulate {
         Simulate::Yes => Some(Prediction::of(scene, loaded.map(|loaded| Arc::new(loaded.ct)))?),

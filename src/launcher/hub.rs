@@ -8,7 +8,7 @@ use ipc_types::messages::layout::Message;
 use ipc_types::messages::services;
 use ipc_types::messages::{CArmGeometry, Part as HubPart, Volume as VolumeMessage};
 use ipc_types::ports::{PortError, Publisher};
-use ipc_types::scene::{Mode, Scene, Wait};
+use ipc_types::scene::{Controller, Mode, Scene, Wait};
 use ipc_types::session::{
     CONTROLLER_VARIABLE, SESSION_VARIABLE, SessionError, SessionHost, SessionPlan, passed_over,
 };
@@ -231,6 +231,19 @@ impl Hub {
             command.arg("--output").arg(output);
         }
         self.spawn(part, &mut command, ProgramOutput::Hidden)
+    }
+
+    /// Returns the words that start a controller's program: its `command`, or this program for an FMU. `None`
+    /// for a controller that is no program of its own.
+    ///
+    /// # Errors
+    /// [`HubError::Start`]: this program's own file is not known.
+    pub fn program_of(controller: &Controller) -> Result<Option<Vec<String>>, HubError> {
+        if controller.fmu.is_none() {
+            return Ok(controller.command.clone());
+        }
+        let program = own_program(&controller.name)?.get_program().to_string_lossy().into_owned();
+        Ok(Some([program.as_str(), "proc", "fmu"].map(str::to_owned).to_vec()))
     }
 
     /// Starts an external controller program.

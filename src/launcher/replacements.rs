@@ -32,9 +32,9 @@ impl Replacements {
         &self,
         plan: &'a RunPlan,
         part: &PartProcess,
-    ) -> Option<(&'a Controller, &'a [String], u32)> {
+    ) -> Option<(&'a Controller, Vec<String>, u32)> {
         let controller = plan.scene.controller.iter().find(|controller| controller.name == part.name)?;
-        let command = controller.command.as_ref()?;
+        let command = Hub::program_of(controller).ok()??;
         let before = self.gone.iter().filter(|gone| gone.name == part.name).count() as u32;
         (before < controller.restarts || controller.optional).then_some((controller, command, before))
     }
@@ -72,7 +72,7 @@ impl Replacements {
         self.events.send(tick, Severity::Warning, EventCode::Run, &text)?;
         if again {
             // If the program no longer exists, the run cannot replace it.
-            let Ok(successor) = hub.start_program(&controller.name, command) else { return Ok(false) };
+            let Ok(successor) = hub.start_program(&controller.name, &command) else { return Ok(false) };
             self.gone.push(std::mem::replace(part, successor));
         } else {
             self.gone.push(parts.remove(index));

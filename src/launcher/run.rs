@@ -453,7 +453,7 @@ fn start_parts(plan: &RunPlan, hub: &Hub) -> Result<Vec<PartProcess>, HubError> 
     }
     parts.push(hub.start(PHYSICS, &[PHYSICS], None)?);
     for controller in &plan.scene.controller {
-        match &controller.command {
+        match &Hub::program_of(controller)? {
             Some(words) => parts.push(hub.start_program(&controller.name, words)?),
             None if controller.external => {}
             None => {

@@ -5,6 +5,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
 use ipc_types::process::EXIT_BAD_INPUT;
+use ipc_types::scene::Controller;
 use serde_json::Value;
 use sim::{SharedScene, SimError};
 use sweep::{Point, Record};
@@ -167,7 +168,7 @@ fn one(
         Err(other) => return Err(Failure::failed(other)),
     };
     refuse_external(shared.scene())?;
-    let has_programs = shared.scene().controller.iter().any(|controller| controller.command.is_some());
+    let has_programs = shared.scene().controller.iter().any(Controller::is_program);
     let is_session = has_programs || study.study.record == Record::Frames;
     if is_session || study.study.record == Record::All {
         row.log = Some(folder.claim_run(index)?);

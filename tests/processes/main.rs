@@ -24,6 +24,7 @@ mod ends;
 mod examples;
 mod feasibility;
 mod floods;
+mod fmus;
 mod forks;
 mod frames;
 mod gaps;

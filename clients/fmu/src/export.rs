@@ -56,7 +56,9 @@ fn take_files(
 ) -> Result<(), FmuError> {
     match value {
         toml::Value::Table(table) => {
-            table.iter_mut().try_for_each(|(_, value)| take_files(value, files, outside))
+            // Controllers that are FMUs are the master's to drive.
+            let mut entries = table.iter_mut().filter(|(key, _)| *key != "fmu");
+            entries.try_for_each(|(_, value)| take_files(value, files, outside))
         }
         toml::Value::Array(items) => items.iter_mut().try_for_each(|value| take_files(value, files, outside)),
         toml::Value::String(text) => {

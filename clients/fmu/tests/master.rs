@@ -11,7 +11,7 @@ use tempfile::TempDir;
 use test_support::limited::Limited;
 use test_support::python;
 use test_support::scenes::TOOL;
-use trabecula_fmu::master::{Archived, Master};
+use trabecula_fmu::master::{Archived, Master, preload};
 use trabecula_fmu::{Version, export};
 
 const RUN: &str = "name = \"a\"\nrun = { mode = \"lockstep\", duration_s = 0.2 }\n";
@@ -81,21 +81,8 @@ fn an_fmu_of_pythonfmu3_controls() {
     let output = build.limited_output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     // Its library takes Python's functions from the process.
-    let mut asked = Program::new(&python);
-    let text =
-        "import os, sysconfig as s; v = s.get_config_var; print(os.path.join(v('LIBDIR'), v('INSTSONAME')))";
-    let output = asked.args(["-c", text]).limited_output().unwrap();
-    let interpreter = String::from_utf8(output.stdout).unwrap();
-    // SAFETY: Python's own library runs only its own initialisers.
-    let opened = unsafe {
-        use libloading::os::unix::{Library, RTLD_GLOBAL, RTLD_NOW};
-        Library::open(Some(interpreter.trim()), RTLD_NOW | RTLD_GLOBAL)
-    };
-    let Ok(opened) = opened else {
-        println!("\n*** SKIPPED: no shared library of Python: {interpreter} ***\n");
-        return;
-    };
-    std::mem::forget(opened);
+    let Some(library) = python::shared_library(&python) else { return };
+    preload(&library).unwrap();
     let (archived, master) = loaded(&folder.path().join("Pi.fmu"), &folder);
     let variable = |name: &str| archived.model.variable(name).unwrap();
     master.set(variable("gain"), 6.0).unwrap();

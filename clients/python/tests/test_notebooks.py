@@ -109,6 +109,15 @@ def test_the_planning_example_comes_within_a_third_of_a_millimetre_where_the_nom
     assert numbers(said, "round 0:")[0] > 1.5 and numbers(said, "round 1:")[1] < 0.3, said
 
 
+def test_designed_controllers_place_the_burr_of_tools_that_differ(tmp_path: Path) -> None:
+    """The tension that is right for the nominal tool misses with the others by millimetres."""
+    support.needs("control")
+    example = ROOT / "clients/python/examples/06_design_on_linear_models.py"
+    said = printed([sys.executable, example], tmp_path)
+    assert numbers(said, "hold:")[1] > 1.0, said
+    assert numbers(said, "LQR and Kalman:")[2] < 0.1 and numbers(said, "branches:")[2] < 0.1, said
+
+
 def within(said: str, begin: str, allowed: tuple[float, float, float]) -> None:
     missed = numbers(said, begin)[:3]
     assert len(missed) == 3 and all(m < a for m, a in zip(missed, allowed)), said

@@ -41,6 +41,8 @@ pub(crate) enum Kind {
     /// Element kind, smallest and largest number of elements.
     List(Box<Kind>, Option<u64>, Option<u64>),
     Table(Table),
+    /// A table with keys of the user's choice, all with values of this kind.
+    Map(Box<Kind>),
     /// A schema form that this module does not know. A test checks that no key has it.
     Unknown,
 }
@@ -175,6 +177,9 @@ impl Reader<'_> {
                 let of = self.kind(&schema["items"]);
                 Kind::List(Box::new(of), schema["minItems"].as_u64(), schema["maxItems"].as_u64())
             }
+            Some("object") if schema["additionalProperties"].is_object() => {
+                Kind::Map(Box::new(self.kind(&schema["additionalProperties"])))
+            }
             _ => Kind::Unknown,
         }
     }
@@ -227,7 +232,7 @@ mod tests {
 
     fn is_known(kind: &Kind) -> bool {
         match kind {
-            Kind::List(of, ..) => is_known(of),
+            Kind::List(of, ..) | Kind::Map(of) => is_known(of),
             Kind::OneOf(values) => !values.is_empty(),
             Kind::Table(table) => !table.keys.is_empty(),
             kind => !matches!(kind, Kind::Unknown),

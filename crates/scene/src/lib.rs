@@ -162,6 +162,9 @@ impl Scene {
 
     fn resolve_paths(&mut self, folder: &Path) {
         for controller in &mut self.controller {
+            if let Some(path) = &mut controller.fmu {
+                *path = absolute(folder.join(&*path));
+            }
             if let Some(drilling) = &mut controller.curved_drilling
                 && let Some(path) = &mut drilling.calibration
             {

@@ -64,6 +64,7 @@ fn value(kind: &Kind, path: &str) -> String {
         Kind::OneOf(values) => {
             values.iter().map(|value| format!("`\"{value}\"`")).collect::<Vec<_>>().join(", ")
         }
+        Kind::Map(of) => format!("table of {}s", value(of, path)),
         Kind::Table(_) => format!("table {}", title_of(kind, path)),
         Kind::List(of, ..) if of.table().is_some() => format!("tables {}", title_of(kind, path)),
         Kind::List(of, least, most) => match (least.filter(|least| Some(*least) == *most), &**of) {
@@ -148,6 +149,7 @@ fn absent(key: &Key) -> String {
         (AbsentValue::Word(word), _) => word.clone(),
         (AbsentValue::Default(_), Kind::Table(_)) => "its defaults".to_owned(),
         (AbsentValue::Default(Value::Array(values)), _) if values.is_empty() => "none".to_owned(),
+        (AbsentValue::Default(Value::Object(values)), _) if values.is_empty() => "none".to_owned(),
         // As written in a scene.
         (AbsentValue::Default(value), _) => {
             toml::Value::try_from(value).map_or(String::new(), |value| format!("`{value}`"))

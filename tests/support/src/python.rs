@@ -73,6 +73,21 @@ pub fn pip(python: &Path) -> Command {
     pip
 }
 
+/// Returns the path of an interpreter's own shared library; prints that it has none.
+///
+/// # Panics
+/// The interpreter does not run.
+pub fn shared_library(python: &Path) -> Option<String> {
+    let text = "import os, sysconfig; of = sysconfig.get_config_var; print(os.path.join(of('LIBDIR'), of('INSTSONAME')))";
+    let output = Command::new(python).args(["-c", text]).limited_output().unwrap();
+    let path = String::from_utf8_lossy(&output.stdout).trim().to_owned();
+    if path.contains(".so") && Path::new(&path).exists() {
+        return Some(path);
+    }
+    println!("\n*** SKIPPED: {} has no shared library: {path} ***\n", python.display());
+    None
+}
+
 /// Runs a program; the error is its last line of output.
 fn said(command: &mut Command) -> Result<(), String> {
     let output = command.limited_output().map_err(|error| error.to_string())?;

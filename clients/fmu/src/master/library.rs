@@ -6,6 +6,7 @@ use std::path::Path;
 use std::sync::{Mutex, PoisonError};
 
 use libloading::Library;
+use libloading::os::unix::{Library as UnixLibrary, RTLD_GLOBAL, RTLD_NOW};
 
 use super::model::{ForeignModel, ForeignVariable, VariableType};
 use super::{Archived, malformed};
@@ -94,6 +95,19 @@ type Get2<T> = unsafe extern "C" fn(*mut c_void, *const u32, usize, *mut T) -> c
 type Get3<T> = unsafe extern "C" fn(*mut c_void, *const u32, usize, *mut T, usize) -> c_int;
 type Set2<T> = unsafe extern "C" fn(*mut c_void, *const u32, usize, *const T) -> c_int;
 type Set3<T> = unsafe extern "C" fn(*mut c_void, *const u32, usize, *const T, usize) -> c_int;
+
+/// Loads a shared library for the rest of the process, with its functions visible to the FMUs loaded after
+/// it. `name` is a path, or a name that the loader searches.
+///
+/// # Errors
+/// If it cannot be loaded.
+pub fn preload(name: &str) -> Result<(), FmuError> {
+    // SAFETY: runs the library's initialisers; the user has chosen to load it into this process.
+    let loaded = unsafe { UnixLibrary::open(Some(name), RTLD_NOW | RTLD_GLOBAL) };
+    let failed =
+        |cause: libloading::Error| FmuError::File { path: name.to_owned(), reason: cause.to_string() };
+    loaded.map(std::mem::forget).map_err(failed)
+}
 
 /// An instance of an FMU.
 pub struct Master {

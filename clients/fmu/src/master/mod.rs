@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 
 use ipc_types::text_file;
 
-pub use library::Master;
+pub use library::{Master, preload};
 pub use model::{ForeignModel, ForeignVariable, VariableType};
 
 use crate::error::FmuError;

@@ -49,8 +49,12 @@ pub struct ForeignModel {
     pub identifier: String,
     /// Step of its default experiment, s.
     pub step_s: Option<f64>,
+    /// Step of its own solver, s, of which every step must be a multiple.
+    pub fixed_step_s: Option<f64>,
     /// Variables of one element and a known type.
     pub variables: Vec<ForeignVariable>,
+    /// Names of the other variables, and what they are.
+    pub unsupported: Vec<(String, &'static str)>,
 }
 
 fn attribute(node: &Node, name: &str) -> Result<String, FmuError> {
@@ -92,16 +96,25 @@ impl ForeignModel {
         }
         let experiment = child(&root, "DefaultExperiment");
         let step_s = experiment.and_then(|node| node.attribute("stepSize")?.parse().ok());
+        let fixed_step_s = simulation.attribute("fixedInternalStepSize").and_then(|text| text.parse().ok());
         let list = child(&root, "ModelVariables").ok_or_else(|| malformed("no `ModelVariables`"))?;
-        let of = if three { variable_of_three } else { variable_of_two };
-        let found = list.children().filter(Node::is_element).map(|node| of(&node));
+        let type_of = if three { type_of_three } else { type_of_two };
+        let (mut variables, mut unsupported) = (Vec::new(), Vec::new());
+        for node in list.children().filter(Node::is_element) {
+            match type_of(&node) {
+                Ok(kind) => variables.push(variable(&node, kind)?),
+                Err(what) => unsupported.push((attribute(&node, "name")?, what)),
+            }
+        }
         Ok(ForeignModel {
             name: attribute(&root, "modelName")?,
             three,
             token: attribute(&root, if three { "instantiationToken" } else { "guid" })?,
             identifier,
             step_s,
-            variables: found.filter_map(Result::transpose).collect::<Result<_, _>>()?,
+            fixed_step_s: fixed_step_s.filter(|step_s: &f64| step_s.is_finite() && *step_s > 0.0),
+            variables,
+            unsupported,
         })
     }
 
@@ -116,33 +129,38 @@ impl ForeignModel {
     }
 }
 
-fn variable(node: &Node, kind: VariableType) -> Result<Option<ForeignVariable>, FmuError> {
+fn variable(node: &Node, kind: VariableType) -> Result<ForeignVariable, FmuError> {
     let reference = attribute(node, "valueReference")?;
-    Ok(Some(ForeignVariable {
+    Ok(ForeignVariable {
         name: attribute(node, "name")?,
         reference: reference.parse().map_err(|_| malformed("a `valueReference` is no number"))?,
         kind,
         causality: node.attribute("causality").unwrap_or("local").to_owned(),
-    }))
+    })
 }
 
-fn variable_of_three(node: &Node) -> Result<Option<ForeignVariable>, FmuError> {
-    let kind = match node.tag_name().name() {
-        "Float64" => VariableType::Float,
-        "Int32" => VariableType::Int,
-        "UInt32" => VariableType::UInt,
-        "Boolean" => VariableType::Boolean,
-        _ => return Ok(None),
-    };
-    if child(node, "Dimension").is_some() { Ok(None) } else { variable(node, kind) }
+/// Description of a variable whose type no controller can be connected to.
+const OTHER_TYPE: &str = "of another type";
+
+fn type_of_three(node: &Node) -> Result<VariableType, &'static str> {
+    if child(node, "Dimension").is_some() {
+        return Err("an array");
+    }
+    match node.tag_name().name() {
+        "Float64" => Ok(VariableType::Float),
+        "Int32" => Ok(VariableType::Int),
+        "UInt32" => Ok(VariableType::UInt),
+        "Boolean" => Ok(VariableType::Boolean),
+        _ => Err(OTHER_TYPE),
+    }
 }
 
-fn variable_of_two(node: &Node) -> Result<Option<ForeignVariable>, FmuError> {
-    let kind = |name| child(node, name).is_some();
+fn type_of_two(node: &Node) -> Result<VariableType, &'static str> {
+    let is = |name| child(node, name).is_some();
     match () {
-        () if kind("Real") => variable(node, VariableType::Float),
-        () if kind("Integer") => variable(node, VariableType::Int),
-        () if kind("Boolean") => variable(node, VariableType::Boolean),
-        () => Ok(None),
+        () if is("Real") => Ok(VariableType::Float),
+        () if is("Integer") => Ok(VariableType::Int),
+        () if is("Boolean") => Ok(VariableType::Boolean),
+        () => Err(OTHER_TYPE),
     }
 }

@@ -31,6 +31,7 @@ pub(super) fn check(scene: &Scene, checker: &Checker) -> Result<(), SceneError> 
             driven.push((*part, &controller.name));
         }
         check_controller(controller, checker)?;
+        check_fmu(controller, scene, checker)?;
         check_image_feedback(controller, scene.drr.as_ref(), checker)?;
         check_tube(controller, scene, checker)?;
     }
@@ -88,23 +89,25 @@ fn check_controller(controller: &Controller, checker: &Checker) -> Result<(), Sc
         controller.tension_sweep.is_some(),
         controller.tube_deployment.is_some(),
         controller.hold.is_some(),
+        controller.fmu.is_some(),
         controller.command.is_some(),
         controller.external,
     ];
     if kinds.iter().filter(|kind| **kind).count() != 1 {
         let problem = format!(
             "`{}` needs exactly one of `curved_drilling`, `skiving`, `tension_sweep`, `tube_deployment`, \
-             `hold`, `command`, `external`",
+             `hold`, `fmu`, `command`, `external`",
             controller.name
         );
         return Err(checker.invalid("controller", problem));
     }
-    if controller.optional && !controller.external && controller.command.is_none() {
-        let problem = "applies only to a controller with `external` or `command`";
+    if controller.optional && !controller.external && !controller.is_program() {
+        let problem = "applies only to a controller with `external`, `command` or `fmu`";
         return Err(checker.invalid("controller.optional", problem));
     }
-    if controller.restarts > 0 && controller.command.is_none() {
-        return Err(checker.invalid("controller.restarts", "applies only to a controller with `command`"));
+    if controller.restarts > 0 && !controller.is_program() {
+        let problem = "applies only to a controller with `command` or `fmu`";
+        return Err(checker.invalid("controller.restarts", problem));
     }
     if let Some(drilling) = &controller.curved_drilling {
         check_curved_drilling(drilling, checker)?;
@@ -116,6 +119,42 @@ fn check_controller(controller: &Controller, checker: &Checker) -> Result<(), Sc
         return Err(checker.invalid("controller.command", "is empty; expected a program and its arguments"));
     }
     Ok(())
+}
+
+/// Checks the keys of an FMU; its variables are checked with its model description.
+fn check_fmu(controller: &Controller, scene: &Scene, checker: &Checker) -> Result<(), SceneError> {
+    let used = [
+        ("inputs", !controller.inputs.is_empty()),
+        ("outputs", !controller.outputs.is_empty()),
+        ("constants", !controller.constants.is_empty()),
+        ("parameters", !controller.parameters.is_empty()),
+        ("step_ms", controller.step_ms.is_some()),
+        ("preload", controller.preload.is_some()),
+    ];
+    let key = |name: &str| format!("controller.{name}");
+    if let Some((name, _)) = used.iter().find(|(_, is_used)| *is_used && controller.fmu.is_none()) {
+        return Err(checker.invalid(&key(name), "applies only to a controller with `fmu`"));
+    }
+    for (table, values) in [("constants", &controller.constants), ("parameters", &controller.parameters)] {
+        if let Some((name, value)) = values.iter().find(|(_, value)| !value.is_finite()) {
+            return Err(
+                checker.invalid(&key(table), format!("sets `{name}` to {value}; expected a finite number"))
+            );
+        }
+    }
+    if let Some(name) = controller.outputs.keys().find(|name| controller.constants.contains_key(*name)) {
+        return Err(
+            checker.invalid(&key("outputs"), format!("and `constants` both set `{name}`; set it once"))
+        );
+    }
+    let dt_ms = scene.run.dt_ms;
+    match controller.step_ms {
+        Some(step_ms) if (controller.step_ticks(dt_ms) as f64 * dt_ms - step_ms).abs() > 1e-6 * dt_ms => {
+            let problem = format!("is {step_ms}; expected a multiple of `run.dt_ms`, {dt_ms}");
+            Err(checker.invalid(&key("step_ms"), problem))
+        }
+        _ => Ok(()),
+    }
 }
 
 fn check_sweep(sweep: &TensionSweep, checker: &Checker) -> Result<(), SceneError> {

@@ -63,7 +63,7 @@ fn check_use(controller: &Controller, scene: &Scene, checker: &Checker) -> Resul
         return Ok(());
     }
     let fail = |problem: String| Err(checker.invalid("controller.sensors", problem));
-    if controller.external || controller.command.is_some() {
+    if controller.external || controller.is_program() {
         return fail("applies only to a built-in controller; other programs read every sensor".to_owned());
     }
     for (index, name) in controller.sensors.iter().enumerate() {

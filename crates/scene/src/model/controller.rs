@@ -1,5 +1,8 @@
 //! `[[controller]]`: what drives the tool.
 
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -7,7 +10,7 @@ use super::built_in::{CurvedDrilling, Hold, Skiving, TensionSweep, TubeDeploymen
 use super::{NAME, NAME_EXPECTED};
 
 /// A controller of the tool. Its kind is exactly one of `curved_drilling`, `skiving`, `tension_sweep`,
-/// `tube_deployment`, `hold`, `command` and `external`.
+/// `tube_deployment`, `hold`, `fmu`, `command` and `external`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Controller {
@@ -29,6 +32,29 @@ pub struct Controller {
     pub tube_deployment: Option<TubeDeployment>,
     /// The built-in controller that holds a tension.
     pub hold: Option<Hold>,
+    /// An FMU for co-simulation (FMI 2.0 or 3.0), relative to the scene file's folder: a program that runs as
+    /// a process of its own; see docs/fmi.md.
+    #[schemars(extend("x-kind" = "path"))]
+    pub fmu: Option<PathBuf>,
+    /// With `fmu`: what each input gets: a field of the state, such as `bend_rad` or `joint_position_rad[3]`,
+    /// or of the newest reading of a sensor, such as `sensor.fbg.value[0]`.
+    #[serde(default)]
+    pub inputs: BTreeMap<String, String>,
+    /// With `fmu`: the output that each field of the command gets, such as `"tendon_force_n[0]" = "u"`.
+    #[serde(default)]
+    pub outputs: BTreeMap<String, String>,
+    /// With `fmu`: fields of the command with a fixed value, such as `tendon_mode = 1`.
+    #[serde(default)]
+    pub constants: BTreeMap<String, f64>,
+    /// With `fmu`: parameters of the FMU.
+    #[serde(default)]
+    pub parameters: BTreeMap<String, f64>,
+    /// With `fmu`: its step, a multiple of `run.dt_ms`; absent: `run.dt_ms`.
+    #[schemars(range(min = 0.1, max = 10_000.0))]
+    pub step_ms: Option<f64>,
+    /// With `fmu`: a shared library to load before it, whose functions it uses, such as
+    /// `libpython3.11.so.1.0` for an FMU of PythonFMU3.
+    pub preload: Option<String>,
     /// A program to start, with its arguments; it finds the session's folder in the environment variable
     /// `TRABECULA_SESSION` and its own name in `TRABECULA_CONTROLLER`.
     pub command: Option<Vec<String>>,
@@ -39,17 +65,29 @@ pub struct Controller {
     #[serde(default = "Controller::default_connect_limit_s")]
     #[schemars(range(min = 1.0, max = 3600.0))]
     pub connect_limit_s: f64,
-    /// True if a controller with `external` or `command` can join and leave at any time: the run begins
-    /// without it, and a `command` that ends does not end the run.
+    /// True if a controller with `external`, `command` or `fmu` can join and leave at any time: the run
+    /// begins without it, and a program that ends does not end the run.
     #[serde(default)]
     pub optional: bool,
-    /// How many times a `command` that ends before the run is restarted.
+    /// How many times a `command` or `fmu` that ends before the run is restarted.
     #[serde(default)]
     #[schemars(range(min = 0, max = 1000))]
     pub restarts: u32,
 }
 
 defaults!(Controller { default_connect_limit_s: f64 = 60.0 });
+
+impl Controller {
+    /// Whether the run starts a program for it: its `command`, or one that runs its `fmu`.
+    pub fn is_program(&self) -> bool {
+        self.command.is_some() || self.fmu.is_some()
+    }
+
+    /// Ticks in a step of its `fmu`.
+    pub fn step_ticks(&self, dt_ms: f64) -> u64 {
+        self.step_ms.map_or(1, |step_ms| (step_ms / dt_ms).round().max(1.0) as u64)
+    }
+}
 
 /// A part of the tool that a controller drives.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]

@@ -171,3 +171,33 @@ fn a_cable_without_tendons_changes_nothing() {
     assert_eq!(vain("rigid_drill", "[tendon_cable]\nfriction = 0.3\n"), ["manipulator.tool.tendon_cable"]);
     assert!(vain("rigid_drill", "").is_empty() && vain("jhu_27", "").is_empty());
 }
+
+#[test]
+fn keys_of_an_fmu_are_checked_with_each_other() {
+    let controller = |keys: &str| format!("[[controller]]\nname = \"a\"\ndrives = []\n{keys}\n");
+    let fmu = "fmu = \"b.fmu\"\n";
+    let scene = parsed(&controller(&format!("{fmu}step_ms = 3.0\noptional = true\nrestarts = 2"))).unwrap();
+    assert!(scene.controller[0].fmu.as_ref().unwrap().is_absolute());
+    assert_eq!(scene.controller[0].step_ticks(scene.run.dt_ms), 3);
+    let refused = [
+        (
+            "hold = { tension_n = 1 }\ninputs = { y = \"bend_rad\" }".to_owned(),
+            "`controller.inputs` applies only",
+        ),
+        ("hold = { tension_n = 1 }\nstep_ms = 1.0".to_owned(), "`controller.step_ms` applies only"),
+        (format!("{fmu}command = [\"x\"]"), "needs exactly one of"),
+        (format!("{fmu}step_ms = 1.5"), "`controller.step_ms` is 1.5; expected a multiple of `run.dt_ms`, 1"),
+        (format!("{fmu}step_ms = 0.5"), "`controller.step_ms` is 0.5; expected a multiple of `run.dt_ms`, 1"),
+        (
+            format!("{fmu}outputs = {{ tendon_mode = \"u\" }}\nconstants = {{ tendon_mode = 1 }}"),
+            "`constants` both set `tendon_mode`",
+        ),
+        (format!("{fmu}parameters = {{ gain = inf }}"), "sets `gain` to inf; expected a finite number"),
+        (format!("{fmu}sensors = [\"a\"]"), "`controller.sensors` applies only to a built-in controller"),
+        (format!("{fmu}inputs = {{ y = 1 }}"), "invalid type: integer `1`"),
+    ];
+    for (keys, part) in refused {
+        let error = parsed(&controller(&keys)).unwrap_err();
+        assert!(error.contains(part), "{keys}: {error}");
+    }
+}

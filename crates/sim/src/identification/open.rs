@@ -369,7 +369,7 @@ fn ticks(study: &Study, experiment: &Experiment, found: &OpenedExperiment, data:
 /// Refuses a scene without commands whose controller runs elsewhere.
 fn refuse_external(shared: &SharedScene) -> Result<(), Failure> {
     let is_absent = |controller: &&scene::Controller| {
-        (controller.external || controller.command.is_some()) && !controller.optional
+        (controller.external || controller.is_program()) && !controller.optional
     };
     match shared.scene().controller.iter().find(is_absent) {
         None => Ok(()),

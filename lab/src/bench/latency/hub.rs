@@ -4,7 +4,7 @@ use std::process::Command as Program;
 use std::time::{Duration, Instant};
 
 use ipc_types::messages::services;
-use ipc_types::messages::{ControllerIndex, Part, State};
+use ipc_types::messages::{ControllerIndex, Part, Phase, RunStatus, State};
 use ipc_types::process::bind_to_parent;
 use ipc_types::scene;
 use ipc_types::session::{CONTROLLER_VARIABLE, Reader, SESSION_VARIABLE, SessionHost, SessionPlan};
@@ -57,6 +57,7 @@ pub(super) fn measure(
     session.claim(Part::Physics).map_err(failed)?;
     std::fs::write(session.folder().join("scene.toml"), SCENE).map_err(failed)?;
     let states = session.publisher::<State>(&services::STATE).map_err(failed)?;
+    let statuses = session.publisher::<RunStatus>(&services::RUN_STATUS).map_err(failed)?;
     let commands = session.command_subscriber(NAME).map_err(failed)?;
     let waiter = session.waiter(Reader::Physics).map_err(failed)?;
     let waker = session.waker(Reader::Controller(ControllerIndex(0))).map_err(failed)?;
@@ -107,6 +108,10 @@ pub(super) fn measure(
             }
         }
     }
+    // An FMU's process answers until the run ends; the others know the number of round trips.
+    let status = RunStatus { phase: Phase::Ended.code(), ..RunStatus::zeroed() };
+    statuses.send(&status).map_err(failed)?;
+    waker.wake();
     child.wait().map_err(failed)?;
     Ok(samples)
 }

@@ -38,6 +38,8 @@ pub enum Peer {
     C,
     /// The Python client.
     Python,
+    /// An FMU, as a controller with `fmu` runs it.
+    Fmu,
     /// A Unix stream socket, messages of the same length.
     Unix,
     /// UDP over loopback, messages of the same length.
@@ -51,6 +53,7 @@ impl Peer {
             Peer::Rust => "Rust client",
             Peer::C => "C client",
             Peer::Python => "Python client",
+            Peer::Fmu => "FMU",
             Peer::Unix => "Unix socket",
             Peer::Udp => "UDP loopback",
         }
@@ -120,7 +123,7 @@ fn measure(
             let samples = match peer {
                 Peer::Iceoryx2 => ping_pong::measure_on(wait, rounds, |start| cores.apart(start))?,
                 Peer::Unix | Peer::Udp => sockets::measure(*peer, wait, rounds, cores)?,
-                Peer::Rust | Peer::C | Peer::Python => match programs.command(*peer, wait, rounds) {
+                Peer::Rust | Peer::C | Peer::Python | Peer::Fmu => match programs.command(*peer, wait, rounds) {
                     Ok(command) => hub::measure(command, wait, rounds, cores)?,
                     Err(reason) => {
                         row.absent = Some(reason);

@@ -7,7 +7,9 @@ use std::time::Duration;
 use clap::ValueEnum;
 use ipc_types::messages::TendonMode;
 use ipc_types::process::end_with_parent;
+use trabecula::fmu_controller::{self, OPTIONS, Setup};
 use trabecula_client::{Client, ClientError, Connection};
+use trabecula_fmu::Archive;
 
 use super::super::failed;
 use super::super::ping_pong::Wait;
@@ -23,6 +25,7 @@ pub(super) struct Programs {
     _folder: Option<tempfile::TempDir>,
     library: Result<PathBuf, String>,
     c: Result<PathBuf, String>,
+    fmu: Result<PathBuf, String>,
     python: PathBuf,
 }
 
@@ -41,30 +44,44 @@ fn library() -> Result<PathBuf, String> {
     places.into_iter().find(|path| path.exists()).ok_or_else(missing)
 }
 
-fn compile_c(folder: &Path, library: &Path) -> Result<PathBuf, String> {
-    let program = folder.join("echo");
-    let libraries = library.parent().unwrap_or(Path::new("."));
-    let output = Program::new("cc")
-        .args(["-O2", "-ffp-contract=off"])
-        .arg("-I")
-        .arg(sources().join("c/include"))
-        .arg(sources().join("c/bench/echo.c"))
-        .arg("-o")
-        .arg(&program)
-        .arg("-L")
-        .arg(libraries)
-        .arg("-ltrabecula_client")
-        .arg(format!("-Wl,-rpath,{}", libraries.display()))
-        .output()
-        .map_err(|cause| format!("cc: {cause}"))?;
+fn compile(arguments: &mut Program) -> Result<(), String> {
+    let output = arguments.output().map_err(|cause| format!("cc: {cause}"))?;
     if output.status.success() {
-        return Ok(program);
+        return Ok(());
     }
     Err(String::from_utf8_lossy(&output.stderr).lines().next().unwrap_or("cc failed").to_owned())
 }
 
+fn compile_c(folder: &Path, library: &Path) -> Result<PathBuf, String> {
+    let program = folder.join("echo");
+    let libraries = library.parent().unwrap_or(Path::new("."));
+    let mut compiler = Program::new("cc");
+    compiler.args(["-O2", "-ffp-contract=off"]).arg("-I").arg(sources().join("c/include"));
+    compiler.arg(sources().join("c/bench/echo.c")).arg("-o").arg(&program);
+    compiler.arg("-L").arg(libraries).arg("-ltrabecula_client");
+    compile(compiler.arg(format!("-Wl,-rpath,{}", libraries.display())))?;
+    Ok(program)
+}
+
+/// Builds the FMU whose output is a gain times its input, as the other programs' command is the bend.
+fn build_fmu(folder: &Path) -> Result<PathBuf, String> {
+    let (library, fmu) = (folder.join("gain.so"), folder.join("gain.fmu"));
+    let of_source = |name: &str| sources().join("fmu/bench").join(name);
+    let mut compiler = Program::new("cc");
+    compiler.args(["-std=c11", "-O2", "-ffp-contract=off", "-shared", "-fPIC"]);
+    compile(compiler.arg(of_source("gain.c")).arg("-o").arg(&library))?;
+    let mut archive = Archive::default();
+    let place = format!("binaries/{}-linux/gain.so", std::env::consts::ARCH);
+    for (name, file) in [("modelDescription.xml", of_source("gain.xml")), (&place, library)] {
+        archive.add(name, &std::fs::read(file).map_err(|cause| cause.to_string())?);
+    }
+    let bytes = archive.finish().ok_or("the FMU is too large")?;
+    std::fs::write(&fmu, bytes).map_err(|cause| cause.to_string())?;
+    Ok(fmu)
+}
+
 impl Programs {
-    /// Compiles the C program and locates what the others need.
+    /// Compiles the C program and the FMU, and locates what the others need.
     pub(super) fn prepare(python: PathBuf) -> Programs {
         let library = library();
         let folder = tempfile::tempdir().map_err(|cause| cause.to_string());
@@ -72,7 +89,8 @@ impl Programs {
             (Ok(folder), Ok(library)) => compile_c(folder.path(), library),
             (Err(reason), _) | (_, Err(reason)) => Err(reason.clone()),
         };
-        Programs { _folder: folder.ok(), library, c, python }
+        let fmu = folder.as_ref().map_err(Clone::clone).and_then(|folder| build_fmu(folder.path()));
+        Programs { _folder: folder.ok(), library, c, fmu, python }
     }
 
     /// Returns the command line of a language's answering side, or why it is missing.
@@ -94,6 +112,11 @@ impl Programs {
                 }
                 command.arg(sources().join("python/bench/echo.py"));
                 command
+            }
+            Peer::Fmu if wait == Wait::Spin => return Err("an FMU's process waits by event".to_owned()),
+            Peer::Fmu => {
+                let fmu = self.fmu.as_ref().map_err(Clone::clone)?.to_string_lossy();
+                return echo_command(peer, wait, rounds, &fmu).map_err(|failure| failure.message);
             }
             other => return echo_command(other, wait, rounds, "").map_err(|failure| failure.message),
         };
@@ -125,6 +148,7 @@ pub fn answer(peer: Peer, wait: Wait, rounds: usize, address: &str) -> Result<()
     end_with_parent();
     match peer {
         Peer::Rust => answer_as_client(wait, rounds).map_err(failed),
+        Peer::Fmu => answer_by_fmu(Path::new(address)),
         Peer::Unix | Peer::Udp => sockets::answer(peer, wait, rounds, address),
         Peer::Iceoryx2 | Peer::C | Peer::Python => Err(Failure::bad_input("this side is another program")),
     }
@@ -147,4 +171,20 @@ fn answer_as_client(wait: Wait, rounds: usize) -> Result<(), ClientError> {
         client.send()?;
     }
     Ok(())
+}
+
+/// Answers until the run ends.
+fn answer_by_fmu(fmu: &Path) -> Result<(), Failure> {
+    let pair = |name: &str, value: &str| vec![(name.to_owned(), value.to_owned())];
+    let setup = Setup {
+        fmu: fmu.to_owned(),
+        inputs: pair("y", "bend_rad"),
+        outputs: pair("tendon_force_n[0]", "u"),
+        constants: vec![("tendon_mode".to_owned(), f64::from(TendonMode::ServoJf.code()))],
+        parameters: Vec::new(),
+        step_ms: None,
+        preload: None,
+        labels: OPTIONS,
+    };
+    fmu_controller::drive(&setup, Client::connect(&Connection::default()).map_err(failed)?)
 }

@@ -1,5 +1,5 @@
-//! Exported FMUs in FMPy, the importer of the standard's own community: valid, with the hash of the same
-//! simulation, and exact when a master rolls back.
+//! Exported FMUs in other importers. In FMPy, that of the standard's own community: valid, with the hash of
+//! the same simulation, and exact when a master rolls back. In libcosim and Ecos: the same course and hash.
 
 #![allow(clippy::unwrap_used, clippy::panic, missing_docs, reason = "tests fail")]
 
@@ -174,6 +174,34 @@ fn a_built_in_controller_drills_in_the_fmu_as_in_a_run() {
             let frame = sim.render(View::Scene).unwrap();
             assert_eq!(found["x_ray"][0], frame.pixels.as_bytes().len());
         }
+    }
+}
+
+#[test]
+fn other_importers_step_as_the_simulation() {
+    let packages = ["libcosimpy==0.0.6", "ecospy==0.7.2", "tbb==2023.2.0"];
+    let Some(python) = python::or_skip("importers-1", &packages, "libcosimpy") else { return };
+    let place = Place::new();
+    let shared = place.scene(&format!("{RUN}{TOOL}"));
+    let fmu = place.exported(&shared, Version::Two);
+    let mut sim = Sim::new(&shared, &Drive::Nothing).unwrap();
+    let step = |_| {
+        sim.step(&[pull()], 1).unwrap();
+        sim.state().bend_rad.to_bits()
+    };
+    let course: Vec<u64> = (0..TICKS).map(step).collect();
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/python/other_importers.py");
+    let reals = json!({"test.tendon_force_n[0]": 4.0, "test.tendon_force_n[1]": 1.0});
+    for importer in ["libcosim", "ecos"] {
+        let mut program = Program::new(&python);
+        program.arg(&script).arg(importer).arg(&fmu).arg(TICKS.to_string()).arg(reals.to_string());
+        let output =
+            program.arg(r#"{"test.tendon_mode": 1}"#).arg("state.bend_rad").limited_output().unwrap();
+        let text = String::from_utf8_lossy(&output.stdout);
+        assert!(output.status.success(), "{text}\n{}", String::from_utf8_lossy(&output.stderr));
+        let found: Value = serde_json::from_str(text.lines().last().unwrap()).unwrap();
+        assert_eq!(found["hash"], hash(&sim), "{importer}");
+        assert_eq!(found["course"], json!(course), "{importer}");
     }
 }
 

@@ -1,0 +1,80 @@
+/* A controller as an FMU (FMI 3.0, co-simulation), with what its master calls: u = gain (goal - y). For the
+   tests, and for `trabecula-lab bench latency`. */
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <stdlib.h>
+
+enum { OK = 0, ERROR = 3 };
+enum { Y = 1, GOAL, GAIN, U, COUNT };
+
+typedef struct {
+    double value[COUNT];
+} Gain;
+
+const char *fmi3GetVersion(void) {
+    return "3.0";
+}
+
+void *fmi3InstantiateCoSimulation(const char *name, const char *token, const char *resources, bool visible,
+                                  bool logging, bool events, bool early, const uint32_t *needed, size_t count,
+                                  void *environment, void *log, void *update) {
+    (void)name, (void)token, (void)resources, (void)visible, (void)logging, (void)events, (void)early;
+    (void)needed, (void)count, (void)environment, (void)log, (void)update;
+    Gain *gain = calloc(1, sizeof *gain);
+    if (gain)
+        gain->value[GAIN] = 1.0;
+    return gain;
+}
+
+void fmi3FreeInstance(void *instance) {
+    free(instance);
+}
+
+int fmi3EnterInitializationMode(void *instance, bool has_tolerance, double tolerance, double start,
+                                bool has_stop, double stop) {
+    (void)instance, (void)has_tolerance, (void)tolerance, (void)start, (void)has_stop, (void)stop;
+    return OK;
+}
+
+int fmi3ExitInitializationMode(void *instance) {
+    (void)instance;
+    return OK;
+}
+
+int fmi3Terminate(void *instance) {
+    (void)instance;
+    return OK;
+}
+
+int fmi3SetFloat64(void *instance, const uint32_t *reference, size_t count, const double *value,
+                   size_t values) {
+    Gain *gain = instance;
+    for (size_t i = 0; i < count; i++) {
+        if (values != count || reference[i] < Y || reference[i] > GAIN)
+            return ERROR;
+        gain->value[reference[i]] = value[i];
+    }
+    return OK;
+}
+
+int fmi3GetFloat64(void *instance, const uint32_t *reference, size_t count, double *value, size_t values) {
+    const Gain *gain = instance;
+    for (size_t i = 0; i < count; i++) {
+        if (values != count || reference[i] < Y || reference[i] > U)
+            return ERROR;
+        value[i] = gain->value[reference[i]];
+    }
+    return OK;
+}
+
+int fmi3DoStep(void *instance, double at, double step, bool no_rollback, bool *event, bool *terminate,
+               bool *early, double *last) {
+    Gain *gain = instance;
+    (void)no_rollback;
+    *event = *terminate = *early = false;
+    *last = at + step;
+    gain->value[U] = gain->value[GAIN] * (gain->value[GOAL] - gain->value[Y]);
+    return OK;
+}
