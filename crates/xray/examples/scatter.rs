@@ -4,8 +4,9 @@
 //! `cargo run --release -p xray --example scatter -- chart [PHOTONS]`
 //!
 //! The chart compares with Monte Carlo of `PHOTONS` photons, on a thigh and a pelvis of ellipsoids: the
-//! scatter itself, relative r.m.s., and the scatter fraction S/(S + P), mean and r.m.s. difference, over the
-//! pixels; and the time that the model adds to a frame of 512 x 512 pixels on two threads, least of the rounds.
+//! scatter itself, relative r.m.s., and the scatter fraction S/(S + P), mean and r.m.s. difference, over
+//! the pixels; and the time that the model adds to a frame of 512 x 512 pixels on two threads, least of the
+//! rounds.
 
 use std::error::Error;
 use std::time::Instant;
@@ -169,7 +170,10 @@ fn chart(photons: f64) -> Result<(), DrrError> {
                 let (with, _) = signal(&mut renderer(&view, spectrum, reference)?, &view, &here)?;
                 let (primary, _) = signal(&mut plain, &view, &here)?;
                 let truth: Vec<f64> = with.iter().zip(&primary).map(|(w, p)| w - p).collect();
-                for (model, scatter) in models {
+                let cheaper = |s: Option<Scatter>| {
+                    s.is_none_or(|s| s.model == ScatterModel::Kernel || s.photons < photons)
+                };
+                for (model, scatter) in models.into_iter().filter(|(_, scatter)| cheaper(*scatter)) {
                     let mut renderer = renderer(&view, spectrum, scatter)?;
                     let is_slow = scatter.is_some_and(|s| s.model == ScatterModel::MonteCarlo);
                     let (mut least, mut image) = ([f64::INFINITY; 2], Vec::new());

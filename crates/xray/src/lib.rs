@@ -9,8 +9,8 @@
 //!    only the pixels that see a removed voxel are recomputed.
 //! 2. Tool: closed-form chords of its parts ([`ToolPart`]); anatomy inside the union of their envelopes is
 //!    subtracted.
-//! 3. Detector ([`DetectorParameters`]): Beer-Lambert, seeded quantum noise, blur. Then the monitor image
-//!    ([`DisplayParameters`]), as mono16.
+//! 3. Detector ([`DetectorParameters`]): Beer-Lambert, [`scatter`], seeded quantum noise, blur. Then the
+//!    monitor image ([`DisplayParameters`]), as mono16.
 //!
 //! The CT is a borrowed `&[i16]` of Hounsfield units and can be in shared memory. The renderer keeps one bit
 //! per voxel for what is drilled and one byte per block of 8x8x8 voxels for what is empty; [`slice_ordered`]

@@ -1,10 +1,10 @@
 //! Scatter by kernels: the fast rung.
 //!
 //! Each part of the detector sends out the scatter of a thin beam through a slab of water of the thickness
-//! that its attenuation corresponds to, as a sum of Gaussians (the form of J. M. Boone and J. A. Seibert, Med.
-//! Phys. 15 (1988) 721), whose shares depend on photon energy, thickness and air gap. The shares in
-//! `kernels.csv` were fitted to [`Pencil`](super::Pencil) by `cargo run --release -p xray --example scatter --
-//! kernels`.
+//! that its attenuation corresponds to, as a sum of Gaussians (the form of J. M. Boone and J. A. Seibert,
+//! Med. Phys. 15 (1988) 721), whose shares depend on photon energy, thickness and air gap. The shares in
+//! `kernels.csv` were fitted to [`Pencil`](super::Pencil) by `cargo run --release -p xray --example scatter
+//! -- kernels`.
 
 use std::sync::LazyLock;
 
@@ -49,13 +49,13 @@ const WATER_PER_BONE: f64 = 1.92 * 0.514_78 / 0.555_08;
 /// Thicknesses at which a C-arm's shares are tabulated.
 const STEP_M: f64 = 0.0125;
 const STEPS: usize = 41;
-/// A patient is not a slab: what thin parts scatter widely crosses the thick part beside them. This share of the
-/// difference in thickness counts, and Gaussians up to this width do not. Fitted to Monte Carlo on a thigh and a
-/// pelvis at 60 keV (`-- chart`).
+/// A patient is not a slab: what thin parts scatter widely crosses the thick part beside them. This share
+/// of the difference in thickness counts, and Gaussians up to this width do not. Fitted to Monte Carlo on a
+/// thigh and a pelvis at 60 keV (`-- chart`).
 const BESIDE: f64 = 0.25;
 const NARROW_M: f64 = 0.05;
-/// Share of the nodes behind the patient that the thick part's thickness exceeds, and the least thickness that
-/// counts as patient.
+/// Share of the nodes behind the patient that the thick part's thickness exceeds, and the least thickness
+/// that counts as patient.
 const THICK_SHARE: f64 = 0.9;
 const LEAST_M: f64 = 5e-3;
 /// Pixels read per node, along each side.

@@ -10,8 +10,8 @@ use crate::ray::IndexRay;
 use crate::siddon::clip_to_volume;
 use crate::vector::{Vec3, add_scaled, cross, norm, scale};
 
-/// Below this share of its weight at the first collision, a photon survives with probability 1/2, and then has
-/// twice the weight.
+/// Below this share of its weight at the first collision, a photon survives with probability 1/2, and then
+/// has twice the weight.
 const LOW_WEIGHT: f64 = 0.2;
 
 /// The random numbers of one photon.

@@ -3,7 +3,7 @@
 use scene::ScatterModel;
 
 use super::kernel::Kernels;
-use super::{MonteCarlo, NODES, Phantom, nodes_of};
+use super::{MonteCarlo, Phantom, nodes_of};
 use crate::carm::CArm;
 use crate::detector::{blur_row, gaussian_weights};
 use crate::error::DrrError;
@@ -15,6 +15,8 @@ use crate::renderer::DrrParameters;
 use crate::spectrum::{Mixture, SpectrumTable, weights};
 use crate::vector::{add_scaled, scale};
 
+/// Nodes of the kernels along the longer side of the detector.
+const KERNEL_NODES: usize = 32;
 /// Standard deviation of the smoothing of the Monte Carlo image, in nodes.
 const SMOOTHING: f64 = 1.5;
 /// Every how many voxels the patient's centre of mass is sampled, along each axis.
@@ -42,16 +44,19 @@ impl ScatterImage {
             (below, (below + 1).min(nodes - 1), x - below as f64)
         };
         let (above, below, down) = place(row, self.per_pixel[1], self.rows);
-        let line = |row: usize| &self.values[row * self.columns..][..self.columns];
-        let (above, below) = (line(above), line(below));
+        let node = |row: usize, column: usize| f64::from(self.values[row * self.columns + column]);
+        let between_rows = |column: usize| {
+            let (a, b) = (node(above, column), node(below, column));
+            a + down * (b - a)
+        };
+        // Neighbouring pixels lie between the same nodes.
+        let (mut left, mut ends) = (usize::MAX, (0.0, 0.0));
         for (out, pixel) in out.iter_mut().zip(from..) {
-            let (left, right, across) = place(pixel, self.per_pixel[0], self.columns);
-            let at = |node: usize| {
-                let (a, b) = (f64::from(above[node]), f64::from(below[node]));
-                a + down * (b - a)
-            };
-            let (a, b) = (at(left), at(right));
-            *out = a + across * (b - a);
+            let (here, right, across) = place(pixel, self.per_pixel[0], self.columns);
+            if here != left {
+                (left, ends) = (here, (between_rows(here), between_rows(right)));
+            }
+            *out = ends.0 + across * (ends.1 - ends.0);
         }
     }
 
@@ -140,9 +145,13 @@ impl Stage {
         anatomy: Anatomy<'_>,
         table: Option<&SpectrumTable>,
     ) -> Result<ScatterImage, DrrError> {
-        let (columns, rows) = nodes_of(c_arm, NODES);
+        let most = match &self.method {
+            Method::Kernel(_) => KERNEL_NODES,
+            Method::MonteCarlo(monte_carlo) => monte_carlo.nodes,
+        };
+        let (columns, rows) = nodes_of(c_arm, most);
         let values = match &self.method {
-            Method::Kernel(kernels) => kernels.image(c_arm, anatomy, table, NODES),
+            Method::Kernel(kernels) => kernels.image(c_arm, anatomy, table, most),
             Method::MonteCarlo(monte_carlo) => {
                 let phantom = Phantom::of_volume(view, removed, self.fill_hu, |hu| self.densities.of(hu))?;
                 let estimate = monte_carlo.estimate(&phantom, c_arm, &self.beam)?;

@@ -1,6 +1,7 @@
-# Scatter behind a slab by plain Monte Carlo, with xraylib's cross sections: every photon is followed until it is
-# absorbed or leaves, and counted where it crosses the detector. For each setup (material, energy, thickness, field,
-# side) the mean over the detector as a fraction of the open field's signal, its standard error, and the primary.
+# Scatter behind a slab by plain Monte Carlo, with xraylib's cross sections: every photon is followed until
+# it is absorbed or leaves, and counted where it crosses the detector. For each setup (material, energy,
+# thickness, field, side) the mean over the detector as a fraction of the open field's signal, its standard
+# error, and the primary.
 import numpy as np
 import xraylib
 
@@ -8,7 +9,7 @@ WATER = [(1, 0.111898), (8, 0.888102)]
 BONE = [(1, 0.034), (6, 0.155), (7, 0.042), (8, 0.435), (11, 0.001), (12, 0.002), (15, 0.103), (16, 0.003)]
 BONE += [(20, 0.225)]
 MATERIALS = [(WATER, 1.0), (BONE, 1.92)]
-PHOTONS = 1_000_000
+PHOTONS = 600_000
 
 
 def per_m(material, of):
@@ -34,7 +35,7 @@ def counted(material, energy, thickness, field, side):
             rows.append(np.interp(np.linspace(0, 1, 2001), total / total[-1], cosines))
         inverse.append(np.array(rows))
 
-    # The beam runs along y from the source at 0; photons are uniform on the detector, weighted by solid angle.
+    # The beam runs along y from the source at 0; photons are uniform on the detector, weighted by angle.
     aim = (rng.random((PHOTONS, 2)) - 0.5) * field
     start = np.stack([aim[:, 0], np.ones(PHOTONS), aim[:, 1]], axis=1)
     length = np.linalg.norm(start, axis=1)
