@@ -32,7 +32,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let photons = |default: f64| arguments.get(1).map_or(Ok(default), |text| text.parse::<f64>());
     match arguments.first().map(String::as_str) {
-        Some("kernels") => kernels(photons(4e4)? as u64)?,
+        Some("kernels") => kernels(photons(2e4)? as u64)?,
         Some("chart") => chart(photons(1e6)?)?,
         _ => return Err("expected `kernels` or `chart`".into()),
     }
