@@ -48,7 +48,8 @@ impl RedirectFile {
         // In its own process group, because it may become the browser, which must outlive the viewer.
         let mut child = opener.process_group(0).spawn().ok()?;
         // Reap it when it ends, which may be late if it is the browser itself.
-        std::thread::spawn(move || child.wait());
+        // Without a thread it stays a zombie until the viewer ends.
+        let _ = std::thread::Builder::new().spawn(move || child.wait());
         Some(RedirectFile { _file: file })
     }
 }

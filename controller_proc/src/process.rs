@@ -166,7 +166,8 @@ impl Ports {
             std::thread::sleep(FRAME_POLL_PERIOD);
         }
         if let lost @ 1.. = frames.decide.take_lost() {
-            let text = format!("{lost} frames lost: this controller was busy");
+            let frames = if lost == 1 { "frame" } else { "frames" };
+            let text = format!("{lost} {frames} lost: this controller was busy");
             self.events.warn(tick, EventCode::MessagesLost, &text)?;
         }
         self.frames = Some(frames);

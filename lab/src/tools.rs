@@ -9,7 +9,7 @@ use trabecula::failure::Failure;
 use trabecula::scenes::BuiltIn;
 use trabecula::tool::source::ToolSource;
 
-/// Name and text of each file in `configs/tools`, the standard tool first.
+/// Name and text of the compared files of `configs/tools`, the standard tool first.
 const SHIPPED: [(&str, &str); 5] = [
     ("jhu_27", include_str!("../../configs/tools/jhu_27.toml")),
     ("two_segments", include_str!("../../configs/tools/two_segments.toml")),

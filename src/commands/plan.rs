@@ -62,7 +62,10 @@ pub fn run(arguments: &PlanArguments) -> Result<(), Failure> {
 
 fn list(scene: Option<&Path>, figures: Figures) -> Result<(), Failure> {
     let table = match scene {
-        Some(file) => plan::Table::of(&SceneSource::File(file.to_owned()).load()?)?,
+        Some(file) => {
+            let scene = SceneSource::File(file.to_owned()).load()?;
+            plan::Table::of(&scene).map_err(|failure| failure.of(&file.display()))?
+        }
         None => plan::Table::standard()?,
     };
     let text = plan::write(&table.rows);

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 use clap::Args;
+use foreign_text::counted;
 use recorder_proc::exit_code::exit_code;
 use run_log::Verdict;
 use run_log::hash_text;
@@ -157,9 +158,10 @@ fn replay_frames(
     let wall_s = began.elapsed().as_secs_f64();
     if !arguments.figures.json {
         let label = log.label();
-        say!("re-rendered {identical} frames on {threads} threads, all identical{label}, in {wall_s:.3} s");
+        let (frames, threads) = (counted(identical, "frame"), counted(threads, "thread"));
+        say!("re-rendered {frames} on {threads}, all identical{label}, in {wall_s:.3} s");
         if in_gaps > 0 {
-            say!("{in_gaps} frames are in a gap of the log and were skipped");
+            say!("skipped {} in a gap of the log", counted(in_gaps, "frame"));
         }
         if without_request > 0 {
             say!(
@@ -266,16 +268,16 @@ fn tell(
         false => String::new(),
     };
     say!(
-        "replayed {} ticks{from}{}{label}; last tick {}, hash {}; {simulated_s:.3} s simulated in \
+        "replayed {}{from}{}{label}; last tick {}, hash {}; {simulated_s:.3} s simulated in \
          {wall_s:.3} s, {:.1} times real time",
-        report.identical_ticks,
+        counted(report.identical_ticks, "tick"),
         if arguments.verify { ", all identical" } else { "" },
         report.last_tick,
         hash_text(report.hash),
         simulated_s / wall_s.max(1e-9)
     );
     if arguments.verify {
-        say!("{} keyframes, all identical", found.identical_keyframes);
+        say!("{}, all identical", counted(found.identical_keyframes, "keyframe"));
     }
     if let Some(failure) = &report.failure {
         say!("then the simulation fails as in the run: {failure}");
@@ -298,7 +300,7 @@ fn tell_recorded(recorded: &ReplayRecording, log: &OpenedLog, figures: Figures) 
     if figures.json {
         say!("{}", json!({"output": path_text(path), "ticks": ticks, "frames": frames, "sha256": sha256}));
     } else {
-        say!("re-recorded {ticks} ticks and {frames} frames{}", log.label());
+        say!("re-recorded {} and {}{}", counted(ticks, "tick"), counted(frames, "frame"), log.label());
         say!("sha256 {theirs}  {}\nsha256 {ours}  {}", log.path.display(), path.display());
         remark.iter().for_each(|remark| say!("{remark}"));
         if theirs == ours {
@@ -325,7 +327,7 @@ fn live(arguments: &ReplayArguments, log: &OpenedLog, to_tick: Tick) -> Result<(
     arguments.figures.say(
         || {
             let line = |(name, commands): &(String, u64)| {
-                format!("controller `{name}`: {commands} commands, all identical{label}")
+                format!("controller `{name}`: {}, all identical{label}", counted(commands, "command"))
             };
             compared.iter().map(line).collect::<Vec<_>>().join("\n")
         },

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use clap::Subcommand;
+use foreign_text::counted;
 use ipc_types::scene::{Mode, Scene};
 
 use super::from_markups::{self, FromMarkupsArguments};
@@ -155,9 +156,9 @@ fn check(
     let warnings = notes.iter().filter(|note| note.starts_with(WARNING)).count();
     match strict && warnings > 0 {
         true => Err(Failure::bad_input(format!(
-            "{}: {warnings} {}, treated as errors (--strict)",
+            "{}: {}, treated as errors (--strict)",
             file.display(),
-            if warnings == 1 { "warning" } else { "warnings" }
+            counted(warnings, "warning")
         ))),
         false => Ok(()),
     }
@@ -165,22 +166,20 @@ fn check(
 
 fn text_of(file: &Path, scene: &Scene) -> String {
     let frames = match scene.frame_period_ticks() {
+        Some(1) => "a frame every tick".to_owned(),
         Some(ticks) => format!("a frame every {ticks} ticks"),
         None => "no scheduled frames".to_owned(),
     };
-    let controllers = match scene.controller.len() {
-        1 => "1 controller".to_owned(),
-        count => format!("{count} controllers"),
-    };
+    let controllers = counted(scene.controller.len(), "controller");
     format!(
-        "{}: scene `{}` is valid: {}, {} ticks of {} ms, {controllers}, {frames}",
+        "{}: scene `{}` is valid: {}, {} of {} ms, {controllers}, {frames}",
         file.display(),
         scene.name,
         match scene.run.mode {
             Mode::Lockstep => "lockstep",
             Mode::Realtime => "real time",
         },
-        scene.tick_count(),
+        counted(scene.tick_count(), "tick"),
         scene.run.dt_ms,
     )
 }

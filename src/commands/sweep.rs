@@ -148,7 +148,8 @@ fn run_points(arguments: &RunArguments) -> Result<(), Failure> {
     let count = study.study.count();
     if let Some(point) = arguments.point.iter().find(|point| **point >= count) {
         return Err(Failure::bad_input(format!(
-            "--point {point}: the study has {count} points, expected 0 to {}",
+            "--point {point}: the study has {}, expected 0 to {}",
+            foreign_text::counted(count, "point"),
             count - 1
         )));
     }

@@ -80,7 +80,7 @@ fn text(dimensions: &[Dimension], response: &Response) -> String {
             [bend_deg, toward_mm, across_mm, along_mm].map(|value| rounded(*value));
         let _ = write!(text, "\n{load}  {bend:>8}  {toward:>9}  {across:>9}  {along:>8}");
         if *stopped > 0 {
-            let _ = write!(text, "  {stopped} flexures at their stops");
+            let _ = write!(text, "  {} at their stops", foreign_text::counted(stopped, "flexure"));
         }
         if !settled {
             text.push_str("  does not settle");

@@ -149,7 +149,7 @@ fn write_drilled(arguments: &DrilledArguments) -> Result<(), Failure> {
     write_by_name(&arguments.output, &volume)?;
     let (output, tick, count) = (arguments.output.display(), gone.tick, gone.voxels.len());
     arguments.figures.say(
-        || format!("{output}: the CT after tick {tick}, {count} voxels removed"),
+        || format!("{output}: the CT after tick {tick}, {} removed", foreign_text::counted(count, "voxel")),
         || {
             let verdict = json::of_verdict(&gone.verdict);
             let path = path_text(&arguments.output);

@@ -1,6 +1,7 @@
 //! Encodes data sets of labelled frames; the caller writes the files.
 
 mod coco;
+pub mod lerobot;
 mod npz;
 mod outline;
 mod split;
@@ -8,7 +9,6 @@ mod yolo;
 
 use std::path::{Path, PathBuf};
 
-use clap::ValueEnum;
 use ipc_types::messages::{CArmProjection, Frame};
 use ipc_types::scene::LabelImage;
 use serde_json::{Value, json};
@@ -16,17 +16,12 @@ use xray::{Labels, keypoint_name};
 
 pub use split::Split;
 
-/// Format of a data set.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+/// Format of a data set of labelled frames.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Format {
-    /// `images/*.png` (16 bits) and `annotations.json` with masks, boxes and keypoints, for pycocotools.
     Coco,
-    /// `images/*.png` (8 bits), `labels/*.txt` with boxes and keypoints, and `data.yaml`, for pose estimation
-    /// with Ultralytics.
     Yolo,
-    /// The same with mask polygons in `labels/*.txt`, for segmentation with Ultralytics.
     YoloSegment,
-    /// A NumPy `.npz` per frame with the image and all labels, and `dataset.json`.
     Npz,
 }
 

@@ -120,7 +120,8 @@ fn answer(stage: &Stage, signal: EndSignal) {
         (Stage::Running, EndSignal::Repeated(_)) => {
             part::end_all_at_once();
             // The launcher cleans up after its parts; if it hangs, the next run cleans up.
-            std::thread::spawn(|| {
+            // Without a thread there is no limit.
+            let _ = std::thread::Builder::new().spawn(|| {
                 std::thread::sleep(EXIT_LIMIT);
                 std::process::exit(EXIT_INTERRUPTED.into());
             });

@@ -171,7 +171,8 @@ fn refused(cause: impl std::fmt::Display) -> Answer {
 
 /// Tries something in a separate thread, so that any change ends with the thread.
 fn tried(what: impl FnOnce() -> std::io::Result<()> + Send + 'static) -> std::io::Result<()> {
-    std::thread::spawn(what).join().unwrap_or_else(|_| Err(std::io::Error::other("the thread panicked")))
+    let thread = std::thread::Builder::new().spawn(what)?;
+    thread.join().unwrap_or_else(|_| Err(std::io::Error::other("the thread panicked")))
 }
 
 fn fifo() -> Answer {

@@ -70,7 +70,10 @@ impl Summary {
             let (voxels, energy) = (drilling.removed_voxels, drilling.cutting_energy_j);
             let crushed = drilling.crushing_energy_j;
             let crushed = if crushed > 0.0 { format!(", {crushed:.3} J crushing") } else { String::new() };
-            rows.push(("drilled", format!("{voxels} voxels{volume}, {energy:.2} J cutting{crushed}")));
+            rows.push(("drilled", {
+                let voxels = foreign_text::counted(voxels, "voxel");
+                format!("{voxels}{volume}, {energy:.2} J cutting{crushed}")
+            }));
             let text = format!(
                 "up to {} at once, in {:.1} % of ticks; maximum burr {:.2} N, walls {:.2} N, flange {:.2} N",
                 drilling.max_contacts,
@@ -170,7 +173,7 @@ impl Summary {
             rows.push(("missing", ticks));
         }
         let lost: u64 = self.logs.lost_messages.values().sum();
-        let lost = (lost > 0).then(|| format!("{lost} messages lost"));
+        let lost = (lost > 0).then(|| format!("{} lost", foreign_text::counted(lost, "message")));
         let problems: Vec<String> = self.logs.notes.iter().cloned().chain(lost).collect();
         if !problems.is_empty() {
             rows.push(("log problems", problems.join("; ")));

@@ -360,6 +360,13 @@ pub fn beyond_tolerance(scene: &Scene, course: &Course) -> Vec<String> {
     target.into_iter().chain(path).collect()
 }
 
+/// Whether the burr came within `tolerance.target_mm`, or else 2 mm, of the scene's target; false without
+/// one.
+pub fn reached_target(scene: &Scene, course: &Course) -> bool {
+    let (allowed_mm, _) = allowed(scene.tolerance.unwrap_or_default().target_mm, "target_mm");
+    course.tool().and_then(|tool| tool.target_error_mm).is_some_and(|error_mm| error_mm <= allowed_mm)
+}
+
 /// Whether a run exceeds a tolerance that its scene sets.
 pub fn is_out_of_tolerance(scene: &Scene, course: &Course) -> bool {
     let tolerance = scene.tolerance.unwrap_or_default();

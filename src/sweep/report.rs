@@ -202,7 +202,7 @@ pub fn draw(study: &Study, rows: &[Row], figure: &str) -> Result<Figure, FigureE
     let lines = clouds.len().div_ceil(COLUMNS).max(1);
     let columns = clouds.len().clamp(1, COLUMNS);
     let completed = rows.iter().filter(|row| of(row).is_some()).count();
-    let title = format!("{figure}: {completed} runs");
+    let title = format!("{figure}: {}", foreign_text::counted(completed, "run"));
     let mut picture = Figure::titled(HEAD + PANEL_HEIGHT * lines as f64, &title)?;
     let cells = picture.cells(columns, lines, 0.0);
     for (area, (key, points)) in cells.into_iter().zip(&clouds) {

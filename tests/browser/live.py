@@ -10,6 +10,17 @@ from page import BURR_PIXELS, Page, count, is_burr, is_link
 from playwright.sync_api import Browser
 
 
+# Notes when the first picture with bone has been rendered, in milliseconds since the page was requested.
+FIRST_BONE = """const seek = setInterval(() => {
+        const view = window.trabecula?.view;
+        if (!view || view.surface.triangles === 0) return;
+        const drawn = (window.drawn ??= view.pictures);
+        if (view.pictures === drawn || view.busy) return;
+        window.firstBone = performance.now();
+        clearInterval(seek);
+    }, 5);"""
+
+
 def connects(page: Page) -> None:
     page.until("the page connects", lambda: page.text("phase") == "Running" and page.number("tick") > 0)
     before = page.number("tick")
@@ -153,8 +164,11 @@ def holds_a_speed(page: Page) -> None:
 
 
 def costs_little(page: Page) -> None:
-    """Measures the page's script time while the run continues at full rate, with and without slices. Nothing is asserted,
-    because the figure depends on the machine."""
+    """Measures the time to the first picture with bone, and the page's script time while the run continues at full rate, with
+    and without slices. Nothing is asserted, because the figures depend on the machine."""
+    page.until("the first picture with bone is noted", lambda: page.page.evaluate("window.firstBone > 0"))
+    print(f"first picture with bone {page.page.evaluate('window.firstBone') / 1000:.2f} s after the page was requested; load average "
+          f"{os.getloadavg()[0]:.1f}", flush=True)
     for slices_are in ("with slices", "without slices"):
         figures = page.page.evaluate("""async () => {
             const { work, view, connection, slices } = trabecula;
@@ -167,11 +181,11 @@ def costs_little(page: Page) -> None:
             const seconds = (performance.now() - began) / 1000;
             return { pictures: (view.pictures - first) / seconds, drawn: work.times.length / seconds, median: work.quantile(0.5),
                 p95: work.quantile(0.95), messages: messages / seconds, share: milliseconds / seconds / 10, triangles: view.surface.triangles,
-                slices: (slices.pictures - drawn) / seconds, software: view.software };
+                slices: (slices.pictures - drawn) / seconds, software: view.software, ratio: view.detail.ratio };
         }""")
         print("page {}: script {median:.2f} ms a picture (p95 {p95:.2f}), {share:.1f} % of the time for {messages:.0f} messages/s; {drawn:.0f} "
               "pictures/s of which {pictures:.0f} with the 3D view and {slices:.0f} with slices, {triangles} triangles, drawn by the processor: "
-              "{software}".format(slices_are, **figures), flush=True)
+              "{software}, with {ratio:.2f} of the pixels along a side".format(slices_are, **figures), flush=True)
         page.page.evaluate("trabecula.slices.toggle()")
 
 
@@ -285,7 +299,7 @@ def check_end(browser: Browser, url: str, pictures: Path) -> None:
 
 def check(browser: Browser, url: str, victim: int, pictures: Path) -> None:
     """Runs all checks on one page, in sequence."""
-    page = Page(browser, url)
+    page = Page(browser, url, before=FIRST_BONE)
     for one in (connects, shows_the_tool, shows_bone, frames_update, holds_the_frame_that_was_asked_for, pauses_and_steps, drives,
                 drives_by_gamepad, holds_a_speed, costs_little, *slices.LIVE):
         _run(one, page)

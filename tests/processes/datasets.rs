@@ -33,7 +33,7 @@ fn a_data_set_takes_an_empty_folder_and_a_threshold_and_refuses_what_it_cannot_m
         );
         assert_eq!(fs::read_dir(&output).unwrap().count(), 0, "{words:?} has written something");
     };
-    refused(&["--dataset", "voc"], "[possible values: coco, yolo, yolo-segment, npz]");
+    refused(&["--dataset", "voc"], "[possible values: coco, yolo, yolo-segment, npz, lerobot]");
     refused(&["--dataset", "npz", "--frames"], "cannot be used with");
     refused(&["--bone-from-hu", "200"], "--dataset <FORMAT>");
     refused(&["--dataset", "npz", "--bone-from-hu", "40000"], "40000");
@@ -44,6 +44,17 @@ fn a_data_set_takes_an_empty_folder_and_a_threshold_and_refuses_what_it_cannot_m
     refused(&["--frames", "--split", "train=1"], "cannot be used with");
     refused(&["--dataset", "npz", "--seed", "1"], "--split <NAME=SHARE,...>");
     refused(&["--frames", "another"], "another: expected a single log; only --dataset accepts several");
+    refused(&["--dataset", "npz", "--task", "drill"], "--task needs --dataset lerobot");
+    refused(&["--dataset", "npz", "--rate", "10"], "--rate needs --foxglove or --dataset lerobot");
+    let lerobot = |flag: &str, value: &str, expected: &str| {
+        refused(&["--dataset", "lerobot", flag, value], expected);
+    };
+    lerobot("--observation", "tensoin", "tensoin");
+    lerobot("--action", "t_world_tip", "t_world_tip");
+    lerobot("--controller", "nobody", "no controller `nobody`; the scene has reference");
+    lerobot("--rate", "2.5", "--rate is 2.5; allowed: a whole number, 1 to 1000");
+    lerobot("--split", "train=1", "--dataset lerobot does not use --split");
+    lerobot("--from", "999999", "the logs have no rows in this range of ticks");
     let npz = |more: &[&str]| export(&[&["--dataset", "npz"], more].concat());
     let done = npz(&["--bone-from-hu", "-200", "--to", "100"]);
     assert_eq!(done.code, Some(0), "{}", done.err);

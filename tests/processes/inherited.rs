@@ -110,16 +110,10 @@ fn a_session_without_space_on_its_disk_names_the_disk() {
     assert!(refused > 0, "no disk was too small");
 }
 
-/// Regression: the launcher panicked when it could start a part but no thread to read its output. The kernel
-/// limits the processes of every user but root, counted by user; so root runs this as a user that has none.
-#[test]
-fn a_run_with_too_few_processes_is_refused_without_a_panic() {
+/// A command with at most this many processes. The kernel limits those of every user but root, counted by
+/// user; so root runs it as a user that has none. `None` without the right to do so.
+fn with_processes(most: u32, place: &Place, words: &[&str]) -> Option<Command> {
     const NOBODY_ELSE: &str = "3405691";
-    let place = Place::new();
-    let open = |path: &Path| std::fs::set_permissions(path, PermissionsExt::from_mode(0o777)).unwrap();
-    open(&place.path(""));
-    let scene = place.scene(&scenes::hold("lockstep", 0.02));
-    open(&scene);
     let as_user = |words: &[&str]| {
         let mut command = Command::new("setpriv");
         command.args(["--reuid", NOBODY_ELSE, "--regid", NOBODY_ELSE, "--clear-groups"]).args(words);
@@ -128,17 +122,63 @@ fn a_run_with_too_few_processes_is_refused_without_a_panic() {
     };
     if !as_user(&[PROGRAM, "--version"]).limited_output().is_ok_and(|output| output.status.success()) {
         println!("skipped: no right to run as another user, or that user cannot run {PROGRAM}");
-        return;
+        return None;
     }
+    Some(as_user(&[&["prlimit", &format!("--nproc={most}:{most}"), PROGRAM], words].concat()))
+}
+
+fn open_to_all(path: &Path) {
+    let mode = if path.is_dir() { 0o777 } else { 0o666 };
+    std::fs::set_permissions(path, PermissionsExt::from_mode(mode)).unwrap();
+}
+
+/// Regression: the launcher panicked when it could start a part but no thread to read its output.
+#[test]
+fn a_run_with_too_few_processes_is_refused_without_a_panic() {
+    let place = Place::new();
+    open_to_all(&place.path(""));
+    let scene = place.scene(&scenes::hold("lockstep", 0.02));
+    open_to_all(&scene);
     for most in 5..=15 {
-        let limit = format!("--nproc={most}:{most}");
-        let mut command = as_user(&["prlimit", &limit, PROGRAM, "run"]);
+        let Some(mut command) = with_processes(most, &place, &["run"]) else { return };
         command.arg(&scene).arg("--output").arg(place.path("out"));
         let output = command.arg("--quiet").limited_output().unwrap();
         let said = String::from_utf8_lossy(&output.stderr);
         assert!(!said.contains("panicked"), "{most} processes: {said}");
         assert!(matches!(output.status.code(), Some(0 | 1)), "{most} processes: {:?} {said}", output.status);
     }
+}
+
+/// Regression: a replay panicked when none of its workers could be started.
+#[test]
+fn a_replay_with_too_few_processes_ends_with_a_message() {
+    let place = Place::new();
+    open_to_all(&place.path(""));
+    assert_eq!(started_by(&["env"], &place, &scenes::hold("lockstep", 0.02)).end().code, Some(0));
+    let run = std::fs::read_dir(place.path("out")).unwrap().next().unwrap().unwrap().path();
+    let log = run.join("run.mcap");
+    [place.path("out"), run, log.clone()].iter().for_each(|path| open_to_all(path));
+    let mut refused = 0;
+    for most in 1..=6 {
+        let Some(mut command) = with_processes(most, &place, &["replay", "--verify"]) else { return };
+        let output = command.arg(&log).limited_output().unwrap();
+        let said = String::from_utf8_lossy(&[output.stdout, output.stderr].concat()).into_owned();
+        assert!(!said.contains("panicked"), "{most} processes: {said}");
+        match output.status.code() {
+            Some(0) => assert!(said.contains("all identical"), "{most} processes: {said}"),
+            Some(1) => {
+                assert!(said.contains("Resource temporarily unavailable"), "{most} processes: {said}");
+                refused += 1;
+            }
+            other => panic!("{most} processes: {other:?} {said}"),
+        }
+    }
+    assert!(refused > 0, "no limit was too low");
+    // Regression: it tries what is permitted in a thread.
+    let Some(mut command) = with_processes(1, &place, &["doctor", "--seconds", "0"]) else { return };
+    let output = command.limited_output().unwrap();
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(!said.contains("panicked") && output.status.code() != Some(101), "{:?} {said}", output.status);
 }
 
 /// Regression: a timer that the parent had set killed the launcher, and so the run.

@@ -38,8 +38,6 @@ pub(crate) struct Model {
     pub tool: String,
     pub dt_s: f64,
     pub stop_s: f64,
-    /// Whether FMU states can be serialised.
-    pub serialises: bool,
 }
 
 /// Escapes a text for an attribute; characters that XML 1.0 forbids are left out.
@@ -90,12 +88,12 @@ const HEAD: &str = "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n";
 const LOGS: &str = "  <LogCategories>\n    <Category name=\"logStatusError\"/>\n  </LogCategories>\n";
 
 fn three(model: &Model, variables: &Variables) -> String {
-    let Model { name, description, token, tool, dt_s, stop_s, serialises } = model;
+    let Model { name, description, token, tool, dt_s, stop_s } = model;
     let mut text = format!(
         "{HEAD}<fmiModelDescription fmiVersion=\"3.0\" modelName=\"{}\" instantiationToken=\"{token}\" \
          description=\"{}\" generationTool=\"{tool}\" variableNamingConvention=\"flat\">\n  <CoSimulation \
          modelIdentifier=\"{MODEL}\" canHandleVariableCommunicationStepSize=\"true\" \
-         fixedInternalStepSize=\"{dt_s:?}\" canGetAndSetFMUState=\"true\" canSerializeFMUState=\"{serialises}\" \
+         fixedInternalStepSize=\"{dt_s:?}\" canGetAndSetFMUState=\"true\" canSerializeFMUState=\"true\" \
          providesDirectionalDerivatives=\"true\"/>\n{}{LOGS}  <DefaultExperiment startTime=\"0\" \
          stopTime=\"{stop_s:?}\" stepSize=\"{dt_s:?}\"/>\n  <ModelVariables>\n",
         escaped(name),
@@ -165,12 +163,12 @@ pub(crate) fn kind_of_two(variable: &Variable) -> Option<&'static str> {
 }
 
 fn two(model: &Model, variables: &Variables) -> String {
-    let Model { name, description, token, tool, dt_s, stop_s, serialises } = model;
+    let Model { name, description, token, tool, dt_s, stop_s } = model;
     let mut text = format!(
         "{HEAD}<fmiModelDescription fmiVersion=\"2.0\" modelName=\"{}\" guid=\"{token}\" description=\"{}\" \
          generationTool=\"{tool}\" variableNamingConvention=\"flat\">\n  <CoSimulation \
          modelIdentifier=\"{MODEL}\" canHandleVariableCommunicationStepSize=\"true\" \
-         canGetAndSetFMUstate=\"true\" canSerializeFMUstate=\"{serialises}\" \
+         canGetAndSetFMUstate=\"true\" canSerializeFMUstate=\"true\" \
          providesDirectionalDerivative=\"true\"/>\n{}{LOGS}  <DefaultExperiment startTime=\"0\" \
          stopTime=\"{stop_s:?}\" stepSize=\"{dt_s:?}\"/>\n  <ModelVariables>\n",
         escaped(name),

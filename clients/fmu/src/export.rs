@@ -42,7 +42,6 @@ pub(crate) fn model(sim: &Sim, token: String) -> Model {
         tool: format!("Trabecula {}", env!("CARGO_PKG_VERSION")),
         dt_s: scene.dt_s(),
         stop_s: scene.tick_count() as f64 * scene.dt_s(),
-        serialises: sim.driven().len() == scene.controller.len(),
     }
 }
 

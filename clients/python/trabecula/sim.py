@@ -51,7 +51,7 @@ CArm = Union[g.CArmGeometry, tuple[float, float], None]
 
 class Snapshot:
     """The complete state of a simulation at a tick, created by `Sim.snapshot`. Holds the drilled voxels, not
-    the volume.
+    the volume. Can be pickled as a `Sim` can.
     """
 
     __slots__ = ("_native",)
@@ -69,6 +69,15 @@ class Snapshot:
         """The values of `Sim.state_names`, read-only."""
         return np.frombuffer(self._native.vector(), "<f8")
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _unpickled_snapshot, (self._native.packed(),)
+
+    def __copy__(self) -> Snapshot:
+        return self
+
+    def __deepcopy__(self, memo: Any) -> Snapshot:
+        return self
+
     def __repr__(self) -> str:
         return f"Snapshot(tick={self.state.tick}, hash={_digits(self.state)})"
 
@@ -82,6 +91,10 @@ class Sim:
     A simulation runs on its own thread. It can be used from any thread; concurrent calls wait for each other,
     and the interpreter lock is released meanwhile. In a child of `fork`, its calls raise an Error, but
     returned data stays readable.
+
+    It can be pickled, and continues bit for bit in another process with the same build. The pickle holds scene
+    and state; the files that the scene names must be there, with the same volume. A recording is not
+    continued. Unpickling anything else than such a state raises an ArgumentError.
     """
 
     def __init__(
@@ -318,10 +331,21 @@ class Sim:
         self._native.reset()
 
     def branch(self) -> Sim:
-        """Creates another simulation in the same state. Scene and volume are shared."""
+        """Creates another simulation in the same state, as `copy.copy` and `copy.deepcopy` do. Scene and
+        volume are shared.
+        """
         sim = type(self).__new__(type(self))
         sim._take(self._native.branch())
         return sim
+
+    def __copy__(self) -> Sim:
+        return self.branch()
+
+    def __deepcopy__(self, memo: Any) -> Sim:
+        return self.branch()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _unpickled_sim, (type(self), self._native.packed())
 
     def render(self, c_arm: CArm = None) -> Image:
         """Renders the X-ray of the current state; later ticks are unaffected. With the scene's C-arm, the
@@ -627,6 +651,24 @@ def identify(study: Union[str, "os.PathLike[str]"], task: str = "fit") -> dict[s
         raise ArgumentError(f"`task` is {task!r}, expected 'fit', 'check' or 'design'")
     result: dict[str, Any] = json.loads(native.identify(os.fspath(study), task))
     return result
+
+
+def _unpickled_snapshot(packed: Any) -> Snapshot:
+    return Snapshot(native.Snapshot.of_packed(_packed_bytes(packed)))
+
+
+def _unpickled_sim(kind: Any, packed: Any) -> Sim:
+    if not (isinstance(kind, type) and issubclass(kind, Sim)):
+        raise ArgumentError(f"the pickle is of {kind!r}, expected a Sim")
+    sim = kind.__new__(kind)
+    sim._take(native.Sim.of_packed(_packed_bytes(packed)))
+    return sim
+
+
+def _packed_bytes(packed: Any) -> bytes:
+    if not isinstance(packed, bytes):
+        raise ArgumentError(f"the pickle holds a {type(packed).__name__}, expected bytes")
+    return packed
 
 
 def _loaded(

@@ -4,6 +4,7 @@
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
+use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 /// Returns a file's text; this crate opens no files itself.
@@ -26,7 +27,7 @@ pub const COLUMNS: [&str; 12] = [
 ];
 
 /// Tip pose at one level of the tendon.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct CalibrationRow {
     /// True while the tension rises, false on the way back: friction makes the two differ.
     pub rising: bool,
@@ -93,7 +94,7 @@ pub enum CalibrationError {
 }
 
 /// The rows of a sweep in the order they were recorded.
-#[derive(Debug, Clone, Default, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Calibration {
     /// The rows.
     pub rows: Vec<CalibrationRow>,

@@ -8,9 +8,10 @@
 //! feed waits for the first frame). At the end it can retract the tool with the burr still turning and the
 //! tension following the same ramp down, so that the last frames show the tunnel.
 
-use messages::{ArmMode, BurrMode, Command, Frame, Pose, State, TendonMode};
+use messages::{ArmMode, BurrMode, Command, Frame, State, TendonMode};
 use nalgebra::Vector3;
 use scene::{CurvedDrilling, Feedback, Scene};
+use serde::{Deserialize, Serialize};
 
 use crate::Controller;
 use crate::calibration::{Calibration, CalibrationError, ReadText};
@@ -31,6 +32,12 @@ pub struct CurvedDrillingController {
     plan: CurvedDrilling,
     calibration: Option<Calibration>,
     burr_radius_m: f64,
+    pub(crate) memory: Memory,
+}
+
+/// Everything that its steps change.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub(crate) struct Memory {
     waits_for_frame: bool,
     shape_due_s: f64,
     start: Option<Start>,
@@ -41,7 +48,7 @@ pub struct CurvedDrillingController {
 }
 
 /// Phase of the procedure.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 enum Phase {
     /// Advancing.
     Feeding,
@@ -57,9 +64,9 @@ const ARRIVED_M: f64 = 1e-5;
 const REST_S: f64 = 0.5;
 
 /// Pose of the tool at the start.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
 struct Start {
-    t_world_flange: Pose,
+    flange_m: Vector3<f64>,
     burr_m: Vector3<f64>,
     along: Vector3<f64>,
     bend: Vector3<f64>,
@@ -83,13 +90,15 @@ impl CurvedDrillingController {
             plan: plan.clone(),
             calibration,
             burr_radius_m: scene.manipulator.radii().cutter.front_radius_m(),
-            waits_for_frame: plan.feedback == Feedback::Image && scene.frame_period_ticks().is_some(),
-            shape_due_s: 0.0,
-            start: None,
-            correction_n: 0.0,
-            phase: Phase::Feeding,
-            reset: ResetWatch::default(),
-            remark: None,
+            memory: Memory {
+                waits_for_frame: plan.feedback == Feedback::Image && scene.frame_period_ticks().is_some(),
+                shape_due_s: 0.0,
+                start: None,
+                correction_n: 0.0,
+                phase: Phase::Feeding,
+                reset: ResetWatch::default(),
+                remark: None,
+            },
         };
         if let Some(calibration) = &controller.calibration {
             let along = Vector3::from(scene.tool.direction).normalize();
@@ -116,18 +125,20 @@ impl CurvedDrillingController {
     }
 
     fn begin(&mut self, state: &State) -> Start {
-        if self.reset.was_reset(state) {
-            (self.start, self.phase, self.correction_n, self.shape_due_s) = (None, Phase::Feeding, 0.0, 0.0);
-            self.remark = Some("the run was reset: starting over".to_owned());
+        let memory = &mut self.memory;
+        if memory.reset.was_reset(state) {
+            (memory.start, memory.phase, memory.correction_n, memory.shape_due_s) =
+                (None, Phase::Feeding, 0.0, 0.0);
+            memory.remark = Some("the run was reset: starting over".to_owned());
         }
         let turn = rotation(&state.t_world_base);
         let start = Start {
-            t_world_flange: state.t_world_flange,
+            flange_m: position_m(&state.t_world_flange),
             burr_m: position_m(&state.t_world_burr),
             along: turn * Vector3::z(),
             bend: turn * Vector3::x(),
         };
-        *self.start.get_or_insert(start)
+        *self.memory.start.get_or_insert(start)
     }
 
     /// Returns the target depth, and the speed to get there.
@@ -135,14 +146,14 @@ impl CurvedDrillingController {
         let plan = &self.plan;
         let end_m = plan.insertion_mm * 1e-3;
         let back_m = (plan.insertion_mm - plan.retraction_mm).max(0.0) * 1e-3;
-        self.phase = match self.phase {
+        self.memory.phase = match self.memory.phase {
             Phase::Feeding if inserted_m >= end_m - ARRIVED_M => Phase::Arrived { since_s: time_s },
             Phase::Arrived { since_s } if plan.retraction_mm > 0.0 && time_s - since_s >= REST_S => {
                 Phase::Retracting
             }
             same => same,
         };
-        match self.phase {
+        match self.memory.phase {
             Phase::Retracting => (back_m, plan.retraction_mm_per_s * 1e-3),
             Phase::Feeding | Phase::Arrived { .. } => (end_m, plan.feed_mm_per_s * 1e-3),
         }
@@ -181,11 +192,11 @@ impl CurvedDrillingController {
 
     /// Corrects the tension from the tip position of the measured shape.
     fn see_shape(&mut self, start: &Start, state: &State) {
-        let feeds = self.plan.feedback == Feedback::Shape && state.sim_time_s >= self.shape_due_s;
+        let feeds = self.plan.feedback == Feedback::Shape && state.sim_time_s >= self.memory.shape_due_s;
         if !feeds {
             return;
         }
-        self.shape_due_s = state.sim_time_s + SHAPE_PERIOD_S;
+        self.memory.shape_due_s = state.sim_time_s + SHAPE_PERIOD_S;
         let burr_m = position_m(&state.t_world_burr);
         let ahead_m = (burr_m - start.burr_m).dot(&start.along) - self.plan.ramp_start_mm * 1e-3;
         // Before the ramp there is no tension to correct, and the error would only accumulate.
@@ -195,14 +206,15 @@ impl CurvedDrillingController {
     }
 
     fn correct(&mut self, start: &Start, seen_m: &Vector3<f64>) -> Option<f64> {
-        if self.phase == Phase::Retracting {
+        if self.memory.phase == Phase::Retracting {
             return None;
         }
         let moved = seen_m - start.burr_m;
         let planned = self.planned_sideways_m(start, moved.dot(&start.along))?;
         let error_m = planned - moved.dot(&start.bend);
         let correction = CORRECTION_SHARE * self.plan.guidance_gain_n_per_mm * error_m * 1e3;
-        self.correction_n = (self.correction_n + correction).clamp(-MAX_CORRECTION_N, MAX_CORRECTION_N);
+        self.memory.correction_n =
+            (self.memory.correction_n + correction).clamp(-MAX_CORRECTION_N, MAX_CORRECTION_N);
         Some(error_m)
     }
 }
@@ -210,18 +222,17 @@ impl CurvedDrillingController {
 impl Controller for CurvedDrillingController {
     fn step(&mut self, state: &State, command: &mut Command) {
         let start = self.begin(state);
-        let inserted_m =
-            (position_m(&state.t_world_flange) - position_m(&start.t_world_flange)).dot(&start.along);
+        let inserted_m = (position_m(&state.t_world_flange) - start.flange_m).dot(&start.along);
         command.tendon_mode = TendonMode::ServoJf.code();
         self.see_shape(&start, state);
         let planned = self.planned_tension_n(&start, inserted_m);
-        let corrected = if planned > 0.0 { planned + self.correction_n } else { 0.0 };
+        let corrected = if planned > 0.0 { planned + self.memory.correction_n } else { 0.0 };
         command.tendon_force_n[0] = corrected.max(0.0);
         command.burr_mode = BurrMode::Speed.code();
         command.arm_mode = ArmMode::Insert.code();
         command.arm_axis = start.along.into();
         command.arm_speed_m_per_s = self.plan.feed_mm_per_s * 1e-3;
-        if self.waits_for_frame {
+        if self.memory.waits_for_frame {
             return;
         }
         command.burr_speed_rad_per_s = self.plan.burr_speed_rpm * core::f64::consts::TAU / 60.0;
@@ -234,12 +245,12 @@ impl Controller for CurvedDrillingController {
         if self.plan.feedback != Feedback::Image {
             return;
         }
-        self.waits_for_frame = false;
-        let Some(start) = self.start else { return };
+        self.memory.waits_for_frame = false;
+        let Some(start) = self.memory.start else { return };
         // The prior is the burr's pose from the kinematics at the frame's own tick.
         let prior = frame.t_world_burr;
         let Some(sighting) = find_tip(&frame.geometry, pixels, &prior, self.burr_radius_m) else {
-            self.remark = Some(format!("frame {}: burr not found", frame.sequence));
+            self.memory.remark = Some(format!("frame {}: burr not found", frame.sequence));
             return;
         };
         let normal = start.along.cross(&start.bend);
@@ -248,19 +259,19 @@ impl Controller for CurvedDrillingController {
         };
         let offset_mm = (seen_m - position_m(&prior)).norm() * 1e3;
         let error_m = self.correct(&start, &seen_m);
-        self.remark = Some(match error_m {
+        self.memory.remark = Some(match error_m {
             Some(error_m) => format!(
                 "frame {}: burr found {offset_mm:.2} mm from the model, {:.2} mm off the planned path, \
                  correction {:+.2} N",
                 frame.sequence,
                 error_m * 1e3,
-                self.correction_n
+                self.memory.correction_n
             ),
             None => format!("frame {}: burr found {offset_mm:.2} mm from the model", frame.sequence),
         });
     }
 
     fn remark(&mut self) -> Option<String> {
-        self.remark.take()
+        self.memory.remark.take()
     }
 }

@@ -3,6 +3,7 @@
 use messages::{Command, Frame, SensorReading, State};
 use scene::Scene;
 use sensors::MeasuredState;
+use serde::{Deserialize, Serialize};
 
 use crate::reset::ResetWatch;
 use crate::{BuiltIn, Controller};
@@ -10,7 +11,13 @@ use crate::{BuiltIn, Controller};
 /// Passes the measured state to a controller. Sends empty commands until each of its sensors has measured.
 #[derive(Debug, Clone)]
 pub struct MeasuringController {
-    inner: BuiltIn,
+    pub(crate) inner: BuiltIn,
+    pub(crate) memory: Memory,
+}
+
+/// Everything that its steps change, besides what the inner controller remembers.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub(crate) struct Memory {
     measured: MeasuredState,
     reset: ResetWatch,
 }
@@ -19,17 +26,17 @@ impl MeasuringController {
     /// Wraps a controller that sees the sensors of these names.
     pub fn new(inner: BuiltIn, scene: &Scene, sensors: &[String]) -> MeasuringController {
         let measured = MeasuredState::new(scene, sensors);
-        MeasuringController { inner, measured, reset: ResetWatch::default() }
+        MeasuringController { inner, memory: Memory { measured, reset: ResetWatch::default() } }
     }
 }
 
 impl Controller for MeasuringController {
     fn step(&mut self, state: &State, command: &mut Command) {
-        if self.reset.was_reset(state) {
-            self.measured.forget_before(state.tick);
+        if self.memory.reset.was_reset(state) {
+            self.memory.measured.forget_before(state.tick);
         }
-        if self.measured.is_complete() {
-            self.inner.step(&self.measured.of(state), command);
+        if self.memory.measured.is_complete() {
+            self.inner.step(&self.memory.measured.of(state), command);
         }
     }
 
@@ -38,7 +45,7 @@ impl Controller for MeasuringController {
     }
 
     fn reading(&mut self, reading: &SensorReading) {
-        self.measured.see(reading);
+        self.memory.measured.see(reading);
     }
 
     fn remark(&mut self) -> Option<String> {

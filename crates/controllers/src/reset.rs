@@ -1,9 +1,10 @@
 //! Detects a reset of the run: removed bone comes back only then.
 
 use messages::State;
+use serde::{Deserialize, Serialize};
 
 /// Compares the removed bone of each state with that of the previous state.
-#[derive(Debug, Clone, Copy, Default)]
+#[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
 pub(crate) struct ResetWatch {
     removed_total: u64,
 }

@@ -3,6 +3,7 @@
 use messages::{ArmMode, BurrMode, Command, State, TendonMode};
 use nalgebra::Vector3;
 use scene::Skiving;
+use serde::{Deserialize, Serialize};
 
 use crate::Controller;
 use crate::geometry::{position_m, rotation};
@@ -12,7 +13,7 @@ use crate::reset::ResetWatch;
 const REPORT_M: f64 = 1e-3;
 
 /// Position of the burr relative to the line of the feed.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct SkivingPoint {
     /// Feed of the tool's base.
     pub depth_m: f64,
@@ -26,13 +27,19 @@ pub struct SkivingPoint {
 #[derive(Debug, Clone)]
 pub struct SkivingController {
     plan: Skiving,
+    pub(crate) memory: Memory,
+}
+
+/// Everything that its steps change.
+#[derive(Debug, Clone, Default, Serialize, Deserialize)]
+pub(crate) struct Memory {
     start: Option<Start>,
     points: Vec<SkivingPoint>,
     reset: ResetWatch,
     remark: Option<String>,
 }
 
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
 struct Start {
     flange_m: Vector3<f64>,
     burr_m: Vector3<f64>,
@@ -44,20 +51,19 @@ struct Start {
 impl SkivingController {
     /// Creates a controller for this plan.
     pub fn new(plan: &Skiving) -> SkivingController {
-        let reset = ResetWatch::default();
-        SkivingController { plan: plan.clone(), start: None, points: Vec::new(), reset, remark: None }
+        SkivingController { plan: plan.clone(), memory: Memory::default() }
     }
 
     /// Returns the points so far: one per millimetre, and one at the end.
     pub fn points(&self) -> &[SkivingPoint] {
-        &self.points
+        &self.memory.points
     }
 
     fn look(&mut self, start: &Start, state: &State) {
         let depth_m = (position_m(&state.t_world_flange) - start.flange_m).dot(&start.along);
         let end_m = self.plan.depth_mm * 1e-3;
-        let due_m = (self.points.len() as f64 * REPORT_M).min(end_m);
-        let reported_m = self.points.last().map_or(-1.0, |point| point.depth_m);
+        let due_m = (self.memory.points.len() as f64 * REPORT_M).min(end_m);
+        let reported_m = self.memory.points.last().map_or(-1.0, |point| point.depth_m);
         // The tolerance of a nanometre covers rounding: the arm reaches its end exactly otherwise.
         if depth_m < due_m - 1e-9 || reported_m >= end_m - 1e-9 {
             return;
@@ -65,8 +71,8 @@ impl SkivingController {
         let off = position_m(&state.t_world_burr) - start.burr_m;
         let point =
             SkivingPoint { depth_m, toward_bend_m: off.dot(&start.bend), across_m: off.dot(&start.across) };
-        self.points.push(point);
-        self.remark = Some(format!(
+        self.memory.points.push(point);
+        self.memory.remark = Some(format!(
             "skiving: at {:.2} mm the burr is {:+.3} mm off its line toward the bend, {:+.3} mm across; bend \
              {:+.2} deg, force {:.2} N",
             depth_m * 1e3,
@@ -88,10 +94,10 @@ impl Controller for SkivingController {
             across: turn * Vector3::y(),
             along: turn * Vector3::z(),
         };
-        if self.reset.was_reset(state) {
-            (self.start, self.points) = (None, Vec::new());
+        if self.memory.reset.was_reset(state) {
+            (self.memory.start, self.memory.points) = (None, Vec::new());
         }
-        let start = *self.start.get_or_insert(begin);
+        let start = *self.memory.start.get_or_insert(begin);
         self.look(&start, state);
         command.tendon_mode = TendonMode::ServoJf.code();
         command.tendon_force_n[..2].fill(self.plan.tension_n);
@@ -104,6 +110,6 @@ impl Controller for SkivingController {
     }
 
     fn remark(&mut self) -> Option<String> {
-        self.remark.take()
+        self.memory.remark.take()
     }
 }

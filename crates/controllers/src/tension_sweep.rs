@@ -2,6 +2,7 @@
 
 use messages::{ArmMode, BurrMode, Command, State, TendonMode};
 use scene::{Drives, TensionSweep};
+use serde::{Deserialize, Serialize};
 
 use crate::Controller;
 use crate::calibration::{Calibration, CalibrationRow};
@@ -15,6 +16,12 @@ pub struct TensionSweepController {
     /// Commanded levels, N or m, and whether the sweep is rising at each.
     levels: Vec<(f64, bool)>,
     settle_s: f64,
+    pub(crate) memory: Memory,
+}
+
+/// Everything that its steps change.
+#[derive(Debug, Clone, Default, Serialize, Deserialize)]
+pub(crate) struct Memory {
     start_s: Option<f64>,
     calibration: Calibration,
     remark: Option<String>,
@@ -35,20 +42,18 @@ impl TensionSweepController {
             by_force: force.is_some(),
             levels: up.chain(down).collect(),
             settle_s: plan.settle_s,
-            start_s: None,
-            calibration: Calibration::default(),
-            remark: None,
+            memory: Memory::default(),
         }
     }
 
     /// Returns the rows recorded so far.
     pub fn calibration(&self) -> &Calibration {
-        &self.calibration
+        &self.memory.calibration
     }
 
     /// Returns whether every level has been recorded.
     pub fn is_done(&self) -> bool {
-        self.calibration.rows.len() == self.levels.len()
+        self.memory.calibration.rows.len() == self.levels.len()
     }
 
     fn note(&mut self, index: usize, state: &State) {
@@ -66,7 +71,7 @@ impl TensionSweepController {
             tip_rotation_deg: tip.rotation.scaled_axis().map(f64::to_degrees).into(),
             rate_deg_per_s: rates.sum::<f64>().to_degrees(),
         };
-        self.remark = Some(format!(
+        self.memory.remark = Some(format!(
             "level {} of {}: {:.3} N, {:.3} mm, bend {:.3} deg",
             index + 1,
             self.levels.len(),
@@ -74,7 +79,7 @@ impl TensionSweepController {
             row.displacement_mm,
             row.bend_deg
         ));
-        self.calibration.rows.push(row);
+        self.memory.calibration.rows.push(row);
     }
 
     /// Returns the commanded level at `time_s` after the start: a ramp during the first half of each level.
@@ -89,8 +94,8 @@ impl TensionSweepController {
 
 impl Controller for TensionSweepController {
     fn step(&mut self, state: &State, command: &mut Command) {
-        let time_s = state.sim_time_s - *self.start_s.get_or_insert(state.sim_time_s);
-        let next = self.calibration.rows.len();
+        let time_s = state.sim_time_s - *self.memory.start_s.get_or_insert(state.sim_time_s);
+        let next = self.memory.calibration.rows.len();
         // The tolerance absorbs rounding of the time and is far below a tick.
         if next < self.levels.len() && time_s >= (next + 1) as f64 * self.settle_s - 1e-9 {
             self.note(next, state);
@@ -115,6 +120,6 @@ impl Controller for TensionSweepController {
     }
 
     fn remark(&mut self) -> Option<String> {
-        self.remark.take()
+        self.memory.remark.take()
     }
 }

@@ -3,6 +3,7 @@
 
 use messages::{ArmMode, BurrMode, Command, State, TubeMode};
 use scene::{Drives, TubeDeployment};
+use serde::{Deserialize, Serialize};
 
 use crate::Controller;
 use crate::reset::ResetWatch;
@@ -11,8 +12,9 @@ use crate::reset::ResetWatch;
 const REACHED: f64 = 1e-9;
 
 /// Phase of the procedure.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 enum Phase {
+    #[default]
     Turning,
     Deploying,
     Retracting,
@@ -28,6 +30,12 @@ pub struct TubeDeploymentController {
     feed_m_per_s: f64,
     burr_speed_rad_per_s: f64,
     drives: Vec<Drives>,
+    pub(crate) memory: Memory,
+}
+
+/// Everything that its steps change.
+#[derive(Debug, Clone, Default, Serialize, Deserialize)]
+pub(crate) struct Memory {
     phase: Phase,
     reset: ResetWatch,
     remark: Option<String>,
@@ -43,9 +51,7 @@ impl TubeDeploymentController {
             feed_m_per_s: plan.feed_mm_per_s * 1e-3,
             burr_speed_rad_per_s: plan.burr_speed_rpm * core::f64::consts::TAU / 60.0,
             drives: drives.to_vec(),
-            phase: Phase::Turning,
-            reset: ResetWatch::default(),
-            remark: None,
+            memory: Memory::default(),
         }
     }
 
@@ -53,13 +59,13 @@ impl TubeDeploymentController {
     fn advance(&mut self, state: &State) {
         let is_at = |goal_m: f64| (state.tube_deployed_m - goal_m).abs() < REACHED;
         let is_turned = (state.tube_roll_rad - self.roll_rad).abs() < REACHED;
-        self.phase = match self.phase {
+        self.memory.phase = match self.memory.phase {
             Phase::Turning if is_turned => Phase::Deploying,
             Phase::Deploying if is_at(self.deployed_m) => Phase::Retracting,
             Phase::Retracting if is_at(self.end_m) => Phase::Done,
             _ => return,
         };
-        self.remark = Some(format!(
+        self.memory.remark = Some(format!(
             "tube: {:.2} mm out, roll {:.1} deg, bend {:+.2} deg, force {:.2} N",
             state.tube_deployed_m * 1e3,
             state.tube_roll_rad.to_degrees(),
@@ -71,15 +77,15 @@ impl TubeDeploymentController {
 
 impl Controller for TubeDeploymentController {
     fn step(&mut self, state: &State, command: &mut Command) {
-        if self.reset.was_reset(state) {
-            self.phase = Phase::Turning;
+        if self.memory.reset.was_reset(state) {
+            self.memory.phase = Phase::Turning;
         }
         self.advance(state);
         if self.drives.contains(&Drives::Tube) {
             command.tube_mode = TubeMode::MoveJp.code();
             command.tube_roll_rad = self.roll_rad;
             command.tube_speed_m_per_s = self.feed_m_per_s;
-            command.tube_deployed_m = match self.phase {
+            command.tube_deployed_m = match self.memory.phase {
                 Phase::Turning => 0.0,
                 Phase::Deploying => self.deployed_m,
                 Phase::Retracting | Phase::Done => self.end_m,
@@ -87,7 +93,7 @@ impl Controller for TubeDeploymentController {
         }
         if self.drives.contains(&Drives::Burr) {
             command.burr_mode = BurrMode::Speed.code();
-            if matches!(self.phase, Phase::Deploying | Phase::Retracting) {
+            if matches!(self.memory.phase, Phase::Deploying | Phase::Retracting) {
                 command.burr_speed_rad_per_s = self.burr_speed_rad_per_s;
             }
         }
@@ -97,6 +103,6 @@ impl Controller for TubeDeploymentController {
     }
 
     fn remark(&mut self) -> Option<String> {
-        self.remark.take()
+        self.memory.remark.take()
     }
 }

@@ -34,6 +34,22 @@ pub fn grey8(columns: u32, rows: u32, greys: impl Iterator<Item = u16>) -> Resul
     encode([columns, rows], kind, Compression::default(), &bytes).map_err(|cause| cause.to_string())
 }
 
+/// Encodes an 8-bit RGB PNG of greys; 0 stays 0 and 65535 becomes 255. Also returns how many pixels have each
+/// grey of 0..=255.
+pub fn grey_as_rgb8(
+    columns: u32,
+    rows: u32,
+    greys: impl Iterator<Item = u16>,
+) -> Result<(Vec<u8>, [u64; 256]), String> {
+    let mut counts = [0; 256];
+    let bytes: Vec<u8> = greys.map(narrow).inspect(|grey| counts[usize::from(*grey)] += 1).collect();
+    let bytes: Vec<u8> = bytes.into_iter().flat_map(|grey| [grey; 3]).collect();
+    let kind = (ColorType::Rgb, BitDepth::Eight);
+    let png =
+        encode([columns, rows], kind, Compression::default(), &bytes).map_err(|cause| cause.to_string())?;
+    Ok((png, counts))
+}
+
 /// Maps 0..=65535 to 0..=255, rounded: 65535 = 257 * 255.
 fn narrow(grey: u16) -> u8 {
     ((u32::from(grey) + 128) / 257) as u8

@@ -5,7 +5,8 @@
 //! forge an output line, or characters that reverse or hide their neighbours. All of these are shown as
 //! escapes like `\u001b`: harmless, visible, and the same character in JSON.
 //!
-//! [`foreign`] formats a single value within a line; [`nearest_name`] finds what a misspelled name may mean. [`EscapingWriter`] is the last filter before the
+//! [`foreign`] formats a single value within a line; [`nearest_name`] finds what a misspelled name may mean;
+//! [`counted`] puts a noun after a count. [`EscapingWriter`] is the last filter before the
 //! terminal: everything that a command prints goes through it.
 //!
 //! **Boundary:** text only; opens nothing and prints nothing. **Invariant:** the output holds no control
@@ -45,6 +46,13 @@ pub fn foreign_path(path: &Path) -> String {
 /// Formats a line from an untrusted program: at most [`MOST_OF_A_LINE`] characters.
 pub fn foreign_line(text: &str) -> EscapedText<'_> {
     EscapedText { text, most: MOST_OF_A_LINE }
+}
+
+/// Formats a count with its noun, whose plural ends in `s`: "1 frame", "2 frames".
+pub fn counted(count: impl Display, noun: &str) -> String {
+    let count = count.to_string();
+    let ending = if count == "1" { "" } else { "s" };
+    format!("{count} {noun}{ending}")
 }
 
 /// Formats a number from a file: in scientific notation if it would be very long (1e300).
@@ -159,6 +167,11 @@ mod tests {
 
     /// Clears the screen, sets the title, and overwrites the line.
     const HOSTILE: &str = "a\x1b[2J\x1b]0;owned\x07\r\nend marker: completed";
+
+    #[test]
+    fn a_count_of_one_has_a_singular() {
+        assert_eq!([0, 1, 2].map(|n| counted(n, "frame")), ["0 frames", "1 frame", "2 frames"]);
+    }
 
     #[test]
     fn nothing_that_a_terminal_obeys_or_hides_is_shown_as_itself() {

@@ -77,6 +77,11 @@ impl Failure {
         move |source| OutputError::Create { path: path.to_owned(), source }.into()
     }
 
+    /// The same failure, with the name of the scene or file whose content causes it.
+    pub fn of(self, file: &dyn std::fmt::Display) -> Failure {
+        Failure { message: format!("{file}: {}", self.message), ..self }
+    }
+
     /// The work failed.
     pub fn failed(message: impl ToString) -> Failure {
         Failure { message: message.to_string(), code: EXIT_FAILED }

@@ -4,7 +4,7 @@
 use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 
-use controllers::Calibration;
+use controllers::BuiltIn;
 use foreign_text::number;
 use ipc_types::arm_meshes;
 use ipc_types::scene::{CurvedDrilling, Feedback, Scene, keys_without_effect};
@@ -36,8 +36,8 @@ pub fn check(
         let key = if drr.carm.is_some() { "drr.carm" } else { "drr" };
         scene_c_arm(drr).map_err(|cause| refused(&format!("`{key}`: {}", in_millimetres(cause))))?;
     }
-    for path in drillings(scene).filter_map(|drilling| drilling.calibration.as_ref()) {
-        Calibration::load(path, &ipc_types::text_file::read).map_err(|cause| refused(&cause))?;
+    for entry in &scene.controller {
+        BuiltIn::of(scene, &entry.name, &ipc_types::text_file::read).map_err(|cause| refused(&cause))?;
     }
     let ct = volume.map(CtView::from);
     let found = findings(scene, ct, &is_program).map_err(|cause| match cause.is_of_the_machine() {

@@ -7,7 +7,7 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 
 use clap::ValueEnum;
-use ipc_types::scene::{DECIMAL_COMMA, Scene, SceneError, is_number_with_comma, list_default};
+use ipc_types::scene::{BACKSLASH, DECIMAL_COMMA, Scene, SceneError, is_number_with_comma, list_default};
 
 use crate::failure::Failure;
 
@@ -97,6 +97,7 @@ impl SceneSource {
             let value = value.ok().and_then(|mut table| table.remove("value"));
             let value = value.ok_or_else(|| match is_number_with_comma(written.trim()) {
                 true => refused(DECIMAL_COMMA.to_owned()),
+                false if written.contains('\\') => refused(BACKSLASH.to_owned()),
                 false => refused(
                     "the value is not TOML; a string needs quotes inside the shell's quotes, as in \
                      'name=\"a\"'"
@@ -220,6 +221,7 @@ fn set(table: &mut toml::Table, path: &str, value: toml::Value) -> Result<(), St
                     *entry = value;
                     Ok(())
                 }
+                _ if count == 1 => Err(format!("`{first}` has 1 entry; expected index 0")),
                 _ => Err(format!("`{first}` has {count} entries; expected an index from 0")),
             }
         }
@@ -269,13 +271,14 @@ mod tests {
         for (line, said) in [
             ("run.duration_s", "expected KEY=VALUE"),
             ("run.duration_s=long", "the value is not TOML"),
+            ("volume.path=\"C:\\Users\\ct.nrrd\"", "write a path in single quotes"),
             ("run.duration_s=-1", "`run.duration_s` is -1; allowed: 0.001 to 86400"),
             (
                 "run.duration_s=\"long\"",
                 "with --set: `run.duration_s`: invalid type: string \"long\", expected a number",
             ),
             ("name.x=1", "`name` is not a table"),
-            ("controller.7.name=\"a\"", "`controller` has 1 entries; expected an index from 0"),
+            ("controller.7.name=\"a\"", "`controller` has 1 entry; expected index 0"),
             ("run.=1", "a key is empty"),
         ] {
             let error = with(&[line]).unwrap_err();

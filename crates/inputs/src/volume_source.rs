@@ -9,8 +9,8 @@ use crate::suspicions;
 use foreign_text::foreign_path;
 use ipc_types::scene::{Label as SceneLabel, Phantom, Resample, Scene, Volume as SceneVolume};
 use volume_io::{
-    DataFiles, Label, MaskModel, ReadOptions, SliceHandling, VolumeError, grid_of, identified, mask_to_hu,
-    phantom, resample,
+    DataFiles, GreyScale, Label, MaskModel, ReadOptions, SliceHandling, VolumeError, grid_of, identified,
+    mask_to_hu, phantom, resample,
 };
 use voxel_grid::{Ct, Volume, density};
 
@@ -44,14 +44,31 @@ pub struct VolumeChoice {
     /// Resample unevenly spaced or sheared slices (tilted gantry) to a rectangular grid.
     #[arg(long)]
     pub rectify: bool,
+    /// Hounsfield units per grey value of a file without Hounsfield units, as of a micro-CT.
+    #[arg(long, value_name = "HU", allow_negative_numbers = true)]
+    pub slope: Option<f64>,
+    /// Hounsfield units of grey value 0.
+    #[arg(long, value_name = "HU", allow_negative_numbers = true)]
+    pub intercept: Option<f64>,
 }
 
 impl VolumeChoice {
     /// In the form that the volume readers expect.
     pub fn options(&self) -> ReadOptions {
         let slices = if self.rectify { SliceHandling::Rectify } else { SliceHandling::AsTheyLie };
-        ReadOptions { data_files: self.files.allowed(), series: self.series.clone(), slices, label: None }
+        ReadOptions {
+            data_files: self.files.allowed(),
+            series: self.series.clone(),
+            slices,
+            label: None,
+            grey: grey(self.slope.unwrap_or(1.0), self.intercept.unwrap_or(0.0)),
+        }
     }
+}
+
+/// The conversion of grey values; `None` for a file with Hounsfield units.
+fn grey(slope: f64, intercept: f64) -> Option<GreyScale> {
+    ((slope, intercept) != (1.0, 0.0)).then_some(GreyScale { slope, intercept })
 }
 
 /// Read options for a scene's volume file.
@@ -67,6 +84,7 @@ fn options(source: &SceneVolume, files: VolumeFiles) -> ReadOptions {
             SceneLabel::Value(value) => Label::Value(*value),
             SceneLabel::Name(name) => Label::Name(name.clone()),
         }),
+        grey: grey(source.slope, source.intercept),
     }
 }
 

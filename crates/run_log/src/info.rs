@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::io::Write;
 
-use foreign_text::{foreign, foreign_line};
+use foreign_text::{counted, foreign, foreign_line};
 
 use crate::end::{Ending, hash_text};
 use crate::error::LogError;
@@ -111,7 +111,8 @@ impl LogInfo {
         let ticks = self.end_ns / header.dt_ns.max(1);
         writeln!(
             out,
-            "duration    {seconds:.3} s simulated, {ticks} ticks of {} us",
+            "duration    {seconds:.3} s simulated, {} of {} us",
+            counted(ticks, "tick"),
             header.dt_ns as f64 * 1e-3
         )?;
         let rate = self.bytes_per_second().unwrap_or(0.0);
@@ -134,10 +135,12 @@ impl LogInfo {
             let hash = marker.hash.map(hash_text).unwrap_or_else(|| "none".to_string());
             writeln!(out, "  last tick {tick}, hash {hash}")?;
             for (topic, count) in &marker.lost {
-                writeln!(out, "  lost {count} messages of {}: they never reached the log", foreign(topic))?;
+                let (lost, topic) = (counted(count, "message"), foreign(topic));
+                writeln!(out, "  lost {lost} of {topic}: never reached the log")?;
             }
             for (topic, count) in &marker.damaged {
-                writeln!(out, "  lost {count} messages of {} to damage of the file", foreign(topic))?;
+                let (lost, topic) = (counted(count, "message"), foreign(topic));
+                writeln!(out, "  lost {lost} of {topic} to damage of the file")?;
             }
         }
         self.verdict.write(out)

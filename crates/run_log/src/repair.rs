@@ -10,7 +10,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::io::{Read, Seek, Write};
 use std::path::Path;
 
-use foreign_text::{foreign, foreign_line};
+use foreign_text::{counted, foreign, foreign_line};
 use messages::layout::{CDR_LITTLE_ENDIAN, Message};
 use messages::{State, Tick};
 use zerocopy::FromBytes;
@@ -78,14 +78,20 @@ impl RepairReport {
     /// Writes the report as text.
     pub fn write(&self, out: &mut dyn Write) -> Result<(), LogError> {
         for DamagedPiece { offset, bytes, cause } in &self.pieces {
-            writeln!(out, "skipped     {bytes} bytes from byte {offset}: {}", foreign_line(cause))?;
+            writeln!(
+                out,
+                "skipped     {} from byte {offset}: {}",
+                counted(bytes, "byte"),
+                foreign_line(cause)
+            )?;
         }
         if self.more_pieces > 0 {
             let (more, bytes) = (self.more_pieces, self.left_out_bytes);
-            writeln!(out, "skipped     {more} more pieces; {bytes} bytes in total")?;
+            let pieces = counted(more, "more piece");
+            writeln!(out, "skipped     {pieces}; {bytes} bytes in total")?;
         }
         if self.undeclared > 0 {
-            writeln!(out, "skipped     {} messages of undeclared topics", self.undeclared)?;
+            writeln!(out, "skipped     {} of undeclared topics", counted(self.undeclared, "message"))?;
         }
         if let Some(TruncationPoint { offset, incomplete_bytes }) = self.cut {
             writeln!(

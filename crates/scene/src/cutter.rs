@@ -250,6 +250,7 @@ mod tests {
             length_mm: Some(length_mm),
             tip_diameter_mm: Some(0.5),
             point_deg: Some(118.0),
+            rake_deg: None,
             scallop_mm: None,
             offset_mm: 10.0,
             mass_g: 1.0,

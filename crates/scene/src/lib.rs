@@ -82,6 +82,10 @@ pub const MAX_READINGS_UNDERWAY: usize = 256;
 /// What to do about a number with a decimal comma.
 pub const DECIMAL_COMMA: &str = "write a decimal point, not a comma";
 
+/// The advice for a backslash in double quotes.
+pub const BACKSLASH: &str = "in double quotes a backslash starts an escape: write a path in single quotes, such \
+                             as 'C:\\data', or with /";
+
 /// Error of a parsed text, which is the file's own or was completed from it.
 fn malformed(text: &str, path: &Path, parsed: &str, cause: &toml::de::Error) -> SceneError {
     let start = cause.span().map(|span| span.start);

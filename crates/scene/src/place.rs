@@ -71,10 +71,7 @@ pub(crate) fn in_words(message: &str) -> String {
         ("expected a map", "expected a table"),
     ];
     if BAD_ESCAPES.iter().any(|start| message.starts_with(start)) {
-        return format!(
-            "{message}; in double quotes a backslash starts an escape: write a path in single quotes, such as \
-             'C:\\data', or with /"
-        );
+        return format!("{message}; {}", crate::BACKSLASH);
     }
     let message = WORDS.iter().fold(message.to_owned(), |text, (typed, word)| text.replace(typed, word));
     with_nearest_name(&message).unwrap_or(message)

@@ -101,12 +101,15 @@ fn drilling(into: &mut Drilling, given: &Drilling) {
     put!(
         into,
         Drilling {
+            law,
             specific_energy_j_per_mm3,
             density_exponent,
             cutting_coefficient,
             edge_pressure_mpa,
             edge_force_n_per_mm,
             edge_exponent,
+            reach_mm,
+            feed_per_revolution_mm,
             side_force,
             removal,
         } = given

@@ -9,7 +9,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use foreign_text::{foreign, foreign_path};
-use roxmltree::{Document, Node, ParsingOptions};
+use roxmltree::{Document, Error, Node, ParsingOptions};
 use toml::{Table, Value};
 
 use crate::check::Checker;
@@ -72,6 +72,28 @@ pub(crate) fn put_in(
     Ok(true)
 }
 
+fn parsed(text: &str) -> Result<Document<'_>, Error> {
+    Document::parse_with_options(
+        text,
+        ParsingOptions { nodes_limit: MOST_NODES, ..ParsingOptions::default() },
+    )
+}
+
+/// Most prefixes that are declared for a file.
+const MOST_PREFIXES: usize = 16;
+
+/// Declares the prefixes of extensions, such as `drake:`, which many files use undeclared: the readers that
+/// they are written for know no namespaces.
+fn with_prefixes(text: &str) -> String {
+    let mut text = text.to_owned();
+    for _ in 0..MOST_PREFIXES {
+        let Err(Error::UnknownNamespace(prefix, _)) = parsed(&text) else { break };
+        let Some(root) = text.find("<robot") else { break };
+        text.insert_str(root + "<robot".len(), &format!(" xmlns:{prefix}=\"{prefix}\""));
+    }
+    text
+}
+
 /// The joints from base to tip as tables of `arm.joint`, and the meshes of the links between them as tables
 /// of `arm.mesh`.
 fn arm_of(
@@ -80,9 +102,15 @@ fn arm_of(
     tip: Option<&str>,
     places: Option<&MeshPlaces>,
 ) -> Result<(Vec<Value>, Vec<Value>), String> {
-    let options = ParsingOptions { nodes_limit: MOST_NODES, ..ParsingOptions::default() };
-    let document = Document::parse_with_options(text, options)
-        .map_err(|cause| format!("is not valid XML ({})", foreign(&cause.to_string())))?;
+    let declared;
+    let document = match parsed(text) {
+        Err(Error::UnknownNamespace(..)) => {
+            declared = with_prefixes(text);
+            parsed(&declared)
+        }
+        other => other,
+    }
+    .map_err(|cause| format!("is not valid XML ({})", foreign(&cause.to_string())))?;
     let robot = document.root_element();
     if !robot.has_tag_name("robot") {
         let name = foreign(robot.tag_name().name());

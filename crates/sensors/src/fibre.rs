@@ -6,6 +6,7 @@
 
 use messages::{MAX_JOINTS, Pose, State};
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
+use serde::{Deserialize, Serialize};
 
 use crate::measure::rotation;
 
@@ -111,7 +112,7 @@ pub fn node_curvatures(state: &State, nodes: u32, gauge_m: f64) -> impl Iterator
 
 /// Location of a fibre in its tool, as needed to compute a shape from curvatures. Depends only on the tool's
 /// dimensions in a state, not on its shape.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Fibre {
     /// From the tube's base ([`t_world_tube`]) to the fibre's start, metres.
     pub start_m: f64,

@@ -3,6 +3,7 @@
 use messages::{MAX_TENDONS, Pose, SensorKind, SensorReading, State, Wrench};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use scene::{Scene, Tracked};
+use serde::{Deserialize, Serialize};
 
 use crate::fibre::{Fibre, t_world_tube};
 use crate::measure::rotation;
@@ -19,17 +20,18 @@ use crate::measure::rotation;
 /// | `force_torque` | `flange_wrench` |
 ///
 /// A controller that uses a sensor waits for its first valid reading: see [`MeasuredState::is_complete`].
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct MeasuredState {
     used: Vec<Used>,
     fibre: Option<Fibre>,
 }
 
 /// A sensor and its newest valid reading.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 struct Used {
     index: u32,
     on: Tracked,
+    #[serde(with = "as_bytes")]
     newest: Option<SensorReading>,
 }
 
@@ -128,4 +130,25 @@ fn put_wrench(state: &mut State, values: &[f64]) {
         force_n: (to_world * Vector3::new(fx, fy, fz)).into(),
         torque_nm: (to_world * Vector3::new(tx, ty, tz)).into(),
     };
+}
+
+/// Serialises a reading as its bytes.
+mod as_bytes {
+    use messages::SensorReading;
+    use serde::de::Error;
+    use serde::{Deserialize, Deserializer, Serialize, Serializer};
+    use zerocopy::{FromBytes, IntoBytes};
+
+    pub fn serialize<S: Serializer>(newest: &Option<SensorReading>, into: S) -> Result<S::Ok, S::Error> {
+        newest.as_ref().map(SensorReading::as_bytes).serialize(into)
+    }
+
+    pub fn deserialize<'d, D: Deserializer<'d>>(from: D) -> Result<Option<SensorReading>, D::Error> {
+        let bytes = Option::<Vec<u8>>::deserialize(from)?;
+        let read = |bytes: Vec<u8>| {
+            let reading = SensorReading::read_from_bytes(&bytes);
+            reading.map_err(|_| D::Error::custom("a sensor reading of another size"))
+        };
+        bytes.map(read).transpose()
+    }
 }

@@ -67,12 +67,9 @@ pub enum SimError {
     /// A state vector or a keyframe cannot be restored; nothing has changed.
     #[error("restored state: {0}")]
     StateVector(SimulationError),
-    /// A built-in controller's own state is in no keyframe.
-    #[error("controller `{controller}` runs inside the simulation and is in no keyframe; drive it yourself")]
-    NoKeyframe {
-        /// Name of the controller.
-        controller: String,
-    },
+    /// The bytes of a simulation or snapshot cannot be written or used.
+    #[error("simulation as bytes: {0}")]
+    Packed(String),
     /// No such input or output of a linear model.
     #[error("{kind} `{name}`: {reason}")]
     NoSignal {

@@ -40,13 +40,14 @@
 //! | [`Batch`] | many simulations on several threads |
 //! | [`LinearModel`] | a tick as A, B, C, D |
 //! | [`identification`] | parameters of scenes from measured files |
-//! | `from_log`, `recording`, `x_ray` | from a log, into a log, the X-ray of a state |
+//! | `from_log`, `recording`, `packed`, `x_ray` | from a log, into a log, as bytes, the X-ray of a state |
 
 mod batch;
 mod error;
 mod from_log;
 pub mod identification;
 mod linear;
+mod packed;
 mod recording;
 mod shared;
 mod simulator;

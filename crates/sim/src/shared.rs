@@ -105,6 +105,33 @@ impl SharedScene {
         Arc::new(SharedScene { scene, ct, notes: Vec::new() })
     }
 
+    /// Loads the scene of packed bytes, whose volume must have this SHA-256. Shares the newest scene if it is
+    /// the same.
+    pub(crate) fn of_packed(
+        toml: &str,
+        notes: Vec<String>,
+        volume_sha256: Option<[u8; 32]>,
+    ) -> Result<Arc<SharedScene>, SimError> {
+        let mut scene = Scene::parse(toml, Path::new("simulation as bytes")).map_err(Failure::bad_input)?;
+        scene.run.mode = Mode::Lockstep;
+        let newest = NEWEST.lock().unwrap_or_else(PoisonError::into_inner).upgrade();
+        let is_same = |shared: &Arc<SharedScene>| {
+            shared.scene == scene && shared.ct().map(|ct| ct.sha256) == volume_sha256
+        };
+        if let Some(newest) = newest.filter(is_same) {
+            return Ok(newest);
+        }
+        let ct = volume_source::load(&scene, VolumeFiles::default()).map_err(Failure::from)?.map(Arc::new);
+        if ct.as_ref().map(|ct| ct.sha256) != volume_sha256 {
+            return Err(SimError::Packed(
+                "the scene's volume has changed since; use the volume with which it was packed".to_owned(),
+            ));
+        }
+        let loaded = Arc::new(SharedScene { scene, ct, notes });
+        *NEWEST.lock().unwrap_or_else(PoisonError::into_inner) = Arc::downgrade(&loaded);
+        Ok(loaded)
+    }
+
     /// Takes the scene and volume of a log.
     pub(crate) fn of_log(log: &mut OpenedLog) -> Arc<SharedScene> {
         SharedScene::new(&log.scene, log.ct.take().map(Arc::new))

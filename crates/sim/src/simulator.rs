@@ -7,12 +7,10 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use controllers::{BuiltIn, Controller};
 use hub::in_process::{Answer, Commands, InProcess, InProcessError};
-use messages::services::MAX_KEYFRAME_BYTES;
-use messages::{Breach, Command, ControllerIndex, Latched, SensorReading, State, Tick};
-use simulation::{KeyframeError, Simulation, SimulationError, SimulationSnapshot, StateEntry};
+use messages::{Breach, Command, ControllerIndex, Frame, Latched, SensorReading, State, Tick};
+use simulation::{Simulation, SimulationError, SimulationSnapshot, StateEntry};
 use xray::Labels;
 use xray::frame::RenderedFrame;
-use zerocopy::{FromBytes, IntoBytes};
 
 use crate::batch::SimFactory;
 use crate::error::SimError;
@@ -42,16 +40,16 @@ pub struct Sim {
     pub(crate) drivers: Vec<Driver>,
     /// Voxels drilled since the start or the last reset, in the order of their removal.
     pub(crate) drilled: Vec<u32>,
-    /// The newest scheduled frame, for the controllers that see frames.
-    frame: Option<Arc<RenderedFrame>>,
-    frames_rendered: u64,
+    /// The newest scheduled frame with its pixels, for the controllers that see frames.
+    pub(crate) frame: Option<Arc<(Frame, Vec<u16>)>>,
+    pub(crate) frames_rendered: u64,
     /// u_k of the last tick; `None` at the start.
-    latched: Option<Box<Latched>>,
+    pub(crate) latched: Option<Box<Latched>>,
     /// Parts of commands that could not be followed in the last call of [`Sim::step`].
     refusals: Vec<String>,
     /// Readings that arrived in the last call of [`Sim::step`], the newest [`READINGS_KEPT`].
     readings: VecDeque<SensorReading>,
-    start: Option<Snapshot>,
+    pub(crate) start: Option<Snapshot>,
     pub(crate) lane: Lane,
     x_ray: Option<XRay>,
 }
@@ -70,17 +68,17 @@ pub(crate) struct Driver {
 
 /// A simulation's state at a tick. Its size grows with what has been drilled; copies share it.
 #[derive(Debug, Clone)]
-pub struct Snapshot(Arc<Saved>);
+pub struct Snapshot(pub(crate) Arc<Saved>);
 
 #[derive(Debug)]
-struct Saved {
+pub(crate) struct Saved {
     vector: Vec<f64>,
-    shared: Arc<SharedScene>,
+    pub(crate) shared: Arc<SharedScene>,
     simulation: SimulationSnapshot,
     commands: Commands,
-    drivers: Vec<Driver>,
+    pub(crate) drivers: Vec<Driver>,
     drilled: Vec<u32>,
-    frame: Option<Arc<RenderedFrame>>,
+    frame: Option<Arc<(Frame, Vec<u16>)>>,
     frames_rendered: u64,
     latched: Option<Box<Latched>>,
 }
@@ -109,7 +107,7 @@ impl Sim {
         Ok(sim)
     }
 
-    fn at_start(shared: &Arc<SharedScene>, drivers: Vec<Driver>) -> Result<Sim, SimError> {
+    pub(crate) fn at_start(shared: &Arc<SharedScene>, drivers: Vec<Driver>) -> Result<Sim, SimError> {
         let plant = Simulation::with_shared_ct(shared.scene(), shared.ct());
         let plant = plant.map_err(|cause| SimError::Physics { tick: Tick::START, cause })?;
         Ok(Sim {
@@ -339,12 +337,13 @@ impl Sim {
         }
         let tick = self.state().tick;
         let due = self.shared.scene().frame_seen_at(tick);
-        if let Some(rendered) = self.frame.as_ref().filter(|rendered| due == Some(rendered.frame.tick)) {
+        if let Some((frame, pixels)) = self.frame.as_deref().filter(|(frame, _)| due == Some(frame.tick)) {
             let controllers = self.drivers.iter_mut().filter_map(|driver| driver.built_in.as_mut());
-            controllers.for_each(|controller| controller.frame(&rendered.frame, &rendered.pixels));
+            controllers.for_each(|controller| controller.frame(frame, pixels));
         }
         if self.shared.scene().frame_period_ticks().is_some_and(|period| tick.is_multiple_of(period)) {
-            self.frame = Some(Arc::new(self.render(View::Scene)?));
+            let rendered = self.render(View::Scene)?;
+            self.frame = Some(Arc::new((rendered.frame, rendered.pixels)));
         }
         Ok(())
     }
@@ -420,57 +419,6 @@ impl Sim {
             frames_rendered: self.frames_rendered,
             latched: self.latched.clone(),
         }))
-    }
-
-    /// Returns the present state as bytes, for another process with this build and scene: a keyframe, as in a
-    /// log, and the last tick's commands. At most 9 MB.
-    ///
-    /// # Errors
-    /// [`SimError::NoKeyframe`] if a built-in controller runs inside, whose own state is in no keyframe; or
-    /// drilling has touched too many voxels.
-    pub fn keyframe(&self) -> Result<Vec<u8>, SimError> {
-        if let Some(driver) = self.drivers.iter().find(|driver| driver.built_in.is_some()) {
-            return Err(SimError::NoKeyframe { controller: driver.name.clone() });
-        }
-        let head = size_of::<Latched>() + 1;
-        let mut bytes = vec![0; head + MAX_KEYFRAME_BYTES];
-        if let Some(latched) = &self.latched {
-            bytes[0] = 1;
-            bytes[1..head].copy_from_slice(latched.as_bytes());
-        }
-        let failed = |cause| SimError::Physics { tick: Tick(self.state().tick), cause };
-        let length = self.run.plant().write_keyframe(&mut bytes[head..]);
-        bytes.truncate(head + length.map_err(|cause| failed(cause.into()))?);
-        Ok(bytes)
-    }
-
-    /// Moves to the state of [`Sim::keyframe`], from a simulation of the same scene in this or another
-    /// process, and continues from there bit for bit. Sensor readings and the order of the drilled voxels are
-    /// not restored.
-    ///
-    /// # Errors
-    /// If the bytes are of another scene or build or are damaged; or this simulation is being recorded.
-    /// Nothing has changed then.
-    pub fn restore_keyframe(&mut self, bytes: &[u8]) -> Result<(), SimError> {
-        let malformed =
-            |cause: &str| SimError::StateVector(KeyframeError::Unreadable { cause: cause.to_owned() }.into());
-        let (is_latched, rest) = bytes.split_first().ok_or_else(|| malformed("no bytes"))?;
-        let (latched, keyframe) = Latched::read_from_prefix(rest).map_err(|_| malformed("too short"))?;
-        let here = self.snapshot();
-        let start = self.start.clone().unwrap_or_else(|| here.clone());
-        self.restore(&start)?;
-        if let Err(cause) = self.run.plant_mut().restore_keyframe(keyframe) {
-            self.restore(&here)?;
-            return Err(SimError::StateVector(cause));
-        }
-        self.latched = (*is_latched == 1).then(|| Box::new(latched));
-        if let Some(latched) = &self.latched {
-            self.run.follow(latched);
-        }
-        let predrilled = self.run.plant().predrilled().to_vec();
-        self.drilled = self.run.plant().gone();
-        self.drilled.retain(|voxel| predrilled.binary_search(voxel).is_err());
-        Ok(())
     }
 
     /// Moves to the state of a snapshot, of this or another simulation of the same scene, and continues from

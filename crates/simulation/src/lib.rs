@@ -66,5 +66,6 @@ mod world;
 
 pub use world::{
     CtView, Finding, KeyframeError, LostTool, Simulation, SimulationError, SimulationSnapshot, StateEntry,
-    StateVectorError, Verdict, contact_kind, findings, manipulator_parameters, planned_time_s, pose, rung,
+    StateVectorError, ToolEffort, Verdict, contact_kind, findings, manipulator_parameters, planned_time_s,
+    pose, rung,
 };

@@ -156,8 +156,9 @@ pub enum VolumeError {
     Sheared(Field, f64),
     /// Unevenly spaced slices. Holds the tolerance in metres.
     #[error(
-        "{0}; expected equally spaced slices (within {1} m); resample them (`--rectify`, in a scene \
-         `volume.resample = \"rectify\"`)"
+        "{0}; expected equally spaced slices (within {within_mm:.4} mm); resample them (`--rectify`, in a scene \
+         `volume.resample = \"rectify\"`)",
+        within_mm = .1 * 1e3
     )]
     VariableSpacing(Field, f64),
     /// A gap in an otherwise regular series.

@@ -2,6 +2,7 @@
 
 use crate::error::{Field, VolumeError};
 use crate::gzip::GzipMembers;
+use foreign_text::counted;
 use std::fs::File;
 use std::io::{BufRead, BufReader, ErrorKind, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
@@ -208,7 +209,7 @@ pub(crate) fn check_end(
 ) -> Result<(), VolumeError> {
     if codec == Codec::Raw {
         if most > needed {
-            notes.push(format!("{} bytes after the voxel data are ignored", most - needed));
+            notes.push(format!("ignored {} after the voxel data", counted(most - needed, "byte")));
         }
         return Ok(());
     }

@@ -54,7 +54,7 @@ pub use input::DataFiles;
 pub use mask::{MaskModel, mask_to_hu};
 pub use nifti_write::write_nifti;
 pub use nrrd_write::write_nrrd;
-pub use options::{Label, ReadOptions, SliceHandling};
+pub use options::{GreyScale, Label, ReadOptions, SliceHandling};
 pub use read::{read, read_as, read_with_info};
 pub use resample::resample;
 pub use sources::{Sources, sources};

@@ -45,7 +45,7 @@ pub(crate) fn read(path: &Path, options: &ReadOptions) -> Result<(Volume, Volume
     let scalar = header.scalar()?;
     header.refuse_intensity_function()?;
     let files = header.data_files()?;
-    let mut sink = HuSink::default();
+    let mut sink = options.sink(path)?;
     let field = "ElementDataFile";
     let (encoding, stored_as) = if header.flag("BinaryData")?.unwrap_or(true) {
         let endian = header.endian()?;

@@ -5,7 +5,6 @@ use crate::input::{self, Codec, DataFiles};
 use crate::nifti_header::{NIFTI2_SIZE, parse};
 use crate::options::{ReadOptions, SliceHandling};
 use crate::rectify;
-use crate::scalar::HuSink;
 use crate::volume::{
     GeometryFields, StatedGeometry, VolumeInfo, columns, norm, placed, placement, voxel_count,
 };
@@ -36,7 +35,7 @@ pub(crate) fn read(path: &Path, options: &ReadOptions) -> Result<(Volume, Volume
         let codec = codec_of(&image)?;
         (image, codec)
     };
-    let mut sink = HuSink::default();
+    let mut sink = options.sink(path)?;
     let data = (data_path.as_path(), 0, data_codec);
     header.layout.read_file(data, header.data_offset, ("dim", count), &mut sink, &mut notes)?;
     if header.layout.scale != crate::scalar::Scale::IDENTITY {

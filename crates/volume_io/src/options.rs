@@ -2,6 +2,7 @@
 
 use crate::error::VolumeError;
 use crate::input::DataFiles;
+use crate::scalar::{HuSink, Scale};
 use std::path::Path;
 
 /// How to read a volume; the default refuses everything ambiguous.
@@ -16,9 +17,31 @@ pub struct ReadOptions {
     pub slices: SliceHandling,
     /// Reads one label of a segmentation, as 1 inside and 0 outside.
     pub label: Option<Label>,
+    /// Converts grey values to Hounsfield units, as of a micro-CT.
+    pub grey: Option<GreyScale>,
+}
+
+/// Hounsfield units of grey values: HU = slope × grey + intercept. Grey is the value after the file's own
+/// rescale (RescaleSlope of DICOM, `scl_slope` of NIfTI), as viewers show it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct GreyScale {
+    /// Hounsfield units per grey value; not zero.
+    pub slope: f64,
+    /// Hounsfield units of grey value 0.
+    pub intercept: f64,
 }
 
 impl ReadOptions {
+    /// Returns an empty destination for voxels, which converts grey values.
+    ///
+    /// # Errors
+    /// `Header` if the slope is 0 or a number is not finite.
+    pub(crate) fn sink(&self, path: &Path) -> Result<HuSink, VolumeError> {
+        let grey = self.grey.map(|grey| Scale::checked(path, "grey scale", grey.slope, grey.intercept));
+        let grey = grey.transpose()?.filter(|grey| *grey != Scale::IDENTITY);
+        Ok(HuSink::converting(grey))
+    }
+
     /// Keeps only the selected label, if any, in a file whose labels are plain numbers.
     pub(crate) fn keep_label(&self, path: &Path, hu: &mut [i16]) -> Result<(), VolumeError> {
         match &self.label {

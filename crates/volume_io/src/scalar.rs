@@ -71,7 +71,7 @@ impl Scalar {
     fn append(self, bytes: &[u8], scale: Scale, sink: &mut HuSink) {
         match self {
             // The usual CT: nothing to scale, round or clamp.
-            Scalar::I16 if scale == Scale::IDENTITY => {
+            Scalar::I16 if scale == Scale::IDENTITY && sink.grey.is_none() => {
                 sink.hu.extend(bytes.as_chunks().0.iter().map(|b| i16::from_le_bytes(*b)));
             }
             Scalar::I8 => sink.extend(bytes, scale, |b: [u8; 1]| f64::from(i8::from_le_bytes(b))),
@@ -98,6 +98,10 @@ pub(crate) struct Scale {
 impl Scale {
     pub const IDENTITY: Self = Self { slope: 1.0, intercept: 0.0 };
 
+    fn of(self, value: f64) -> f64 {
+        if self == Scale::IDENTITY { value } else { self.slope * value + self.intercept }
+    }
+
     /// Refuses a slope of zero and any non-finite number.
     pub fn checked(path: &Path, field: &str, slope: f64, intercept: f64) -> Result<Self, VolumeError> {
         if slope.is_finite() && intercept.is_finite() && slope != 0.0 {
@@ -116,6 +120,8 @@ impl Scale {
 #[derive(Debug, Default)]
 pub(crate) struct HuSink {
     pub hu: Vec<i16>,
+    /// From scaled values to Hounsfield units; `None` if they are Hounsfield units.
+    grey: Option<Scale>,
     clamped: u64,
     rounded: u64,
     not_a_number: u64,
@@ -126,9 +132,14 @@ pub(crate) struct HuSink {
 const AIR_HU: i16 = -1000;
 
 impl HuSink {
+    /// Creates an empty sink that converts scaled values to Hounsfield units.
+    pub fn converting(grey: Option<Scale>) -> HuSink {
+        HuSink { grey, ..HuSink::default() }
+    }
+
     /// Appends one stored number. Halves round away from zero; NaN becomes air.
     pub fn push(&mut self, stored: f64, scale: Scale) {
-        let value = if scale == Scale::IDENTITY { stored } else { scale.slope * stored + scale.intercept };
+        let value = self.hu_of(stored, scale);
         // Most numbers are integer HU already.
         let direct = value as i16;
         if f64::from(direct) == value {
@@ -150,9 +161,14 @@ impl HuSink {
         self.hu.push(kept as i16);
     }
 
+    fn hu_of(&self, stored: f64, scale: Scale) -> f64 {
+        let value = scale.of(stored);
+        self.grey.map_or(value, |grey| grey.of(value))
+    }
+
     /// Appends a stored number that its file declares to be padding: air, where it would be denser.
     pub fn push_padding(&mut self, stored: f64, scale: Scale) {
-        if scale.slope * stored + scale.intercept <= f64::from(AIR_HU) {
+        if self.hu_of(stored, scale) <= f64::from(AIR_HU) {
             return self.push(stored, scale);
         }
         self.padding += 1;
@@ -180,6 +196,9 @@ impl HuSink {
 
     /// Returns the voxels; adds a note for each kind of change.
     pub fn finish(self, notes: &mut Vec<String>) -> Vec<i16> {
+        if let Some(Scale { slope, intercept }) = self.grey {
+            notes.push(format!("Hounsfield units are {slope} x the file's values + {intercept}"));
+        }
         let mut note = |count: u64, what: &str| {
             if count > 0 {
                 notes.push(format!("{count} of {} voxels {what}", self.hu.len()));

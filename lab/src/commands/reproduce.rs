@@ -10,8 +10,9 @@ use trabecula::failure::Failure;
 /// Arguments of `reproduce`.
 #[derive(Debug, Args)]
 pub struct ReproduceArguments {
-    /// Run one experiment: 1 tunnel, 2 skiving, 3 tip deviation, 4 bend against tension, 5 thrust.
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..=5))]
+    /// Run one experiment: 1 tunnel, 2 skiving, 3 tip deviation, 4 bend against tension, 5 thrust, 6
+    /// J-shaped tunnels.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..=6))]
     only: Option<u8>,
     /// Finish in seconds, with fewer cases, coarser voxels and faster feeds.
     #[arg(long)]

@@ -2,6 +2,7 @@
 //! figures.
 
 mod deviation;
+mod j_shape;
 mod output;
 mod planar_burr;
 pub mod rig;
@@ -19,7 +20,7 @@ use trabecula::output::{refuse_existing, within};
 type Part = (&'static str, fn(&Plan) -> Result<(), Failure>, &'static [&'static str]);
 
 /// The parts, in numeric order.
-const PARTS: [Part; 5] = [
+const PARTS: [Part; 6] = [
     (
         "Tunnel: curved drilling in homogeneous material",
         tunnel::run,
@@ -49,7 +50,8 @@ const PARTS: [Part; 5] = [
         tension::run,
         &["reproduce-4-tension.csv", "reproduce-4-tension.png", "reproduce-4-tension.svg"],
     ),
-    ("Thrust with one set of constants", thrust::run, &["reproduce-5-thrust.csv"]),
+    ("Thrust and torque of twist drills", thrust::run, &["reproduce-5-thrust.csv", "reproduce-5-slopes.csv"]),
+    ("J-shaped tunnels of a pre-curved tube", j_shape::run, &["reproduce-6-j-shape.csv"]),
 ];
 
 /// Runs all parts, or one by its number, from 1.

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use hub::in_process::{Answer, InProcess};
-use ipc_types::messages::{ArmMode, BurrMode, Command, State, TendonMode};
+use ipc_types::messages::{ArmMode, BurrMode, Command, State, TendonMode, TubeMode};
 use ipc_types::scene::Scene;
 use nalgebra::Vector3;
 use simulation::{CtView, Simulation};
@@ -45,9 +45,11 @@ pub struct Trial {
     pub insertion_mm: f64,
     /// Burr speed, rpm.
     pub burr_rpm: f64,
-    /// Specific cutting energy in J/mm³ at 1900 kg/m³, and the exponent of the density, replacing the
-    /// standard law's.
-    pub cutting_law: Option<[f64; 2]>,
+    /// Text of a tool file, in place of the standard tool. A tool in an outer tube is deployed at the feed;
+    /// any other is fed by the arm.
+    pub tool: Option<String>,
+    /// Drilling law, by its scene name; `None` for the default one.
+    pub law: Option<&'static str>,
     /// Edge force in N per mm of the hole's diameter at 1900 kg/m³, and the exponent of the density; `None`
     /// for no edge force.
     pub edge_law: Option<[f64; 2]>,
@@ -71,7 +73,8 @@ impl Trial {
             feed_mm_per_s,
             insertion_mm,
             burr_rpm: 2250.0,
-            cutting_law: None,
+            tool: None,
+            law: None,
             edge_law: None,
             strength_mpa: None,
             pilot: true,
@@ -84,9 +87,13 @@ impl Trial {
         } else {
             ""
         };
-        let law = self.cutting_law.map_or_else(String::new, |[energy, exponent]| {
-            format!("specific_energy_j_per_mm3 = {energy:?}\ndensity_exponent = {exponent:?}\n")
-        });
+        let law = self.law.map_or_else(String::new, |law| format!("law = \"{law}\"\n"));
+        // The friction of the tendons, if the tool has some.
+        let tool = match &self.tool {
+            Some(_) => "file = \"tool.toml\"\n".to_owned(),
+            None => format!("tendon_friction = {:?}\n", self.tendon_friction),
+        };
+        let drives = if self.deploys() { "tube" } else { "tendon" };
         let edge = self.edge_law.map_or_else(String::new, |[force, exponent]| {
             format!("edge_force_n_per_mm = {force:?}\nedge_exponent = {exponent:?}\n")
         });
@@ -94,18 +101,23 @@ impl Trial {
         let text = format!(
             "name = \"reproduce\"\n[run]\nmode = \"lockstep\"\ndt_ms = {:?}\nduration_s = 10.0\n\
              [volume]\nphantom = \"block\"\nbone_threshold_hu = {THRESHOLD_HU}\n{pilot}\
-             [manipulator]\nmodel = \"{}\"\ntendon_friction = {:?}\nstiffness_scale = {:?}\n\
+             [manipulator]\nmodel = \"{}\"\n{tool}stiffness_scale = {:?}\n\
              [contact]\nfriction = {:?}\n{strength}[drilling]\nremoval = \"{}\"\n{law}{edge}\
              [tool]\nburr_start_mm = [0.0, 0.0, 0.0]\ndirection = [0.0, 0.0, 1.0]\nbend_toward = [1.0, 0.0, \
              0.0]\n\
-             [[controller]]\nname = \"feed\"\ndrives = [\"tendon\", \"arm\", \"burr\"]\nexternal = true\n",
-            self.dt_ms, self.rung, self.tendon_friction, self.stiffness, self.contact_friction, self.removal
+             [[controller]]\nname = \"feed\"\ndrives = [\"{drives}\", \"arm\", \"burr\"]\nexternal = true\n",
+            self.dt_ms, self.rung, self.stiffness, self.contact_friction, self.removal
         );
-        let scene = Scene::parse(&text, Path::new("reproduce.toml"));
+        let read = |_: &Path| -> std::io::Result<String> { Ok(self.tool.clone().unwrap_or_default()) };
+        let scene = Scene::parse_with(&text, Path::new("reproduce.toml"), &read);
         let mut scene = scene.map_err(|cause| Failure::failed(cause.to_string()))?;
         // A rig has no protective stop.
         scene.arm.max_force_n = Some(UNLIMITED_N);
         Ok(scene)
+    }
+
+    fn deploys(&self) -> bool {
+        self.tool.as_ref().is_some_and(|tool| tool.contains("[outer_tube]"))
     }
 
     /// Returns the command for a tick, or `None` if the previous one still applies.
@@ -114,12 +126,17 @@ impl Trial {
             return None;
         }
         let feeding = time_s >= RAMP_S;
+        let (pulls, inserts, slides) =
+            (self.tool.is_none(), feeding && !self.deploys(), feeding && self.deploys());
         Some(Command {
-            tendon_mode: TendonMode::ServoJf.code(),
+            tendon_mode: if pulls { TendonMode::ServoJf } else { TendonMode::None }.code(),
             tendon_force_n: [self.tension_n * (time_s / RAMP_S).min(1.0), 0.0, 0.0, 0.0],
             burr_mode: BurrMode::Speed.code(),
             burr_speed_rad_per_s: self.burr_rpm * core::f64::consts::TAU / 60.0,
-            arm_mode: if feeding { ArmMode::Insert } else { ArmMode::None }.code(),
+            arm_mode: if inserts { ArmMode::Insert } else { ArmMode::None }.code(),
+            tube_mode: if slides { TubeMode::MoveJp } else { TubeMode::None }.code(),
+            tube_deployed_m: if slides { self.insertion_mm * 1e-3 } else { 0.0 },
+            tube_speed_m_per_s: if slides { self.feed_mm_per_s * 1e-3 } else { 0.0 },
             arm_axis: [0.0, 0.0, 1.0],
             arm_depth_m: self.insertion_mm * 1e-3,
             arm_speed_m_per_s: self.feed_mm_per_s * 1e-3,

@@ -21,7 +21,7 @@ pub const INSERTION_MM: f64 = 14.0;
 const MEETS_MM: f64 = 7.0;
 /// Angle between the axis and the boundary: 30 degrees.
 const NORMAL: [f64; 3] = [0.866_025_403_784_438_6, 0.0, 0.5];
-/// Edge force, N/mm, and exponent of the density: fitted by length in part 5.
+/// Edge force, N/mm, and exponent of the density: assumptions, for about 1.2 N of thrust in this foam.
 const EDGE: [f64; 2] = [7.0, 1.5];
 /// With an edge force, the tool should leave its line by at least this much into 1:10 at the experiment's
 /// feed, and stay on it into 1:1, mm.

@@ -167,7 +167,7 @@ fn run(log: &OpenedLog, arguments: &ExportArguments, index: usize) -> Result<Run
 }
 
 /// Rejects a folder that is not empty, and anything that is not a folder.
-fn refuse_used(folder: &Path) -> Result<(), Failure> {
+pub(super) fn refuse_used(folder: &Path) -> Result<(), Failure> {
     if folder.symlink_metadata().is_err() {
         return Ok(());
     }
@@ -186,7 +186,7 @@ fn refuse_used(folder: &Path) -> Result<(), Failure> {
     }
 }
 
-fn write(folder: &Path, (name, bytes): DatasetFile) -> Result<(), Failure> {
+pub(super) fn write(folder: &Path, (name, bytes): DatasetFile) -> Result<(), Failure> {
     let path = folder.join(name);
     let parent = output_file::folder_of(&path);
     output_file::create_folder(parent).map_err(Failure::folder(parent))?;

@@ -3,7 +3,7 @@
 use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 
-use clap::Args;
+use clap::{Args, ValueEnum};
 use foreign_text::foreign_path;
 use ipc_types::messages::{Tick, TickRange};
 use output_file::{OutputError, OutputFile};
@@ -17,7 +17,8 @@ use serde_json::{Value, json};
 
 use super::geometry::{self, Geometry};
 use super::json::of_verdict;
-use super::{dataset, foxglove, judged};
+use super::lerobot::Demonstration;
+use super::{dataset, foxglove, judged, lerobot};
 use crate::commands::{in_order, log_name};
 use crate::dataset::{Format, Split};
 use crate::failure::Failure;
@@ -25,6 +26,35 @@ use crate::launcher::volume_source::VolumeFiles;
 use crate::output::refuse_existing;
 use crate::say::{Figures, merged, path_text};
 use figures::picture::grey16;
+
+/// Format of a data set.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum DatasetFormat {
+    /// `images/*.png` (16 bits) and `annotations.json` with masks, boxes and keypoints, for pycocotools.
+    Coco,
+    /// `images/*.png` (8 bits), `labels/*.txt` with boxes and keypoints, and `data.yaml`, for pose estimation
+    /// with Ultralytics.
+    Yolo,
+    /// The same with mask polygons in `labels/*.txt`, for segmentation with Ultralytics.
+    YoloSegment,
+    /// A NumPy `.npz` per frame with the image and all labels, and `dataset.json`.
+    Npz,
+    /// LeRobot's format v3.0: an episode per run with observations, X-ray, commands and reward.
+    Lerobot,
+}
+
+impl DatasetFormat {
+    /// Returns the format of labelled frames, if it is one.
+    fn labelled(self) -> Option<Format> {
+        match self {
+            DatasetFormat::Coco => Some(Format::Coco),
+            DatasetFormat::Yolo => Some(Format::Yolo),
+            DatasetFormat::YoloSegment => Some(Format::YoloSegment),
+            DatasetFormat::Npz => Some(Format::Npz),
+            DatasetFormat::Lerobot => None,
+        }
+    }
+}
 
 /// Arguments of `log export`.
 #[derive(Debug, Args)]
@@ -58,13 +88,16 @@ pub struct ExportArguments {
     /// the 3D panel, X-ray frames, and states and commands for plots.
     #[arg(long, conflicts_with_all = ["fields", "frames", "topic", "geometry"])]
     foxglove: bool,
-    /// With `--foxglove`: states per second of simulated time, 1 to 1000.
-    #[arg(long, value_name = "HZ", default_value_t = 30.0, requires = "foxglove")]
-    pub(super) rate: f64,
-    /// Export a training data set instead of a table: every frame is re-rendered, with masks of bone, tool,
-    /// burr and tunnel, keypoints of the tool, camera and pose.
+    /// With `--foxglove`: states per second of simulated time, 1 to 1000 (30). With `--dataset lerobot`: rows
+    /// per second, a whole number (`drr.rate_hz`, or else 30).
+    #[arg(long, value_name = "HZ")]
+    pub(super) rate: Option<f64>,
+    /// Export a training data set instead of a table: labelled frames, with masks of bone, tool, burr and
+    /// tunnel, keypoints of the tool, camera and pose; or (`lerobot`) what was observed and commanded.
     #[arg(long, value_enum, value_name = "FORMAT", conflicts_with_all = ["fields", "frames", "topic", "geometry", "foxglove"])]
-    dataset: Option<Format>,
+    dataset: Option<DatasetFormat>,
+    #[command(flatten)]
+    pub(super) demonstration: Demonstration,
     /// With `--dataset`: threshold at or above which voxels are bone; default: `drr.labels.bone_from_hu` of
     /// the scene, or else its `volume.bone_threshold_hu`.
     #[arg(long, value_name = "HU", requires = "dataset", allow_negative_numbers = true)]
@@ -93,11 +126,32 @@ impl ExportArguments {
     /// # Errors
     /// Bad input: incompatible flags, or a range of ticks that ends before it begins.
     fn check(&self) -> Result<(), Failure> {
+        let is_lerobot = self.dataset == Some(DatasetFormat::Lerobot);
+        if self.rate.is_some() && !self.foxglove && !is_lerobot {
+            return Err(Failure::bad_input("--rate needs --foxglove or --dataset lerobot"));
+        }
+        if let Some(flag) = self.demonstration.given().filter(|_| !is_lerobot) {
+            return Err(Failure::bad_input(format!("{flag} needs --dataset lerobot")));
+        }
+        if let Some(flag) = self.labels_only().filter(|_| is_lerobot) {
+            return Err(Failure::bad_input(format!("--dataset lerobot does not use {flag}")));
+        }
         let uses_volume = self.dataset.is_some() || self.geometry == Some(Geometry::Tunnel);
         if self.volume.is_some() && !uses_volume {
             return Err(Failure::bad_input("--volume needs --geometry tunnel or --dataset"));
         }
         in_order(self.ticks()).map(drop)
+    }
+
+    /// Returns the first flag in use that only labelled frames have.
+    fn labels_only(&self) -> Option<&'static str> {
+        [
+            ("--bone-from-hu", self.bone_from_hu.is_some()),
+            ("--split", self.split.is_some()),
+            ("--volume", self.volume.is_some()),
+        ]
+        .into_iter()
+        .find_map(|(flag, is_given)| is_given.then_some(flag))
     }
 
     /// Prints what was exported, as text with how the log ends, or as JSON.
@@ -126,7 +180,10 @@ impl ExportArguments {
 pub fn run(arguments: &ExportArguments) -> Result<(), Failure> {
     arguments.check()?;
     if let Some(format) = arguments.dataset {
-        return dataset::export(format, arguments);
+        return match format.labelled() {
+            Some(format) => dataset::export(format, arguments),
+            None => lerobot::export(arguments),
+        };
     }
     if let [_, second, ..] = arguments.logs.as_slice() {
         let second = foreign_path(second);
@@ -172,7 +229,8 @@ fn table(log: &Path, arguments: &ExportArguments) -> Result<(String, Verdict), F
         read_rows(&LogFile::at(log), &arguments.topic, &columns, arguments.ticks(), &mut counted)
     })?;
     let (columns, topic) = (columns.len() + 2, &arguments.topic);
-    Ok((format!("{count} rows and {columns} columns of {topic}"), verdict))
+    let rows = foreign_text::counted(count, "row");
+    Ok((format!("{rows} and {columns} columns of {topic}"), verdict))
 }
 
 /// Writes a `.csv` file, or else a Parquet file. The rows before the damage of a log still make a valid
@@ -235,7 +293,8 @@ fn pictures(log: &Path, arguments: &ExportArguments) -> Result<(String, Verdict)
     if let Some(damage) = damage {
         return Err(damage);
     }
-    Ok((format!("{written} images, {without} frames without an image in the log"), reader.verdict()))
+    let (images, frames) = (foreign_text::counted(written, "image"), foreign_text::counted(without, "frame"));
+    Ok((format!("{images}, {frames} without an image in the log"), reader.verdict()))
 }
 
 fn name(sequence: u64, tick: u64) -> String {

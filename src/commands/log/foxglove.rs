@@ -39,8 +39,9 @@ pub fn export(arguments: &ExportArguments) -> Result<(), Failure> {
     if ending_of(output) != "mcap" {
         return Err(Failure::bad_input(format!("--output is {}, expected a .mcap file", output.display())));
     }
-    if !(1.0..=1000.0).contains(&arguments.rate) {
-        return Err(Failure::bad_input(format!("--rate is {}; allowed: 1 to 1000", arguments.rate)));
+    let rate_hz = arguments.rate.unwrap_or(30.0);
+    if !(1.0..=1000.0).contains(&rate_hz) {
+        return Err(Failure::bad_input(format!("--rate is {rate_hz}; allowed: 1 to 1000")));
     }
     refuse_existing(&[output])?;
     let log = log_path(arguments.log());
@@ -49,7 +50,7 @@ pub fn export(arguments: &ExportArguments) -> Result<(), Failure> {
     let file = OutputFile::create(output)?;
     let failure = unwritten(output);
     let writer = ViewerLog::create(BufWriter::new(file.handle()?), output).map_err(&failure)?;
-    let mut made = FoxgloveExport::new(writer, &scene, arguments, stream.header().dt_ns);
+    let mut made = FoxgloveExport::new(writer, &scene, arguments, (rate_hz, stream.header().dt_ns));
     let verdict = made.take(stream).map_err(&failure)?;
     let (drawings, frames) = (made.drawings, made.frames);
     made.log.finish().map_err(&failure)?;
@@ -77,9 +78,9 @@ impl<'a, W: std::io::Write> FoxgloveExport<'a, W> {
         log: ViewerLog<W>,
         scene: &Scene,
         arguments: &'a ExportArguments,
-        dt_ns: u64,
+        (rate_hz, dt_ns): (f64, u64),
     ) -> FoxgloveExport<'a, W> {
-        let every = (1e9 / (arguments.rate * dt_ns.max(1) as f64)).round().max(1.0) as u64;
+        let every = (1e9 / (rate_hz * dt_ns.max(1) as f64)).round().max(1.0) as u64;
         let metres = |path: Vec<[f64; 3]>| path.into_iter().map(|point| point.map(|x| x * 1e-3)).collect();
         FoxgloveExport {
             log,

@@ -123,10 +123,11 @@ fn of_tunnel(format: &str, arguments: &ExportArguments) -> Result<ExportResult, 
     let (count, voxels_mm3, surface_mm3) =
         (gone.voxels.len(), gone.voxels.len() as f64 * voxel_mm3, mesh.volume_mm3());
     let said = format!(
-        "tunnel after tick {}: {} triangles enclosing {surface_mm3:.1} mm3; {count} voxels ({voxels_mm3:.1} \
-         mm3) removed",
+        "tunnel after tick {}: {} triangles enclosing {surface_mm3:.1} mm3; {} ({voxels_mm3:.1} mm3) \
+         removed",
         gone.tick,
-        mesh.triangles.len()
+        mesh.triangles.len(),
+        foreign_text::counted(count, "voxel")
     );
     let figures = json!({"tick": gone.tick, "triangles": mesh.triangles.len(), "surface_volume_mm3": surface_mm3,
         "removed_voxels": count, "removed_volume_mm3": voxels_mm3});

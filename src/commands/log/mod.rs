@@ -6,6 +6,7 @@ mod export;
 mod foxglove;
 mod geometry;
 pub(super) mod json;
+mod lerobot;
 mod make;
 
 use std::io::Write;

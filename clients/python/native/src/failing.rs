@@ -23,7 +23,7 @@ fn kind(error: &SimError) -> Kind {
         | SimError::NoController { .. }
         | SimError::NoSignal { .. }
         | SimError::StateVector(_)
-        | SimError::NoKeyframe { .. }
+        | SimError::Packed(_)
         | SimError::OtherScene
         | SimError::NotInLog { .. }
         | SimError::NoContinuation { .. }

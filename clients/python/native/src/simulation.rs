@@ -28,6 +28,18 @@ impl Snapshot {
         PyBytes::new(py, self.0.state().as_bytes())
     }
 
+    /// Scene and state as bytes.
+    fn packed<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
+        let packed = py.detach(|| self.0.packed()).map_err(|error| raised(py, &error))?;
+        Ok(PyBytes::new(py, &packed))
+    }
+
+    /// Recreates a snapshot from its bytes.
+    #[staticmethod]
+    fn of_packed(py: Python<'_>, packed: &[u8]) -> PyResult<Snapshot> {
+        py.detach(|| ::sim::Snapshot::of_packed(packed)).map(Snapshot).map_err(|error| raised(py, &error))
+    }
+
     /// The state vector, as bytes of float64.
     fn vector<'py>(&self, py: Python<'py>) -> Bound<'py, PyBytes> {
         PyBytes::new(py, self.0.vector().as_bytes())
@@ -244,6 +256,18 @@ impl Sim {
 
     fn reset(&self, py: Python<'_>) -> PyResult<()> {
         self.with(py, ::sim::Sim::reset)
+    }
+
+    /// Scene and state as bytes.
+    fn packed<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
+        let packed = self.with(py, |sim| sim.packed())?;
+        Ok(PyBytes::new(py, &packed))
+    }
+
+    /// Recreates a simulation from its bytes.
+    #[staticmethod]
+    fn of_packed(py: Python<'_>, packed: Vec<u8>) -> PyResult<Sim> {
+        Sim::of(py, Box::new(move || ::sim::Sim::of_packed(&packed)))
     }
 
     fn branch(&self, py: Python<'_>) -> PyResult<Sim> {

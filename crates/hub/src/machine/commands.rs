@@ -69,8 +69,9 @@ impl<P: Plant> Hub<P> {
             if controller.lost > 0 && controller.warnings.allows(env.now_ns()) {
                 let lost = std::mem::take(&mut controller.lost);
                 let length = COMMAND.queue_length;
+                let commands = if lost == 1 { "command" } else { "commands" };
                 let text = format!(
-                    "{lost} commands lost: the queue ({length}) overflowed, or sequence numbers were skipped"
+                    "{lost} {commands} lost: the queue ({length}) overflowed, or sequence numbers were skipped"
                 );
                 self.warn(env, index, EventCode::MessagesLost, &text)?;
             }

@@ -217,9 +217,8 @@ fn refusal(scene: &Scene, given: &FixedSettings, rows: &[&Row], load: Load) -> F
     let named = given.text();
     if rows.is_empty() {
         return Failure::bad_input(format!(
-            "scene `{}`: `tolerance`: the scene fixes {named}, for which no errors were measured; use \
-             settings listed by `trabecula plan --list SCENE`, or fix fewer of them",
-            scene.name
+            "`tolerance`: the scene fixes {named}, for which no errors were measured; use settings listed by \
+             `trabecula plan --list SCENE`, or fix fewer of them"
         ));
     }
     let least = |error: &dyn Fn(&Row) -> f64| rows.iter().fold(f64::INFINITY, |low, row| low.min(error(row)));
@@ -238,8 +237,7 @@ fn refusal(scene: &Scene, given: &FixedSettings, rows: &[&Row], load: Load) -> F
             .flatten()
             .collect();
     Failure::bad_input(format!(
-        "scene `{}`: no measured settings meet this tolerance ({}; the scene fixes {named})",
-        scene.name,
+        "no measured settings meet this tolerance ({}; the scene fixes {named})",
         asked.join("; "),
     ))
 }

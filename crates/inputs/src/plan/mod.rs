@@ -33,6 +33,6 @@ pub const TABLE: &str = include_str!("table.csv");
 /// Bad input: an invalid scene, or a tolerance that no settings meet.
 pub fn load_scene(source: &SceneSource) -> Result<(Scene, Option<String>), Failure> {
     let mut scene = source.load()?;
-    let choice = resolve(&mut scene, &source.text()?)?;
+    let choice = resolve(&mut scene, &source.text()?).map_err(|failure| failure.of(source))?;
     Ok((scene, choice.map(|choice| choice.text())))
 }

@@ -207,7 +207,7 @@ fn damage_in_the_chunk_that_declares_the_topics_takes_no_other_chunk() {
     assert_eq!(found.report.undeclared, 1, "{:?}", found.report);
     let mut text = Vec::new();
     found.report.write(&mut text).unwrap();
-    assert!(String::from_utf8(text).unwrap().contains("1 messages of undeclared topics"));
+    assert!(String::from_utf8(text).unwrap().contains("1 message of undeclared topics"));
 }
 
 /// A timing lane with one chunk per message.

@@ -22,7 +22,7 @@ use crate::end::Ending;
 use crate::error::LogError;
 use crate::reader::{LogReader, SavedState, TickRecord};
 use crate::verify::ReplayReport;
-use work::{Block, Outcome, Problem, Segment, Start, work};
+use work::{Block, Outcome, PANICKED, Problem, Segment, Start, work};
 
 /// Ticks handed to a worker at once.
 const BLOCK_TICKS: usize = 64;
@@ -190,11 +190,22 @@ fn replay_segments<S: Plant>(
     let segments = Mutex::new(segments);
     let (read, outcomes) = std::thread::scope(|scope| {
         let work = || work(make, &segments, &bound);
-        let workers: Vec<_> = (0..options.threads.max(1)).map(|_| scope.spawn(work)).collect();
+        let mut workers = Vec::new();
+        for number in 0..options.threads.max(1) {
+            let thread = std::thread::Builder::new().name(format!("replay-{number}"));
+            match thread.spawn_scoped(scope, work) {
+                Ok(worker) => workers.push(worker),
+                // Fewer threads take longer, and find the same.
+                Err(_) if number > 0 => break,
+                Err(cause) => {
+                    let cause = format!("no thread can be started: {cause}");
+                    return (None, vec![Outcome::without_worker(first_tick, cause)]);
+                }
+            }
+        }
         let read = feed(reader, options, queue, &bound, (Waiting::new(compared), &mut gaps));
-        let outcomes = workers.into_iter().flat_map(|worker| {
-            worker.join().unwrap_or_else(|_| vec![Outcome::without_worker(first_tick)]) //
-        });
+        let died = || vec![Outcome::without_worker(first_tick, PANICKED.to_owned())];
+        let outcomes = workers.into_iter().flat_map(|worker| worker.join().unwrap_or_else(|_| died()));
         (read, outcomes.collect())
     });
     let read = Read { first_tick, log_error: read, gaps };

@@ -12,7 +12,7 @@ use crate::difference::Divergence;
 use crate::reader::{RecordedFailure, SavedState, TickRecord};
 use crate::verify::{compare_keyframe, compare_state, compare_tick};
 
-const PANICKED: &str = "the simulation panicked (its message is above)";
+pub const PANICKED: &str = "the simulation panicked (its message is above)";
 
 /// Where a segment begins.
 pub(super) struct Start {
@@ -110,8 +110,8 @@ impl Outcome {
         }
     }
 
-    /// Returns the outcome of a worker that died: nothing it replayed is proven.
-    pub fn without_worker(start_tick: Tick) -> Outcome {
+    /// Returns the outcome of a worker that died, or of none that could be started: nothing is proven.
+    pub fn without_worker(start_tick: Tick, cause: String) -> Outcome {
         Outcome {
             start_tick,
             identical_ticks: 0,
@@ -119,7 +119,7 @@ impl Outcome {
             last_tick: start_tick,
             hash: [0; 2],
             failure: None,
-            problem: Some(Problem::Cannot(start_tick, PANICKED.to_owned())),
+            problem: Some(Problem::Cannot(start_tick, cause)),
         }
     }
 

@@ -92,9 +92,12 @@ fn check_controller(controller: &Controller, checker: &Checker) -> Result<(), Sc
         controller.external,
     ];
     if kinds.iter().filter(|kind| **kind).count() != 1 {
-        let problem = "needs exactly one of `curved_drilling`, `skiving`, `tension_sweep`, \
-                       `tube_deployment`, `hold`, `command`, `external`";
-        return Err(checker.invalid(&format!("controller `{}`", controller.name), problem));
+        let problem = format!(
+            "`{}` needs exactly one of `curved_drilling`, `skiving`, `tension_sweep`, `tube_deployment`, \
+             `hold`, `command`, `external`",
+            controller.name
+        );
+        return Err(checker.invalid("controller", problem));
     }
     if controller.optional && !controller.external && controller.command.is_none() {
         let problem = "applies only to a controller with `external` or `command`";

@@ -9,7 +9,9 @@ use std::path::Path;
 
 use crate::declaration::{Range, SCENE};
 use crate::error::SceneError;
-use crate::model::{Body, CArm, Drr, FARTHEST_MM, ManipulatorRung, Scene, Structure, Tool, Volume};
+use crate::model::{
+    Body, CArm, CutterShape, DrillingLaw, Drr, FARTHEST_MM, ManipulatorRung, Scene, Structure, Tool, Volume,
+};
 use crate::ranges;
 
 pub(crate) use tool::tool;
@@ -89,6 +91,11 @@ fn check_relations(scene: &Scene, checker: &Checker) -> Result<(), SceneError> {
         let problem = "and `drilling.edge_pressure_mpa` are mutually exclusive; set only one";
         return Err(checker.invalid("drilling.edge_force_n_per_mm", problem));
     }
+    let shape = scene.manipulator.tool.as_ref().map(|tool| tool.burr.shape());
+    if scene.drilling.law == Some(DrillingLaw::TwistDrill) && shape != Some(CutterShape::Bit) {
+        let problem = "is `twist_drill`, which needs a tool whose `burr.shape` is `bit`";
+        return Err(checker.invalid("drilling.law", problem));
+    }
     arm::check(&scene.arm, checker)?;
     if let Some(drr) = &scene.drr {
         check_drr(drr, checker)?;
@@ -130,12 +137,23 @@ fn check_choices(volume: &Volume, checker: &Checker) -> Result<(), SceneError> {
         ("volume.series", volume.series.is_some()),
         ("volume.resample", volume.resample.is_some()),
         ("volume.label", volume.label.is_some()),
+        ("volume.slope", volume.slope != 1.0),
+        ("volume.intercept", volume.intercept != 0.0),
     ];
     if let Some((key, _)) = chosen.iter().find(|(_, given)| *given && volume.path.is_none()) {
         return Err(checker.invalid(key, "applies only to a file, not to a phantom"));
     }
     if volume.label.is_some() && !volume.mask {
         return Err(checker.invalid("volume.label", "applies only to a mask; set `volume.mask = true`"));
+    }
+    if volume.slope == 0.0 {
+        return Err(checker.invalid("volume.slope", "is 0, expected -1e6 to 1e6 without 0"));
+    }
+    if volume.mask && (volume.slope, volume.intercept) != (1.0, 0.0) {
+        return Err(checker.invalid(
+            "volume.mask",
+            "and `volume.slope`, `volume.intercept` are mutually exclusive: a mask has no grey values",
+        ));
     }
     Ok(())
 }

@@ -223,6 +223,9 @@ impl Check<'_> {
                 _ => {}
             }
         }
+        if burr.rake_deg.is_some() && !is_bit {
+            return Err(self.invalid("burr.rake_deg", "applies only to a bit; `burr.shape` is different"));
+        }
         if burr.scallop_mm.is_some() && !is_long {
             return Err(self.invalid(
                 "burr.scallop_mm",

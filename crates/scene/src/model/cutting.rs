@@ -36,11 +36,14 @@ pub enum ContactVoxels {
     Balls,
 }
 
-/// Strength of bone and the burr's cutting, where it differs from the standard.
+/// How the burr cuts bone, where it differs from the standard.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 #[schemars(extend("x-absent" = "standard"))]
 pub struct Drilling {
+    /// The law that the other keys of this table adjust.
+    #[schemars(extend("x-absent" = "burr"))]
+    pub law: Option<DrillingLaw>,
     /// Energy per volume to remove cortical bone of 1.9 g/cm³.
     #[schemars(range(min = 1e-4, max = 10.0))]
     pub specific_energy_j_per_mm3: Option<f64>,
@@ -56,19 +59,36 @@ pub struct Drilling {
     #[schemars(range(min = 0.0, max = 1e3))]
     pub edge_pressure_mpa: Option<f64>,
     /// The same as a force per millimetre of the hole's diameter, in place of `edge_pressure_mpa`: edges have
-    /// a length, and a larger burr ploughs with less pressure. 7 N/mm with an `edge_exponent` of 1.5 fits
-    /// published thrusts best (docs/reproduction.md).
+    /// a length, and a larger burr ploughs with less pressure.
     #[schemars(range(min = 0.0, max = 1e3))]
     pub edge_force_n_per_mm: Option<f64>,
     /// Exponent of the density for that pressure or force.
     #[schemars(range(min = 0.0, max = 4.0))]
     pub edge_exponent: Option<f64>,
+    /// Distance beyond its surface to which the burr cuts: run-out and compliance. The hole is wider by twice
+    /// this.
+    #[schemars(range(min = 0.01, max = 1.0))]
+    pub reach_mm: Option<f64>,
+    /// Largest depth that a revolution of the burr can cut.
+    #[schemars(range(min = 0.001, max = 10.0))]
+    pub feed_per_revolution_mm: Option<f64>,
     /// Whether cutting also pushes the burr sideways: by the cutting coefficient times a contact's force,
     /// perpendicular to its normal and to the burr's axis. For tools that bend out of the plane (`spatial`,
     /// `full`); off by default.
     pub side_force: Option<bool>,
     /// How voxels are removed: `energy` is the standard; the others are published rules, for experiments.
     pub removal: Option<Removal>,
+}
+
+/// Law by which a cutter needs force and energy.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum DrillingLaw {
+    /// An abrasive burr: energy per volume, in proportion to force and sliding speed.
+    Burr,
+    /// A twist drill, from the point angle, rake and chisel edge of a tool whose `burr.shape` is `bit`. It
+    /// sets energy, coefficient and edge force that neither the scene nor the tool sets.
+    TwistDrill,
 }
 
 /// How a burr removes voxels.

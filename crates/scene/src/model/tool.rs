@@ -187,6 +187,9 @@ pub struct ToolBurr {
     /// Point angle of a bit, from flank to flank.
     #[schemars(range(min = 30.0, max = 160.0))]
     pub point_deg: Option<f64>,
+    /// Rake angle of a bit's lips, for the law `drilling.law = "twist_drill"`.
+    #[schemars(range(min = -30.0, max = 45.0), extend("x-absent" = "20"))]
+    pub rake_deg: Option<f64>,
     /// Largest depth by which the surface between two of the balls that make up the shape falls short of it.
     #[schemars(range(min = 0.001, max = 1.0), extend("x-absent" = "0.05"))]
     pub scallop_mm: Option<f64>,

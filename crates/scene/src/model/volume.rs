@@ -28,6 +28,16 @@ pub struct Volume {
     /// Resamples unevenly spaced or sheared slices (tilted gantry) to a rectangular grid; if absent, they are
     /// refused.
     pub resample: Option<Resample>,
+    /// Hounsfield units per grey value of a file without Hounsfield units, as of a micro-CT: HU = `slope` ×
+    /// grey + `intercept`. Grey is what viewers show: after the file's own RescaleSlope (DICOM) or
+    /// `scl_slope` (NIfTI). May be negative, but not 0. Two voxels of known density give both keys.
+    #[serde(default = "Volume::default_slope")]
+    #[schemars(range(min = -1e6, max = 1e6))]
+    pub slope: f64,
+    /// Hounsfield units of grey value 0: see `slope`.
+    #[serde(default = "Volume::default_intercept")]
+    #[schemars(range(min = -1e6, max = 1e6))]
+    pub intercept: f64,
     /// Resamples a file's volume to cubic voxels of this size: thick slices give a rough tunnel wall.
     #[schemars(range(min = 0.05, max = 5.0))]
     pub resample_mm: Option<f64>,
@@ -46,6 +56,8 @@ pub struct Volume {
 }
 
 defaults!(Volume {
+    default_slope: f64 = 1.0,
+    default_intercept: f64 = 0.0,
     default_spacing_mm: f64 = 0.5,
     default_bone_threshold_hu: i16 = 150,
     default_block_density_ratio: f64 = 1.0,

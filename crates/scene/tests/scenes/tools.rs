@@ -166,6 +166,11 @@ fn a_tool_that_cannot_stand_is_refused_with_file_key_value_and_range() {
         ),
         (
             "diameter_mm = 8.0",
+            "rake_deg = 20.0\ndiameter_mm = 8.0",
+            "`burr.rake_deg` applies only to a bit; `burr.shape` is different",
+        ),
+        (
+            "diameter_mm = 8.0",
             "scallop_mm = 0.1\ndiameter_mm = 8.0",
             "`burr.scallop_mm` applies only to shapes other than a ball; `burr.shape` is different",
         ),
@@ -282,6 +287,15 @@ fn what_a_scene_says_beside_a_tool_file_must_go_with_it() {
         refused.contains("a.toml: `manipulator.burr_diameter_mm` applies only to a ball burr"),
         "{refused}"
     );
+    let bit = TOOL.replace(
+        "diameter_mm = 8.0\noffset_mm = 4.0",
+        "shape = \"bit\"\nlength_mm = 12.0\ntip_diameter_mm = 2.0\npoint_deg = 118.0\ndiameter_mm = \
+         8.0\noffset_mm = 20.0",
+    );
+    let law = format!("{SCENE}[drilling]\nlaw = \"twist_drill\"\n");
+    assert!(scene(&law, &bit).is_ok());
+    let refused = scene(&law, &cylinder).unwrap_err().to_string();
+    assert!(refused.contains("`drilling.law` is `twist_drill`, which needs a tool"), "{refused}");
     let refused = scene(&SCENE.replace("\"tools/drill.toml\"", "7"), TOOL).unwrap_err().to_string();
     assert!(refused.contains("`manipulator.file` is 7, expected a path as a string"), "{refused}");
     let unreadable = |_: &Path| Err(std::io::Error::other("no such file"));

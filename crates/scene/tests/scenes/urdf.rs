@@ -71,6 +71,19 @@ fn an_arm_follows_from_its_file_and_the_scene_names_none() {
 }
 
 /// Universal Robots' own description ends its ranges at 6.28318530718, which is 360.00000000002 degrees.
+/// Regression: files with extensions of Drake or Gazebo, whose prefixes they do not declare, were no XML.
+#[test]
+fn prefixes_of_extensions_need_no_declaration() {
+    let extended = six()
+        .replace("<link name=\"l1\"/>", "<link name=\"l1\"><drake:proximity drake:soft=\"1\"/></link>")
+        .replace("<transmission>", "<gz:plugin/><transmission>");
+    assert!(extended.contains("drake:") && extended.contains("gz:"));
+    assert_eq!(parse(TIP, &extended).unwrap().arm.joint, parse(TIP, &six()).unwrap().arm.joint);
+    let many: String = (0..40).map(|i| format!("<p{i}:a/>")).collect();
+    let said = parse(TIP, &six().replace("<transmission>", &format!("{many}<transmission>"))).unwrap_err();
+    assert!(said.to_string().contains("unknown namespace prefix 'p16'"), "{said}");
+}
+
 #[test]
 fn a_range_that_ends_just_beyond_a_turn_is_taken() {
     let wide =

@@ -9,10 +9,10 @@ use super::yielding::Indentation;
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CuttingLaw {
     /// Ratio mu_cut of cutting power to normal force times sliding speed. The default of 0.3 is an assumption
-    /// for an abrasive burr. For comparison, torque over (thrust times 2r/3) of 2.5 mm twist drills is 2.4
-    /// and 2.5 in bovine and 2.1 to 4.0 in other femurs (table 6 of Orelaja et al. 2020, J. Healthcare Eng.
-    /// 8817422), and of 3.2 mm twist drills 0.7 to 0.9 in human femurs (MacAvelia et al. 2012, J. Biomech.
-    /// Eng. 134:124503).
+    /// for an abrasive burr; twist drills have a law of their own ([`super::twist_drill`]). For comparison,
+    /// torque over (thrust times 2r/3) of 2.5 mm twist drills is 2.4 and 2.5 in bovine and 2.1 to 4.0 in
+    /// other femurs (Orelaja et al. 2020, J. Healthcare Eng. 8817422), and of 3.2 mm twist drills 0.7 to 0.9
+    /// in human femurs (MacAvelia et al. 2012, J. Biomech. Eng. 134:124503).
     pub cutting_friction: f64,
     /// Distance beyond its surface to which the burr cuts, in metres: contact compliance and tool run-out.
     /// The hole's radius is the burr's plus this.

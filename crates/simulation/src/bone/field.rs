@@ -79,6 +79,11 @@ impl BoneField {
         self.arch.dispatch(FindStrengths { voxels, hu, pressing, near })
     }
 
+    /// Returns the number of voxels that the last [`Self::strengths_n`] listed around the sphere.
+    pub(crate) fn listed(&self) -> usize {
+        self.near.len()
+    }
+
     /// Drills for one tick of `dt_s` with the burr's end. `hu` is the CT that the field was built from.
     /// [`Voxels::removed_this_tick`] then lists the removed voxels.
     ///

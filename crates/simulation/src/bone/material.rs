@@ -14,13 +14,13 @@ use super::BoneError;
 /// The exponent 2 is that of compressive strength in Carter and Hayes 1977 (J. Bone Joint Surg. 59A:954),
 /// applied here to cutting energy. `u_ref` for cortical bone has the order of magnitude of orthogonal
 /// cutting, about 1e7 to 1e8 J/m3. Strength is Carter and Hayes' law, 68 MPa (strain rate in 1/s)^0.06
-/// (density in g/cm3)^2, at 0.01/s: 186 MPa at 1.9 g/cm3, 1.3 MPa at 0.16 g/cm3. Closed-cell polyurethane
-/// foam of that density crushes at 0.9 to 2.2 MPa. These are defaults, not a calibration; a scene can set its
-/// own values.
+/// (density in g/cm3)^2, at 0.01/s: 186 MPa at 1.9 g/cm3, 1.3 MPa at 0.16 and 5.3 MPa at 0.32 g/cm3. Foams of
+/// these two densities yielded at 0.9 to 4.5 MPa (Patel et al. 2008, BMC Musculoskelet. Disord. 9:137,
+/// abstract). These are defaults, not a calibration; a scene can set its own values.
 ///
 /// The edge pressure is the pressure of a cutter's edges before they cut: the ploughing component that sawing
 /// measurements separate from shearing (J. Manuf. Sci. Eng. 143:121009). It is 0 unless a scene sets it; its
-/// exponent 1.7 is between those of two fits to published thrust forces, 1.5 and 1.8 (docs/reproduction.md).
+/// exponent of 1.7 is an assumption, a little below that of strength.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MaterialLaw {
     /// Density at 0 HU in kg/m3.

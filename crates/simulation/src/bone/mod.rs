@@ -40,6 +40,7 @@ mod spline;
 mod strength;
 mod surface;
 mod tracked;
+pub mod twist_drill;
 mod voxels;
 pub mod yielding;
 

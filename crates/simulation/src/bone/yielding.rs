@@ -109,7 +109,7 @@ impl Normals {
     fn of<'n>(normals: impl Iterator<Item = &'n Unit<Vector3<f64>>>, voxels: &Voxels) -> Self {
         let mut all = Self { along: [[0.0; MOST_NORMALS]; 3], count: 0 };
         for normal in normals.take(MOST_PLANES) {
-            let normal = voxels.geometry().direction_world_grid.tr_mul(normal.as_ref());
+            let normal = voxels.in_grid(normal);
             for (along, normal) in all.along.iter_mut().zip(&normal) {
                 along[all.count] = *normal;
             }
@@ -223,14 +223,20 @@ impl Voxels {
         let voxel_j = |near: &BoneVoxel| self.material().strength_pa(hu[near.voxel.at()]) * voxel_m3;
         for ((plane, strength_n), depth_m) in pressing.planes.iter().zip(&mut strength_n).zip(depth_m) {
             if *depth_m > SHELL_M {
-                let normals = Normals::of([&plane.normal].into_iter(), self);
-                let crushed = recession(near, (pressing.radius_m, *depth_m), &normals);
+                let normal = self.in_grid(&plane.normal);
+                let crushed = recession(near, (pressing.radius_m, *depth_m), &normal);
                 let energy_j: f64 = crushed.map(|(near, spent)| voxel_j(near) * (spent - near.spent)).sum();
                 *strength_n = strength_n.max(energy_j / depth_m);
             }
             *strength_n = strength_n.max(least_n);
         }
         strength_n
+    }
+
+    /// Returns a normal in the grid's frame.
+    #[inline(always)]
+    fn in_grid(&self, normal: &Unit<Vector3<f64>>) -> Vector3<f64> {
+        self.geometry().direction_world_grid.tr_mul(normal.as_ref())
     }
 
     /// Lists every voxel of bone whose surface lies within `reach_m` of a centre in the grid's metric frame,
@@ -299,18 +305,23 @@ fn nearest_surfaces(near: &[BoneVoxel], reach_m: f64, normals: &Normals) -> [f64
 }
 
 /// Returns the voxels that recede under an indentation of this depth by a sphere of this radius, m, with the
-/// fraction of each that is spent afterwards. `near` lists the bone within their sum.
+/// fraction of each that is spent afterwards. `near` lists the bone within their sum, `normal` is the plane's
+/// in the grid's frame.
 #[inline(always)]
 fn recession<'n>(
     near: &'n [BoneVoxel],
     (radius_m, depth_m): (f64, f64),
-    normals: &'n Normals,
+    normal: &Vector3<f64>,
 ) -> impl Iterator<Item = (&'n BoneVoxel, f64)> {
-    let [nearest_m, ..] = nearest_surfaces(near, radius_m, normals);
+    let [x, y, z]: [f64; 3] = (*normal).into();
+    let is_under = move |near: &BoneVoxel| {
+        near.direction.x * x + near.direction.y * y + near.direction.z * z > SIDE_COSINE
+    };
+    let touched = near.iter().filter(|near| near.surface_m < radius_m && is_under(near));
+    let nearest_m = touched.fold(f64::INFINITY, |least: f64, near| least.min(near.surface_m));
     let end_m = if nearest_m.is_finite() { nearest_m + depth_m } else { 0.0 };
-    let near = near.iter().filter(move |near| near.surface_m < end_m);
-    near.filter(|near| normals.side(&near.direction).is_some())
-        .map(move |near| (near, (near.spent + (end_m - near.surface_m) / near.width_m).min(1.0)))
+    let near = near.iter().filter(move |near| near.surface_m < end_m && is_under(near));
+    near.map(move |near| (near, (near.spent + (end_m - near.surface_m) / near.width_m).min(1.0)))
 }
 
 impl Drilling<'_> {
@@ -322,12 +333,12 @@ impl Drilling<'_> {
         near: &mut Vec<BoneVoxel>,
     ) -> CrushReport {
         let mut report = CrushReport::default();
-        let normals = Normals::of([&indentation.normal].into_iter(), self);
+        let normal = self.in_grid(&indentation.normal);
         let centre = self.geometry().point_to_grid(&indentation.centre_m);
         let Indentation { radius_m, depth_m, .. } = *indentation;
         self.list_near(&centre, radius_m + depth_m, near);
         let voxel_m3 = self.geometry().voxel_volume_m3();
-        for (near, spent) in recession(near, (radius_m, depth_m), &normals) {
+        for (near, spent) in recession(near, (radius_m, depth_m), &normal) {
             let strength_pa = self.material().strength_pa(hu[near.voxel.at()]);
             if self.crush(near.voxel, spent) {
                 report.crushed_count += 1;

@@ -69,6 +69,7 @@ pub use feasibility::{Finding, Verdict, findings, planned_time_s};
 pub use keyframe::KeyframeError;
 pub use lost::LostTool;
 pub use message::pose;
+pub use move_tool::ToolEffort;
 pub use setup::{contact_kind, manipulator_parameters, rung};
 pub use state_vector::{StateEntry, StateVectorError};
 pub use tube_drive::TubeRefusal;
@@ -157,6 +158,8 @@ pub struct Simulation<'v> {
     balls_behind: Vec<Ball>,
     /// Search range of each proxy sphere.
     reach: Vec<SearchRange>,
+    /// Work of the last tick's steps of the tool.
+    effort: ToolEffort,
     /// Workspace: the tool before the tick.
     before: ManipulatorState,
     tendon: TendonDrive,

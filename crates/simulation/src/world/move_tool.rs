@@ -4,7 +4,9 @@
 //! the minimum strength of any contact, in the last tick or in this one. A sphere that goes deep within one
 //! tick leaves its own footprint: its strength is then the largest on its way; otherwise, a long step would
 //! pass through bone. If the attempts end before the assumed strengths hold, the last one does not yield: a
-//! tick may stop the tool too early, but never crushes bone with less force than the bone supports.
+//! tick may stop the tool too early, but never crushes bone with less force than the bone supports. They also
+//! end when the tick has cost too much ([`MOST_ITERATIONS`], [`MOST_LISTED`]). An attempt keeps planes and
+//! strengths of a sphere that has not moved farther or deeper than in the one before.
 
 use nalgebra::Vector3;
 
@@ -42,6 +44,10 @@ const BEHIND_M: f64 = 1.0e-4;
 const SAME_COSINE: f64 = 0.996;
 /// Maximum attempts to step the tool in a tick, each with planes from farther away or with stronger ones.
 const MAX_ATTEMPTS: usize = 16;
+/// Iterations of the contact solver, and voxels listed for strengths, in the attempts of a tick beyond which
+/// the next attempt is the last. Ticks of drilling stay far below both.
+const MOST_ITERATIONS: usize = 512;
+const MOST_LISTED: usize = 262_144;
 /// Fraction of a sphere's radius that separates the positions at which the strength on its way is evaluated.
 /// The bone that a position sees reaches a radius ahead, so a thin wall is seen from at least one.
 const SWEEP_SHARE: f64 = 0.5;
@@ -64,6 +70,9 @@ pub(super) struct SearchRange {
     jumps_m: [Vector3<f64>; JUMPS],
     /// Number of such motions so far.
     jump_count: usize,
+    /// Whether its planes must be searched, and their strengths computed, in the next attempt.
+    is_searched: bool,
+    is_weighed: bool,
 }
 
 impl SearchRange {
@@ -76,6 +85,8 @@ impl SearchRange {
             expected_m: Vector3::zeros(),
             jumps_m: [Vector3::zeros(); JUMPS],
             jump_count: 0,
+            is_searched: true,
+            is_weighed: true,
         }
     }
 
@@ -100,6 +111,11 @@ impl SearchRange {
 }
 
 impl Simulation<'_> {
+    /// Returns the work of the last tick's steps of the tool.
+    pub fn tool_effort(&self) -> &ToolEffort {
+        &self.effort
+    }
+
     /// Steps the tool and free bodies. If a sphere moves farther than its planes were searched for, the step
     /// is repeated with the planes of its entire motion: otherwise, a suddenly pulled tool, whose speed at
     /// the start of the tick predicts nothing, would pass through bone.
@@ -108,7 +124,9 @@ impl Simulation<'_> {
             reach.from_m = sphere.centre_m;
             reach.margin_m = CONTACT_MARGIN_M + sphere.velocity_m_per_s.norm() * self.dt_s;
             (reach.presses, reach.expected_m, reach.jump_count) = (false, Vector3::zeros(), 0);
+            (reach.is_searched, reach.is_weighed) = (true, true);
         }
+        self.effort = ToolEffort::default();
         self.note_pressing();
         self.find_contacts();
         if let Some(rigid) = &mut self.rigid {
@@ -122,6 +140,8 @@ impl Simulation<'_> {
         loop {
             let input = StepInput { base, tendon, tip_wrench, contacts: &self.planes };
             let report = self.manipulator.step(self.dt_s, &input)?;
+            self.effort.attempts += 1;
+            self.effort.iterations += report.contact_iterations;
             if attempt == MAX_ATTEMPTS {
                 return Ok(report);
             }
@@ -129,7 +149,7 @@ impl Simulation<'_> {
             if !again.contains(&true) {
                 return Ok(report);
             }
-            attempt += 1;
+            attempt = if self.effort.is_spent() { MAX_ATTEMPTS } else { attempt + 1 };
             self.manipulator.restore(&self.before);
             self.find_contacts();
             if attempt == MAX_ATTEMPTS {
@@ -147,11 +167,13 @@ impl Simulation<'_> {
             if !moved_m.iter().all(|x| x.is_finite()) {
                 continue;
             }
-            if moved_m.norm() > reach.margin_m {
+            let is_beyond = moved_m.norm() > reach.margin_m;
+            if is_beyond {
                 reach.margin_m = (moved_m.norm() + CONTACT_MARGIN_M).min(MAX_REACH_M);
-                farther = true;
             }
-            farther |= reach.note_jump(&moved_m);
+            if reach.note_jump(&moved_m) || is_beyond {
+                (reach.is_searched, reach.is_weighed, farther) = (true, true, true);
+            }
         }
         farther && self.bone.is_some()
     }
@@ -177,6 +199,7 @@ impl Simulation<'_> {
             };
             let force_n: f64 = results.iter().map(|result| result.normal_force_n).sum();
             reach.presses = force_n > least_n;
+            reach.is_weighed |= reach.presses;
             any |= reach.presses;
         }
         any
@@ -202,7 +225,8 @@ impl Simulation<'_> {
                     let own = |planes: &&[ContactPlane]| planes[0].sphere_index == index;
                     let planes = spheres.find(own).unwrap_or_default();
                     let way = (&reach.from_m, &moved_m);
-                    *last.insert((index, planes, strengths_n(bone, indentation.radius_m, way, planes)))
+                    let radius_m = indentation.radius_m;
+                    *last.insert((index, planes, self.effort.strengths_n(bone, radius_m, way, planes)))
                 }
             };
             any |= planes.iter().zip(strengths_n).any(|(plane, strength_n)| {
@@ -210,6 +234,7 @@ impl Simulation<'_> {
             });
             // Move halfway: the stronger the bone, the less deep the sphere goes.
             reach.expected_m += 0.5 * (moved_m - reach.expected_m);
+            reach.is_weighed = true;
         }
         any
     }
@@ -242,12 +267,22 @@ impl Simulation<'_> {
         }
     }
 
+    /// Finds the planes of every sphere. Those of the last attempt must be in `self.planes`, unless every
+    /// sphere is searched.
     fn find_contacts(&mut self) {
-        self.planes.clear();
         if let Some(bone) = &mut self.bone {
+            // A full buffer has left out planes that may fit now.
+            let searches_all = bone.contacts.dropped() > 0;
             bone.contacts.clear();
-            let spheres = self.manipulator.proxy_spheres().iter().zip(&self.reach);
+            let spheres = self.manipulator.proxy_spheres().iter().zip(&mut self.reach);
             for (index, (sphere, reach)) in spheres.enumerate() {
+                if !reach.is_searched && !searches_all {
+                    let own = self.planes.iter().filter(|plane| plane.sphere_index == index);
+                    own.for_each(|plane| bone.contacts.push(*plane));
+                    continue;
+                }
+                (reach.is_searched, reach.is_weighed) = (false, true);
+                self.effort.searches += 1;
                 let (centre, radius_m) = (&sphere.centre_m, sphere.radius_m);
                 let own = bone.contacts.planes().len();
                 bone.field.contact_planes_tracked(
@@ -282,13 +317,14 @@ impl Simulation<'_> {
                     plane.give = give;
                 }
             }
+            self.planes.clear();
             self.planes.extend_from_slice(bone.contacts.planes());
             for planes in self.planes.chunk_by_mut(|a, b| a.sphere_index == b.sphere_index) {
                 let Some(index) = planes.first().map(|plane| plane.sphere_index) else { continue };
-                let (sphere, reach) = (&self.manipulator.proxy_spheres()[index], &self.reach[index]);
-                if reach.presses {
+                let (sphere, reach) = (&self.manipulator.proxy_spheres()[index], &mut self.reach[index]);
+                if std::mem::take(&mut reach.is_weighed) && reach.presses {
                     let way = (&sphere.centre_m, &reach.expected_m);
-                    let strengths_n = strengths_n(bone, sphere.radius_m, way, planes);
+                    let strengths_n = self.effort.strengths_n(bone, sphere.radius_m, way, planes);
                     for (plane, strength_n) in planes.iter_mut().zip(strengths_n) {
                         plane.strength_n = strength_n;
                     }
@@ -296,31 +332,56 @@ impl Simulation<'_> {
             }
         }
         if let Some(rigid) = &mut self.rigid {
+            if self.bone.is_none() {
+                self.planes.clear();
+            }
             rigid.find_contacts(self.manipulator.proxy_spheres(), BODY_MARGIN_M, &mut self.planes);
         }
     }
 }
 
-/// Returns the largest strength of a sphere's planes during a motion from its centre, N.
-fn strengths_n(
-    bone: &mut Bone,
-    radius_m: f64,
-    (from_m, moved_m): (&Vector3<f64>, &Vector3<f64>),
-    planes: &[ContactPlane],
-) -> [f64; PLANES_PER_SPHERE] {
-    let mut most_n = [0.0; PLANES_PER_SPHERE];
-    // At most `MAX_REACH_M` over half a radius: a faster tool is lost.
-    let count = (moved_m.norm().min(MAX_REACH_M) / (SWEEP_SHARE * radius_m)).ceil().max(1.0) as usize;
-    for position in 1..=count {
-        let moved_m = moved_m * (position as f64 / count as f64);
-        let mut depth_m = [0.0; PLANES_PER_SPHERE];
-        for (depth_m, plane) in depth_m.iter_mut().zip(planes) {
-            *depth_m = (-(plane.gap_m + plane.normal.dot(&moved_m))).max(0.0);
-        }
-        let pressing = Pressing { centre_m: from_m + moved_m, radius_m, planes, depth_m };
-        for (most_n, strength_n) in most_n.iter_mut().zip(bone.field.strengths_n(&bone.hu, &pressing)) {
-            *most_n = strength_n.max(*most_n);
-        }
+/// Work of a tick that depends on how the tool meets bone.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct ToolEffort {
+    /// Steps of the tool.
+    pub attempts: usize,
+    /// Iterations of the contact solver, in all attempts.
+    pub iterations: usize,
+    /// Searches for the planes of a sphere.
+    pub searches: usize,
+    /// Voxels listed to compute strengths.
+    pub listed: usize,
+}
+
+impl ToolEffort {
+    /// Returns whether the next attempt is the last.
+    fn is_spent(&self) -> bool {
+        self.iterations > MOST_ITERATIONS || self.listed > MOST_LISTED
     }
-    most_n
+
+    /// Returns the largest strength of a sphere's planes during a motion from its centre, N.
+    fn strengths_n(
+        &mut self,
+        bone: &mut Bone,
+        radius_m: f64,
+        (from_m, moved_m): (&Vector3<f64>, &Vector3<f64>),
+        planes: &[ContactPlane],
+    ) -> [f64; PLANES_PER_SPHERE] {
+        let mut most_n = [0.0; PLANES_PER_SPHERE];
+        // At most `MAX_REACH_M` over half a radius: a faster tool is lost.
+        let count = (moved_m.norm().min(MAX_REACH_M) / (SWEEP_SHARE * radius_m)).ceil().max(1.0) as usize;
+        for position in 1..=count {
+            let moved_m = moved_m * (position as f64 / count as f64);
+            let mut depth_m = [0.0; PLANES_PER_SPHERE];
+            for (depth_m, plane) in depth_m.iter_mut().zip(planes) {
+                *depth_m = (-(plane.gap_m + plane.normal.dot(&moved_m))).max(0.0);
+            }
+            let pressing = Pressing { centre_m: from_m + moved_m, radius_m, planes, depth_m };
+            for (most_n, strength_n) in most_n.iter_mut().zip(bone.field.strengths_n(&bone.hu, &pressing)) {
+                *most_n = strength_n.max(*most_n);
+            }
+            self.listed += bone.field.listed();
+        }
+        most_n
+    }
 }

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use messages::State;
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use scene::{
-    Body, BodyMotion as SceneMotion, ContactVoxels as SceneContactVoxels, Cutter,
+    Body, BodyMotion as SceneMotion, ContactVoxels as SceneContactVoxels, Cutter, DrillingLaw,
     Integrator as SceneIntegrator, ManipulatorRung, Removal as SceneRemoval, Scene, StartShape, Tool,
     ToolDriveShaft,
 };
@@ -17,8 +17,9 @@ use super::structures::StructureWatch;
 use super::tendon_drive::TendonDrive;
 use super::tool::{described, twist_rad_per_m};
 use super::tube_drive::TubeDrive;
-use super::{Bone, Driver, Hounsfield, Simulation, SimulationError};
+use super::{Bone, Driver, Hounsfield, Simulation, SimulationError, ToolEffort};
 use crate::arm::{Arm, ArmParameters, Compliance, ComplianceParameters, initial_q_rad, place_base_for};
+use crate::bone::twist_drill::{DrillPoint, TwistDrillLaw};
 use crate::bone::{
     BoneField, BoneParameters, ContactBuffer, ContactKind, CuttingLaw, GridGeometry, Outside, Removal,
     VoxelIndex,
@@ -73,6 +74,7 @@ pub(super) fn build<'v>(
         arm,
         compliance,
         reach: vec![super::SearchRange::none(); sphere_count],
+        effort: ToolEffort::default(),
         before: manipulator.snapshot(),
         manipulator,
         bone,
@@ -141,10 +143,25 @@ fn torsion(shaft: &ToolDriveShaft, tool: &ManipulatorParameters) -> Option<Torsi
     })
 }
 
-/// Returns the scene's cutting coefficient, or else that of its tool's burr.
+/// Returns the scene's cutting coefficient, or else that of its tool's burr, or else that of its law.
 fn cutting_coefficient(scene: &Scene) -> Option<f64> {
     let of_tool = || scene.manipulator.tool.as_ref().and_then(|tool| tool.burr.cutting_coefficient);
-    scene.drilling.cutting_coefficient.or_else(of_tool)
+    let of_law = || Some(TwistDrillLaw::default().cutting_coefficient(&drill_point(scene)?));
+    scene.drilling.cutting_coefficient.or_else(of_tool).or_else(of_law)
+}
+
+/// Returns the point of the scene's drill if its law is that of a twist drill.
+fn drill_point(scene: &Scene) -> Option<DrillPoint> {
+    let burr = &scene.manipulator.tool.as_ref()?.burr;
+    match (scene.drilling.law?, burr.tip_diameter_mm, burr.point_deg) {
+        (DrillingLaw::TwistDrill, Some(chisel_mm), Some(point_deg)) => Some(DrillPoint {
+            radius_m: burr.diameter_mm * 0.5e-3,
+            chisel_radius_m: chisel_mm * 0.5e-3,
+            point_deg,
+            rake_deg: burr.rake_deg.unwrap_or(DrillPoint::STANDARD_RAKE_DEG),
+        }),
+        _ => None,
+    }
 }
 
 /// Returns the rung for a scene's `manipulator.model`.
@@ -304,6 +321,17 @@ fn bone<'v>(
         parameters.threshold_hu = volume.bone_threshold_hu;
     }
     let drilling = &scene.drilling;
+    if let Some(reach_mm) = drilling.reach_mm {
+        parameters.cutting.reach_m = reach_mm * 1e-3;
+    }
+    if let Some(feed_mm) = drilling.feed_per_revolution_mm {
+        parameters.cutting.feed_per_revolution_max_m = feed_mm * 1e-3;
+    }
+    let hole_m = max_burr_radius_m + parameters.cutting.reach_m;
+    if let Some(point) = drill_point(scene) {
+        let (material, cutting) = (&mut parameters.material, &mut parameters.cutting);
+        TwistDrillLaw::default().apply(&point, hole_m, material, cutting);
+    }
     if let Some(energy) = drilling.specific_energy_j_per_mm3 {
         parameters.material.specific_energy_ref_j_m3 = energy * 1e9;
     }
@@ -319,7 +347,6 @@ fn bone<'v>(
     if let Some(force) = drilling.edge_force_n_per_mm {
         // Distributed over the cross-section of the hole, pi r^2, that is its diameter times the force: 2 r e
         // / (pi r^2).
-        let hole_m = max_burr_radius_m + parameters.cutting.reach_m;
         parameters.material.edge_pressure_ref_pa = 2.0 * force * 1e3 / (core::f64::consts::PI * hole_m);
     }
     if let Some(exponent) = drilling.edge_exponent {

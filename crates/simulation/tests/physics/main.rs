@@ -39,6 +39,7 @@ mod moment_modes;
 mod no_tunnelling;
 mod outer_tube;
 mod promise;
+mod random_commands;
 mod receding;
 mod rigid_scene;
 mod stack;

@@ -115,7 +115,7 @@ fn jhu(friction: f64, tension_n: f64) -> f64 {
 #[test]
 fn finite_element_table_with_and_without_capstan_friction() {
     // Friction coefficient, bend at 6 and at 10 N, degrees: k_i q_i = T_i d, T_{i+1} = T_i exp(-mu q_i)
-    // (Euler's and Eytelwein's capstan) with d = 2.5 mm and the 27 finite-element stiffnesses of
+    // (Euler's and Eytelwein's capstan) with d = 2.5 mm and the 27 published stiffnesses of
     // htp2/continuum-manip-volumetric-drilling-plugin, branch devel, scripts/replace_cm_joint_properties.py,
     // which are N m per degree there.
     let table = [(0.0, 51.9, 86.5), (0.1, 49.6, 80.4), (0.2, 47.6, 75.2), (0.3, 45.7, 70.9)];

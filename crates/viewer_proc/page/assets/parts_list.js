@@ -10,6 +10,9 @@ import { add, cross, dot, length, scale, subtract, unit } from "/assets/vector.j
 /** Numbers per instance: position 3, rotation 4, scale 3, colour 4. */
 export const INSTANCE_FLOATS = 14;
 
+/** Cosine of the largest turn of a thin line, 15 degrees, whose corner needs no bead to close. */
+const STRAIGHT = 0.966;
+
 /** Returns the rotation from +z to a direction. @param {Vector} direction a unit vector @returns {Quaternion} */
 function fromZ(direction) {
   const w = 1 + direction[2];
@@ -17,6 +20,13 @@ function fromZ(direction) {
   const axis = cross([0, 0, 1], direction);
   const n = Math.hypot(...axis, w);
   return [axis[0] / n, axis[1] / n, axis[2] / n, w / n];
+}
+
+/** Whether a line passes through a point almost straight. @param {Vector[]} points @param {number} i */
+function isStraightAt(points, i) {
+  if (i === 0 || i === points.length - 1) return false;
+  const [before, after] = [subtract(points[i], points[i - 1]), subtract(points[i + 1], points[i])];
+  return dot(before, after) > STRAIGHT * length(before) * length(after);
 }
 
 /** Instances by shape. */
@@ -68,7 +78,7 @@ export class PartsList {
   /** A thin polyline with rounded corners and ends; `dash` draws every other piece of that length, measured along the whole
    * line. */
   path(points, radius, colour, dash = 0) {
-    if (dash === 0) for (const point of points) this.#bead(point, radius, colour);
+    if (dash === 0) points.forEach((point, i) => !isStraightAt(points, i) && this.#bead(point, radius, colour));
     let passed = 0;
     for (let i = 1; i < points.length; i++) {
       if (dash === 0) {

@@ -1,12 +1,13 @@
 // The 3D view: bone, tool, paths and forces, drawn with WebGL2 on change.
 
 import { Camera } from "/assets/camera.js";
+import { Detail } from "/assets/detail.js";
 import { InstancedShape, program } from "/assets/gl.js";
 import { PartsList } from "/assets/parts_list.js";
 import { addFrustum, addPlannedTool } from "/assets/plan_view.js";
 import { cameraRay, nearest, pick } from "/assets/pick.js";
 import { PART_FRAGMENT, PART_VERTEX, SURFACE_FRAGMENT, SURFACE_VERTEX } from "/assets/shaders.js";
-import { AROUND_THIN, cone, cube, cylinder, sphere } from "/assets/shapes.js";
+import { FINE, LIGHT, shapes } from "/assets/shapes.js";
 import { SOFTWARE } from "/assets/software.js";
 import { Surface } from "/assets/surface.js";
 import { COLOURS, addArm, addBodies, addContacts, addTool, bendingPlane, burrBalls } from "/assets/tool_model.js";
@@ -14,9 +15,7 @@ import { transform } from "/assets/vector.js";
 
 /** Display modes of the bone. */
 export const BONE_MODES = ["section", "glass", "solid", "hidden"];
-/** A view rendered in software has this share of its pixels along a side while it changes, and all of them once it
- * has been still for this long. */
-const MOVING_RATIO = 0.6;
+/** A view rendered in software has every pixel and finer shapes once it has been still for this long. */
 const STILL_MS = 250;
 /** Within this distance from the line of sight to the tool, the arm is faded. */
 const FADE_M = 0.03;
@@ -43,8 +42,9 @@ export class SceneView {
     this.arm = new Surface(gl);
     this.parts = program(gl, PART_VERTEX, PART_FRAGMENT);
     this.bone = program(gl, SURFACE_VERTEX, SURFACE_FRAGMENT);
-    const shapes = { cylinder: cylinder(), cone: cone(), sphere: sphere(), cube: cube(), rod: cylinder(AROUND_THIN), bead: sphere(AROUND_THIN) };
-    this.shapes = Object.fromEntries(Object.entries(shapes).map(([name, shape]) => [name, new InstancedShape(gl, shape)]));
+    const upload = (corners) => Object.fromEntries(Object.entries(shapes(corners)).map(([name, shape]) => [name, new InstancedShape(gl, shape)]));
+    this.fine = upload(FINE);
+    this.light = this.software ? upload(LIGHT) : this.fine;
     this.boneMode = BONE_MODES[0];
     /** Cross-hair and distances. @type {import("/assets/cursor.js").Cursor | undefined} */
     this.cursor = undefined;
@@ -55,6 +55,11 @@ export class SceneView {
     /** Whether the next picture has every pixel, and whether all have, for a video. */
     this.sharp = false;
     this.filmed = false;
+    this.detail = new Detail();
+    /** Whether the last picture had the detail of a changing view. */
+    this.moving = false;
+    /** When the picture being rendered was begun, and when it was last found unfinished. */
+    this.begun = this.unfinished = 0;
     /** @type {ReturnType<typeof setTimeout> | undefined} */
     this.stillness = undefined;
     gl.enable(gl.DEPTH_TEST);
@@ -72,14 +77,21 @@ export class SceneView {
   #ratio() {
     if (!this.software) return Math.min(window.devicePixelRatio || 1, 2);
     clearTimeout(this.stillness);
-    if (this.sharp || this.filmed) return 1;
-    this.stillness = setTimeout(() => ((this.sharp = true), this.changed()), STILL_MS);
-    return MOVING_RATIO;
+    this.moving = !this.sharp && !this.filmed;
+    if (!this.moving) return 1;
+    this.#sharpen();
+    return this.detail.ratio;
+  }
+
+  /** Requests a picture with every pixel once the view is still. A slow picture is no stillness. */
+  #sharpen() {
+    this.stillness = setTimeout(() => (this.busy ? this.#sharpen() : ((this.sharp = true), this.changed())), STILL_MS);
   }
 
   #resize() {
     const ratio = this.#ratio();
     this.sharp = false;
+    this.shapes = ratio < 1 ? this.light : this.fine;
     const [width, height] = [this.canvas.clientWidth, this.canvas.clientHeight].map((n) => Math.max(1, Math.round(n * ratio)));
     if (this.canvas.width !== width || this.canvas.height !== height) Object.assign(this.canvas, { width, height });
     this.gl.viewport(0, 0, width, height);
@@ -90,9 +102,13 @@ export class SceneView {
    * not flooded. */
   get busy() {
     if (!this.fence) return false;
-    if (this.gl.clientWaitSync(this.fence, 0, 0) === this.gl.TIMEOUT_EXPIRED) return true;
+    if (this.gl.clientWaitSync(this.fence, 0, 0) === this.gl.TIMEOUT_EXPIRED) {
+      this.unfinished = performance.now();
+      return true;
+    }
     this.gl.deleteSync(this.fence);
     this.fence = undefined;
+    if (this.moving) this.detail.rendered(Math.max(0, this.unfinished - this.begun));
     return false;
   }
 
@@ -111,6 +127,7 @@ export class SceneView {
     this.#drawParts(this.#opaque(scene), clipFromWorld);
     this.#drawBone(scene, clipFromWorld, colours);
     this.#drawTranslucent(scene, clipFromWorld);
+    this.begun = performance.now();
     this.fence = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
     gl.flush();
     this.pictures += 1;
@@ -198,18 +215,18 @@ export class SceneView {
     gl.uniform3fv(uniforms.u_eye, this.camera.eye);
     gl.uniform3fv(uniforms.u_bone, colours.bone);
     gl.uniform3fv(uniforms.u_inside, colours.inside);
-    const section = boneMode === "section" && scene.poses;
-    gl.uniform4fv(uniforms.u_plane, section ? bendingPlane(scene.poses.base, this.camera.eye) : [0, 0, 0, 0]);
+    const cut = boneMode === "section" && scene.poses ? bendingPlane(scene.poses.base, this.camera.eye) : undefined;
+    gl.uniform4fv(uniforms.u_plane, cut ?? [0, 0, 0, 0]);
     const pass = (side, glass) => {
       gl.uniform1f(uniforms.u_side, side);
       gl.uniform1f(uniforms.u_glass, glass);
       if (glass) gl.enable(gl.BLEND);
       gl.depthMask(!glass);
-      this.surface.draw(uniforms);
+      this.surface.draw(uniforms, side, cut);
       gl.disable(gl.BLEND);
       gl.depthMask(true);
     };
-    if (section) {
+    if (cut) {
       pass(1, 0);
       pass(-1, 1);
     } else {

@@ -2,9 +2,10 @@
 
 /** @typedef {{positions: number[], normals: number[], indices: number[]}} Shape */
 
-/** Corners around a shape, and around the parts of a thin line, which is a few pixels wide. */
-export const AROUND = 24;
-export const AROUND_THIN = 8;
+/** Corners around a shape and around the parts of a thin line, which is a few pixels wide. `LIGHT`: for moving pictures
+ * that are rendered in software. */
+export const FINE = { around: 24, thin: 8 };
+export const LIGHT = { around: 12, thin: 6 };
 
 /** A ring of points between two radii along z; `slope` is the normal's z. */
 function ring(shape, around, radiusLow, radiusHigh, zLow, zHigh, slope) {
@@ -34,8 +35,8 @@ function disc(shape, around, z, up) {
 
 const empty = () => ({ positions: [], normals: [], indices: [] });
 
-/** Radius 1, from z = 0 to z = 1, closed. @returns {Shape} */
-export function cylinder(around = AROUND) {
+/** Radius 1, from z = 0 to z = 1, closed. @param {number} around @returns {Shape} */
+export function cylinder(around) {
   const shape = empty();
   ring(shape, around, 1, 1, 0, 1, 0);
   disc(shape, around, 0, -1);
@@ -43,16 +44,16 @@ export function cylinder(around = AROUND) {
   return shape;
 }
 
-/** Radius 1 at z = 0, a point at z = 1. @returns {Shape} */
-export function cone() {
+/** Radius 1 at z = 0, a point at z = 1. @param {number} around @returns {Shape} */
+export function cone(around) {
   const shape = empty();
-  ring(shape, AROUND, 1, 0, 0, 1, 1);
-  disc(shape, AROUND, 0, -1);
+  ring(shape, around, 1, 0, 0, 1, 1);
+  disc(shape, around, 0, -1);
   return shape;
 }
 
-/** Radius 1 about the origin. @returns {Shape} */
-export function sphere(around = AROUND) {
+/** Radius 1 about the origin. @param {number} around even @returns {Shape} */
+export function sphere(around) {
   const shape = empty();
   const rows = around / 2;
   for (let row = 0; row <= rows; row++) {
@@ -90,3 +91,8 @@ export function cube() {
   }
   return shape;
 }
+
+/** Every shape of a parts list. @param {{around: number, thin: number}} corners */
+export const shapes = ({ around, thin }) => ({
+  cylinder: cylinder(around), cone: cone(around), sphere: sphere(around), cube: cube(), rod: cylinder(thin), bead: sphere(thin),
+});

@@ -4,6 +4,8 @@
 const MAGIC = 0x48534d54;
 const VERSION = 1;
 const HEADER_BYTES = 36;
+/** Triangles within this distance from a cut are drawn on both sides, so that a cut that trembles sorts none again. */
+const CUT_MARGIN_M = 0.002;
 
 /**
  * Decodes a `trabecula.mesh` message. @param {DataView} data
@@ -108,18 +110,68 @@ export class Surface {
       vertex += block.positions.length / 3;
       index += block.indexCount;
     }
-    return { origin: [0, 0, 0], scale: 1, indexCount: index, ...this.#upload(positions, this.gl.FLOAT, 12, normals, indices) };
+    const farthest = Math.sqrt(3) * positions.reduce((most, x) => Math.max(most, Math.abs(x)), 0);
+    return { origin: [0, 0, 0], scale: 1, indexCount: index, positions, indices, farthest, ...this.#upload(positions, this.gl.FLOAT, 12, normals, indices) };
   }
 
-  /** Draws every block with the program in use. @param {Record<string, WebGLUniformLocation>} uniforms */
-  draw(uniforms) {
-    if (this.merges && this.blocks.size > 0) this.merged ??= this.#merge();
-    for (const block of this.merges ? [this.merged] : this.blocks.values()) {
+  /** Sorts the triangles of the merged blocks: behind the cut, at it, in front of it. @param {number[]} cut */
+  #sort(cut) {
+    const { merged } = this;
+    if (merged.cut && this.#isNear(cut)) return;
+    const { positions, indices } = merged;
+    const [x, y, z, w] = cut;
+    const side = new Uint8Array(positions.length / 3);
+    for (let vertex = 0, i = 0; i < positions.length; vertex++, i += 3) {
+      const ahead = x * positions[i] + y * positions[i + 1] + z * positions[i + 2] + w;
+      side[vertex] = ahead < -CUT_MARGIN_M ? 1 : ahead > CUT_MARGIN_M ? 2 : 4;
+    }
+    // From both ends; those at the cut go between them.
+    const sorted = new Uint32Array(indices.length);
+    let [behind, front] = [0, indices.length];
+    const middle = [];
+    for (let i = 0; i < indices.length; i += 3) {
+      const sides = side[indices[i]] | side[indices[i + 1]] | side[indices[i + 2]];
+      if (sides === 1) {
+        for (let k = 0; k < 3; k++) sorted[behind++] = indices[i + k];
+      } else if (sides === 2) {
+        for (let k = 3; k > 0; k--) sorted[--front] = indices[i + k - 1];
+      } else {
+        middle.push(indices[i], indices[i + 1], indices[i + 2]);
+      }
+    }
+    sorted.set(middle, behind);
+    merged.indices = sorted;
+    merged.cut = cut;
+    merged.ends = [behind, front];
+    this.gl.bindVertexArray(merged.vertexArray);
+    this.gl.bufferData(this.gl.ELEMENT_ARRAY_BUFFER, sorted, this.gl.STATIC_DRAW);
+  }
+
+  /** Whether the merged triangles are still on the sides of a cut that they were sorted by. */
+  #isNear(cut) {
+    const [x, y, z, w] = cut.map((n, i) => n - this.merged.cut[i]);
+    return Math.hypot(x, y, z) * this.merged.farthest + Math.abs(w) < CUT_MARGIN_M;
+  }
+
+  /**
+   * Draws every block with the program in use.
+   * @param {Record<string, WebGLUniformLocation>} uniforms @param {number} [side] +1: only what can lie behind the cut, -1: in front
+   * @param {number[]} [cut] x, y, z, w of its plane
+   */
+  draw(uniforms, side = 0, cut = undefined) {
+    const { gl, merges } = this;
+    if (merges && this.blocks.size > 0) this.merged ??= this.#merge();
+    for (const block of merges ? [this.merged] : this.blocks.values()) {
       if (!block) continue;
-      this.gl.uniform3fv(uniforms.u_origin, block.origin);
-      this.gl.uniform1f(uniforms.u_scale, block.scale);
-      this.gl.bindVertexArray(block.vertexArray);
-      this.gl.drawElements(this.gl.TRIANGLES, block.indexCount, this.gl.UNSIGNED_INT, 0);
+      let [first, end] = [0, block.indexCount];
+      if (merges && cut) {
+        this.#sort(cut);
+        [first, end] = side > 0 ? [0, block.ends[1]] : [block.ends[0], end];
+      }
+      gl.uniform3fv(uniforms.u_origin, block.origin);
+      gl.uniform1f(uniforms.u_scale, block.scale);
+      gl.bindVertexArray(block.vertexArray);
+      gl.drawElements(gl.TRIANGLES, end - first, gl.UNSIGNED_INT, 4 * first);
     }
   }
 }

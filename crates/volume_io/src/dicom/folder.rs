@@ -8,7 +8,7 @@ use crate::input::{self, Codec, DataFiles, folder_of};
 use crate::options::ReadOptions;
 use crate::sources::Sources;
 use crate::volume::VolumeInfo;
-use foreign_text::foreign;
+use foreign_text::{counted, foreign};
 use std::cmp::Ordering;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -63,7 +63,7 @@ pub(crate) fn read_folder(folder: &Path, options: &ReadOptions) -> Result<(Volum
         notes.push(format!("{} series joined, as asked for by `{ALL}`", chosen.uids.len()));
     }
     if others > 0 {
-        notes.push(format!("{others} files ignored: not DICOM images"));
+        notes.push(format!("{} ignored: not DICOM images", counted(others, "file")));
     }
     if localizers > 0 {
         notes.push(format!("{localizers} localizers ignored"));
@@ -73,7 +73,7 @@ pub(crate) fn read_folder(folder: &Path, options: &ReadOptions) -> Result<(Volum
         stack.add(&file, slices?)?;
     }
     let slices = stack.finish(folder, choice.and_then(|choice| choice.phase), &mut notes)?;
-    assemble(folder, slices, options.slices, notes)
+    assemble(folder, slices, options, notes)
 }
 
 /// The choice that joins all series of a folder.
@@ -277,7 +277,8 @@ fn list(series: &BTreeMap<String, Series>) -> String {
     let each = all.iter().take(LISTED).map(|(uid, series)| {
         let Series { slices, modality, description, .. } = series;
         let description = foreign(description.trim());
-        format!("{} ({slices} slices, {}, \"{description}\")", foreign(uid), foreign(modality))
+        let slices = counted(slices, "slice");
+        format!("{} ({slices}, {}, \"{description}\")", foreign(uid), foreign(modality))
     });
     let mut text = each.collect::<Vec<_>>().join("; ");
     if all.len() > LISTED {
@@ -333,7 +334,7 @@ pub(crate) fn read_file(path: &Path, options: &ReadOptions) -> Result<(Volume, V
         }
     }
     let slices = stack.finish(path, choice.and_then(|choice| choice.phase), &mut notes)?;
-    assemble(path, slices, options.slices, notes)
+    assemble(path, slices, options, notes)
 }
 
 /// The files of one series.

@@ -4,13 +4,12 @@ use super::file::DicomFile;
 use super::pixels;
 use super::slice::Slice;
 use crate::error::{Field, VolumeError};
-use crate::options::SliceHandling;
+use crate::options::{ReadOptions, SliceHandling};
 use crate::rectify::{self, rectify};
-use crate::scalar::HuSink;
 use crate::volume::{
     GeometryFields, StatedGeometry, VolumeInfo, cross, dot, norm, placed, placement, voxel_count,
 };
-use foreign_text::foreign;
+use foreign_text::{counted, foreign};
 use std::path::Path;
 use voxel_grid::Volume;
 
@@ -44,7 +43,7 @@ const NAMES: GeometryFields = GeometryFields {
 pub(super) fn assemble(
     path: &Path,
     mut slices: Vec<Slice>,
-    how: SliceHandling,
+    options: &ReadOptions,
     mut notes: Vec<String>,
 ) -> Result<(Volume, VolumeInfo), VolumeError> {
     check_same(path, &slices)?;
@@ -73,12 +72,12 @@ pub(super) fn assemble(
     let askew = straight.is_err() || distance.is_err();
     let dims = [first.columns, first.rows, slices.len()];
     voxel_count(path, "Columns, Rows, number of slices", dims)?;
-    if how == SliceHandling::AsTheyLie || slices.len() == 1 {
+    if options.slices == SliceHandling::AsTheyLie || slices.len() == 1 {
         straight?;
     } else if askew {
-        let read = read_pixels(&slices, &mut notes)?;
+        let read = read_pixels(path, &slices, options, &mut notes)?;
         let volume = rectified(path, &slices, axes, &read, &mut notes)?;
-        return Ok(described(volume, &slices, notes));
+        return Ok(described(volume, &slices, options, notes));
     }
     let step_m = distance?;
     note_tilt(&slices, &mut notes);
@@ -86,14 +85,19 @@ pub(super) fn assemble(
     let spacing_m = [column_mm * 1e-3, row_mm * 1e-3, step_m];
     let origin_m = slices[0].position_mm.map(|p| p * 1e-3);
     let geometry = placement(path, NAMES, StatedGeometry { spacing_m, origin_m, axes }, &mut notes)?;
-    let hu = read_pixels(&slices, &mut notes)?;
-    Ok(described(placed(path, dims, geometry, hu)?, &slices, notes))
+    let hu = read_pixels(path, &slices, options, &mut notes)?;
+    Ok(described(placed(path, dims, geometry, hu)?, &slices, options, notes))
 }
 
 /// The pixels of all slices in order. Frames of one file are usually consecutive, so the file is opened only
 /// once for them.
-fn read_pixels(slices: &[Slice], notes: &mut Vec<String>) -> Result<Vec<i16>, VolumeError> {
-    let mut sink = HuSink::default();
+fn read_pixels(
+    path: &Path,
+    slices: &[Slice],
+    options: &ReadOptions,
+    notes: &mut Vec<String>,
+) -> Result<Vec<i16>, VolumeError> {
+    let mut sink = options.sink(path)?;
     let mut open: Option<(&Path, DicomFile)> = None;
     for slice in slices {
         let file = match open.take().filter(|(path, _)| *path == slice.path) {
@@ -138,9 +142,16 @@ fn rectified(
     placed(path, out.dims, geometry, out.hu)
 }
 
-fn described(volume: Volume, slices: &[Slice], mut notes: Vec<String>) -> (Volume, VolumeInfo) {
+fn described(
+    volume: Volume,
+    slices: &[Slice],
+    options: &ReadOptions,
+    mut notes: Vec<String>,
+) -> (Volume, VolumeInfo) {
     let first = &slices[0];
-    if first.modality != "CT" {
+    if options.grey.is_some() {
+        // The caller states the unit.
+    } else if first.modality != "CT" {
         let modality = foreign(&first.modality);
         notes.push(format!("modality is `{modality}`, not CT: the values are not Hounsfield units"));
     } else {
@@ -149,7 +160,8 @@ fn described(volume: Volume, slices: &[Slice], mut notes: Vec<String>) -> (Volum
     let mut files: Vec<&Path> = slices.iter().map(|slice| slice.path.as_path()).collect();
     files.dedup();
     let frames = if first.frames > 1 { format!(", {} frames", slices.len()) } else { String::new() };
-    let format = format!("DICOM series of {} files ({}{frames})", files.len(), first.transfer.name);
+    let count = counted(files.len(), "file");
+    let format = format!("DICOM series of {count} ({}{frames})", first.transfer.name);
     if slices.iter().any(|slice| !slice.has_own_position) {
         notes.push(
             "only the first frame has a position: the others are stacked along the normal, by \
@@ -172,7 +184,8 @@ fn described(volume: Volume, slices: &[Slice], mut notes: Vec<String>) -> (Volum
 fn note_unit(slices: &[Slice], notes: &mut Vec<String>) {
     let bare = slices.iter().filter(|slice| !slice.has_intercept).count();
     if bare > 0 {
-        let part = if bare == slices.len() { String::new() } else { format!(" in {bare} slices") };
+        let part =
+            if bare == slices.len() { String::new() } else { format!(" in {}", counted(bare, "slice")) };
         notes.push(format!(
             "no RescaleIntercept (0028,1052){part}: the stored values are read as Hounsfield units"
         ));

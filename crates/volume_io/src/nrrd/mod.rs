@@ -12,7 +12,6 @@ mod segments;
 
 use crate::error::VolumeError;
 use crate::options::ReadOptions;
-use crate::scalar::HuSink;
 use crate::volume::{VolumeInfo, placed};
 use axes::Axes;
 use header::Header;
@@ -35,7 +34,7 @@ pub(crate) fn read(path: &Path, options: &ReadOptions) -> Result<(Volume, Volume
     let wanted = segments::wanted(&header, &axes, options.label.as_ref(), &mut notes)?;
     let (unit_m, unit_name) = header.unit(&axes)?;
     let geometry = header.geometry(&axes, unit_m, &mut notes)?;
-    let mut sink = HuSink::default();
+    let mut sink = options.sink(path)?;
     let stored = header.read_data(count, &mut sink, &mut notes)?;
     let mut hu = sink.finish(&mut notes);
     if let Some(other) = axes.other {

@@ -203,7 +203,7 @@ fn a_rescale_that_only_some_slices_have_is_refused_unless_it_changes_nothing() {
         assert!(matches!(error, VolumeError::MixedSeries { .. }), "{error}");
     }
     let same = with([Some("0"), None]).unwrap();
-    assert!(same.contains("no RescaleIntercept (0028,1052) in 1 slices"), "{same}");
+    assert!(same.contains("no RescaleIntercept (0028,1052) in 1 slice:"), "{same}");
 }
 
 /// Regression: small differences of the slice distance added up: a slice in the middle of 200 lay 0.95 mm

@@ -8,6 +8,7 @@ mod conformance;
 mod foreign_dicom;
 mod foreign_headers;
 mod formats;
+mod grey;
 mod jpeg2000;
 mod mask;
 mod mutation;

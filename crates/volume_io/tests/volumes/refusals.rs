@@ -141,7 +141,7 @@ fn more_data_than_the_header_says_is_refused_or_noted() {
         let (volume, info) = volume_io::read_with_info(&path).unwrap();
         assert_eq!(volume.hu.len(), 24, "{name}");
         assert!(
-            info.notes.iter().any(|note| note == "6 bytes after the voxel data are ignored"),
+            info.notes.iter().any(|note| note == "ignored 6 bytes after the voxel data"),
             "{:?}",
             info.notes
         );

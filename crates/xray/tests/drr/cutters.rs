@@ -16,6 +16,7 @@ fn cutter(shape: CutterShape) -> Cutter {
         length_mm: Some(9.0),
         tip_diameter_mm: (shape != CutterShape::Cylinder).then_some(0.8),
         point_deg: is_bit.then_some(118.0),
+        rake_deg: None,
         scallop_mm: None,
         offset_mm: 10.0,
         mass_g: 1.0,

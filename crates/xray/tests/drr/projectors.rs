@@ -237,8 +237,8 @@ proptest! {
         // The same attenuation map with every block marked as occupied.
         let mut plain = Scene::new(grid, vec![1000; grid.voxels()]);
         plain.hu = hu;
-        // Rays 0.61 mm apart at the isocentre: their squares have a diagonal of 0.87 mm, and the ball of 1 mm in
-        // a voxel is at least 0.97 mm wide there, so that each voxel meets a ray.
+        // Rays 0.61 mm apart at the isocentre: their squares have a diagonal of 0.87 mm, and the ball of
+        // 1 mm in a voxel is at least 0.97 mm wide there, so that each voxel meets a ray.
         let c_arm = crate::poses::c_arm(primary, secondary, 80, 0.07);
         for trace in [Scene::joseph, Scene::siddon] {
             let [image, expected] = [&skipping, &plain].map(|scene| scene.image(&c_arm, trace));

@@ -118,19 +118,27 @@ fn in_threads(tool: &OwnTool, pieces: &[Piece], mut each: impl FnMut(Result<Foun
     let threads = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
     let (next, (send, found)) = (AtomicUsize::new(0), channel());
     std::thread::scope(|scope| {
-        for _ in 0..threads.min(MOST_THREADS).min(pieces.len()) {
-            let (send, next) = (send.clone(), &next);
-            scope.spawn(move || {
+        for number in 0..threads.min(MOST_THREADS).min(pieces.len()) {
+            let (of_thread, next) = (send.clone(), &next);
+            let work = move || {
                 while let Some(piece) = pieces.get(next.fetch_add(1, Ordering::Relaxed)) {
                     let found = compared(tool, piece);
                     if found.is_err() {
                         next.store(pieces.len(), Ordering::Relaxed);
                     }
-                    if send.send(found).is_err() {
+                    if of_thread.send(found).is_err() {
                         return;
                     }
                 }
-            });
+            };
+            let thread = std::thread::Builder::new().name(format!("plan-{number}"));
+            if let Err(cause) = thread.spawn_scoped(scope, work) {
+                // Fewer threads take longer, and find the same.
+                if number == 0 {
+                    each(Err(Failure::failed(format!("no thread can be started: {cause}"))));
+                }
+                break;
+            }
         }
         drop(send);
         found.iter().for_each(&mut each);
