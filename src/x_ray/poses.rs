@@ -141,6 +141,7 @@ impl Pose {
             display: Display::BoneDark,
             detector: Default::default(),
             spectrum: None,
+            scatter: None,
             carm,
             labels: None,
             notch: None,

@@ -1,6 +1,8 @@
 //! Keys of a valid scene that have no effect, because another key overrides them.
 
-use crate::model::{Arm, ArmModel, Drr, Phantom, Scene, TendonCable, ToolDescription, Tracker, Volume};
+use crate::model::{
+    Arm, ArmModel, Drr, Phantom, Scatter, ScatterModel, Scene, TendonCable, ToolDescription, Tracker, Volume,
+};
 
 /// A key set to a value other than its default, and why it has no effect.
 pub type NoEffect = (&'static str, &'static str);
@@ -92,7 +94,14 @@ fn of_drr(drr: &Drr) -> impl Iterator<Item = NoEffect> {
         ],
     );
     let energy = [("drr.energy_kev", drr.energy_kev != Drr::default_energy_kev())];
-    by_c_arm.chain(vain(drr.spectrum.is_some(), "together with `[drr.spectrum]`", energy))
+    let other_model = |scatter: Scatter| scatter.model != ScatterModel::MonteCarlo;
+    let changed = |scatter: Scatter| scatter.photons != Scatter::default_photons();
+    let photons = [("drr.scatter.photons", drr.scatter.is_some_and(changed))];
+    by_c_arm.chain(vain(drr.spectrum.is_some(), "together with `[drr.spectrum]`", energy)).chain(vain(
+        drr.scatter.is_some_and(other_model),
+        "without `model = \"monte_carlo\"`",
+        photons,
+    ))
 }
 
 fn of_tracker(tracker: &Tracker) -> impl Iterator<Item = NoEffect> {

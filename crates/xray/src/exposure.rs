@@ -19,6 +19,8 @@ use crate::error::DrrError;
 use crate::exposure_loops::{
     BlurColumns, BlurRow, Detect, ReadOut, ReadThrough, Tabulate, ToGreys, Transmit,
 };
+use crate::lane_math;
+use crate::scatter::ScatterImage;
 use crate::solids::SolidLayer;
 use crate::spectrum::SpectrumTable;
 use crate::tool_layer::{PlacedTool, ToolCell, ToolMaterials};
@@ -26,6 +28,9 @@ use counter_random::Key;
 
 /// Pixels processed at once; several such buffers fit into the L1 cache.
 pub(crate) const CHUNK: usize = 64;
+
+/// Every how many pixels the window of a frame with scatter is sampled, along each axis.
+const SCATTER_STRIDE: usize = 4;
 
 /// Destination of the pixels.
 #[derive(Debug)]
@@ -65,6 +70,8 @@ pub struct Anatomy<'a> {
     pub total: &'a [f64],
     /// Metres of cortical bone, row-major, if a spectrum is used; otherwise empty.
     pub bone_m: &'a [f64],
+    /// Scattered signal, if it is modelled.
+    pub(crate) scatter: Option<&'a ScatterImage>,
 }
 
 /// The tool and arm of a frame: everything but the anatomy.
@@ -96,6 +103,17 @@ struct Frame<'a> {
     width: usize,
     scale: Scale,
     key: Key,
+}
+
+impl Frame<'_> {
+    /// Scattered signal of a chunk of a row; 0 without scatter.
+    fn scattered(&self, row: usize, from: usize, count: usize) -> [f64; CHUNK] {
+        let mut values = [0.0; CHUNK];
+        if let Some(scatter) = self.anatomy.scatter {
+            scatter.read(row, from, &mut values[..count]);
+        }
+        values
+    }
 }
 
 impl Exposure {
@@ -188,6 +206,7 @@ impl Exposure {
     /// -ln of the transmission through anatomy, tool and arm, row-major.
     pub(crate) fn attenuations(&self, anatomy: Anatomy<'_>, metal: Metal<'_>, width: usize) -> Vec<f64> {
         let scale = Scale::new(Display::Linear, WindowLimits { low: 0.0, high: 1.0 });
+        let anatomy = Anatomy { scatter: None, ..anatomy };
         let frame = Frame { anatomy, metal, width, scale, key: FrameSeed::default().key() };
         let mut image = vec![0.0; anatomy.total.len()];
         for (row, line) in image.chunks_mut(width).enumerate() {
@@ -200,8 +219,26 @@ impl Exposure {
         image
     }
 
-    /// Calls `f` with the attenuation of the anatomy alone.
-    pub(crate) fn with_anatomy<T>(&self, anatomy: Anatomy<'_>, f: impl FnOnce(&[f64]) -> T) -> T {
+    /// Calls `f` with the attenuation of the anatomy alone. With scatter, it is -ln of the signal of every
+    /// fourth pixel in both directions.
+    pub(crate) fn with_anatomy<T>(
+        &self,
+        anatomy: Anatomy<'_>,
+        width: usize,
+        f: impl FnOnce(&[f64]) -> T,
+    ) -> T {
+        if let Some(scatter) = anatomy.scatter {
+            let mut image = Vec::new();
+            for (row, line) in anatomy.total.chunks(width).enumerate().step_by(SCATTER_STRIDE) {
+                for (column, &total) in line.iter().enumerate().step_by(SCATTER_STRIDE) {
+                    let bone = || anatomy.bone_m[row * width + column];
+                    let value =
+                        self.spectrum.as_ref().map_or(total, |table| table.attenuation(total, bone()));
+                    image.push(-lane_math::log(lane_math::exp(-value) + scatter.at(row, column)));
+                }
+            }
+            return f(&image);
+        }
         match &self.spectrum {
             None => f(anatomy.total),
             Some(table) => {
@@ -236,12 +273,15 @@ impl Exposure {
         let mut values = [0.0; CHUNK];
         let first_pixel = (row * frame.width + from) as u64;
         self.attenuation(frame, row, from, out.len(), &mut values);
+        let scattered = frame.scattered(row, from, out.len());
         let photons = self.detector.photons_per_pixel;
         if !self.detector.quantum_noise {
-            self.arch.dispatch(Transmit { values: &values, out });
+            self.arch.dispatch(Transmit { values: &values, scattered: &scattered, out });
             return;
         }
-        let detect = Detect { photons, key: frame.key, first_pixel, values: &mut values, out: &mut *out };
+        let key = frame.key;
+        let detect =
+            Detect { photons, key, first_pixel, scattered: &scattered, values: &mut values, out: &mut *out };
         let least = self.arch.dispatch(detect);
         if least < EXACT_POISSON_BELOW {
             for ((o, &mean), i) in out.iter_mut().zip(&values).zip(0_u64..) {
@@ -302,8 +342,9 @@ impl Exposure {
             return;
         }
         self.attenuation(frame, row, from, count, values);
-        if mode == Display::Linear || !readout.is_plain() {
-            self.arch.dispatch(ReadThrough { readout, mode, values });
+        if mode == Display::Linear || !readout.is_plain() || frame.anatomy.scatter.is_some() {
+            let scattered = &frame.scattered(row, from, count);
+            self.arch.dispatch(ReadThrough { readout, mode, scattered, values });
         }
     }
 

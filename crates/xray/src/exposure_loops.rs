@@ -25,10 +25,10 @@ lanes! {
 }
 
 lanes! {
-    /// Computes the fraction of photons transmitted.
-    Transmit { values: &'a [f64; CHUNK], out: &'a mut [f32] } -> () {
-        for (o, v) in out.iter_mut().zip(values) {
-            *o = lane_math::exp(-v) as f32;
+    /// Computes the fraction of photons transmitted or scattered.
+    Transmit { values: &'a [f64; CHUNK], scattered: &'a [f64; CHUNK], out: &'a mut [f32] } -> () {
+        for (o, (v, s)) in out.iter_mut().zip(values.iter().zip(scattered)) {
+            *o = (lane_math::exp(-v) + s) as f32;
         }
     }
 }
@@ -40,11 +40,12 @@ lanes! {
         photons: f64,
         key: Key,
         first_pixel: u64,
+        scattered: &'a [f64; CHUNK],
         values: &'a mut [f64; CHUNK],
         out: &'a mut [f32],
     } -> f64 {
-        for v in values.iter_mut() {
-            *v = photons * lane_math::exp(-*v);
+        for (v, s) in values.iter_mut().zip(scattered) {
+            *v = photons * (lane_math::exp(-*v) + s);
         }
         for (i, (o, mean)) in out.iter_mut().zip(values.iter()).enumerate() {
             let normal = lane_math::normal(key.word(first_pixel + i as u64));
@@ -69,9 +70,14 @@ lanes! {
 
 lanes! {
     /// Applies the readout to attenuations, without noise or blur.
-    ReadThrough { readout: Readout, mode: Display, values: &'a mut [f64; CHUNK] } -> () {
-        for v in values.iter_mut() {
-            *v = readout.apply(lane_math::exp(-*v));
+    ReadThrough {
+        readout: Readout,
+        mode: Display,
+        scattered: &'a [f64; CHUNK],
+        values: &'a mut [f64; CHUNK],
+    } -> () {
+        for (v, s) in values.iter_mut().zip(scattered) {
+            *v = readout.apply(lane_math::exp(-*v) + s);
         }
         if mode != Display::Linear {
             to_attenuation(values);

@@ -9,8 +9,8 @@
 //!    only the pixels that see a removed voxel are recomputed.
 //! 2. Tool: closed-form chords of its parts ([`ToolPart`]); anatomy inside the union of their envelopes is
 //!    subtracted.
-//! 3. Detector ([`DetectorParameters`]): Beer-Lambert, seeded quantum noise, blur. Then the monitor image
-//!    ([`DisplayParameters`]), as mono16.
+//! 3. Detector ([`DetectorParameters`]): Beer-Lambert, [`scatter`], seeded quantum noise, blur. Then the
+//!    monitor image ([`DisplayParameters`]), as mono16.
 //!
 //! The CT is a borrowed `&[i16]` of Hounsfield units and can be in shared memory. The renderer keeps one bit
 //! per voxel for what is drilled and one byte per block of 8x8x8 voxels for what is empty; [`slice_ordered`]
@@ -89,6 +89,7 @@ pub mod ray;
 pub mod reference;
 pub mod removal;
 mod renderer;
+pub mod scatter;
 pub mod siddon;
 pub mod slice_ordered;
 mod solids;
@@ -110,7 +111,7 @@ pub use grid::{Grid, VolumeView};
 pub use labels::{Class, Keypoint, LabelRequest, Labels, Visibility, keypoint_name};
 pub use machine::{Machine, Memory};
 pub use renderer::{DrrParameters, DrrRenderer, FrameReport, Projector, RenderKind, Shot};
-pub use scene::{Display, PixelCentre, Spectrum};
+pub use scene::{Display, PixelCentre, Scatter, ScatterModel, Spectrum};
 pub use solids::PlacedSolids;
 pub use spectrum::{SpectrumTable, weights};
 pub use tool::{Crossing, Notch, PreparedPart, Tool, ToolPart, join_intervals};

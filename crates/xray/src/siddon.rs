@@ -42,7 +42,7 @@ pub(crate) fn walk(grid: &Grid, ray: &IndexRay, range: (f64, f64), mut visit: im
 }
 
 /// The part of `range` inside the volume's outer faces.
-fn clip_to_volume(ray: &IndexRay, dims: [usize; 3], range: (f64, f64)) -> Option<(f64, f64)> {
+pub(crate) fn clip_to_volume(ray: &IndexRay, dims: [usize; 3], range: (f64, f64)) -> Option<(f64, f64)> {
     let (mut enter, mut leave) = range;
     for (axis, size) in dims.into_iter().enumerate() {
         let (o, d) = (ray.origin[axis], ray.direction[axis]);

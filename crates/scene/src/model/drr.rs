@@ -90,6 +90,32 @@ impl Default for Spectrum {
     }
 }
 
+/// How scattered radiation is computed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum ScatterModel {
+    /// No scatter.
+    None,
+    /// Kernels fitted to Monte Carlo.
+    Kernel,
+    /// Photons that are followed one by one; the reference, which takes seconds.
+    MonteCarlo,
+}
+
+/// Scattered radiation, which is added to the signal before the noise. The tool scatters nothing.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Scatter {
+    /// `kernel` is fast; `monte_carlo` is the reference and takes seconds for each frame with new anatomy.
+    pub model: ScatterModel,
+    /// Photons of `monte_carlo`.
+    #[serde(default = "Scatter::default_photons")]
+    #[schemars(range(min = 1e3, max = 1e10))]
+    pub photons: f64,
+}
+
+defaults!(Scatter { default_photons: f64 = 1e6 });
+
 /// The detector's readout: `min(gain signal + offset, saturation)`, with a signal of 1 in the open field.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
@@ -224,6 +250,8 @@ pub struct Drr {
     pub detector: Detector,
     /// Spectrum of photon energies; absent: `energy_kev` alone.
     pub spectrum: Option<Spectrum>,
+    /// Scattered radiation; absent: none.
+    pub scatter: Option<Scatter>,
     /// The C-arm as a camera or as points; absent: by the angles and distances above.
     pub carm: Option<CArm>,
     /// Notches of the links; absent: whole tubes.

@@ -125,9 +125,13 @@ impl DrrRenderer {
         if let Some(bone) = &self.bone {
             self.anatomy_once(bone, view, c_arm, &fan, images, bone_m);
         }
-        let anatomy = Anatomy { total: anatomy, bone_m };
+        let anatomy = Anatomy { total: anatomy, bone_m, scatter: None };
+        let stage = self.scatter.as_ref();
+        let scatter = stage.map(|s| s.image(view, &self.removed, c_arm, anatomy, exposure.spectrum()));
+        let scatter = scatter.transpose()?;
+        let anatomy = Anatomy { scatter: scatter.as_ref(), ..anatomy };
         let window = self.parameters.display.window;
-        let window = exposure.with_anatomy(anatomy, |image| window_limits(window, image));
+        let window = exposure.with_anatomy(anatomy, width, |image| window_limits(window, image));
         let tissue = self.tissue.field(view, &self.removed);
         let bone = self.bone.as_ref().map(|layer| layer.field(view, &self.removed));
         arm.draw(shot.tool.arm.as_ref(), c_arm, &fan);

@@ -21,6 +21,7 @@ use crate::exposure::{Exposure, Metal, Output};
 use crate::grid::{Grid, VolumeView};
 use crate::machine::Machine;
 use crate::removal::RemovedVoxels;
+use crate::scatter::Stage;
 use crate::slice_ordered::SliceOrdered;
 use crate::solids::SolidLayer;
 use crate::spectrum::SpectrumTable;
@@ -40,6 +41,7 @@ pub struct DrrRenderer {
     /// With a spectrum, metres of cortical bone.
     bone: Option<Layer>,
     removed: RemovedVoxels,
+    scatter: Option<Stage>,
     exposure: Exposure,
     tool: PlacedTool,
     arm: SolidLayer,
@@ -88,12 +90,14 @@ impl DrrRenderer {
             Some(_) => 1e-3,
         };
         let layer = |table| pool.install(|| Layer::new(view, table, unit_per_m, &parameters, machine));
+        let scatter = Stage::new(view, &parameters, spectrum.as_ref())?;
         Ok(Self {
             grid: *view.grid(),
             tissue: layer(tissue)?,
             bone: bone.map(layer).transpose()?,
             parameters,
             removed: RemovedVoxels::new(view.grid()),
+            scatter,
             exposure: Exposure::new(parameters.detector, parameters.display, spectrum),
             tool: PlacedTool::default(),
             arm: SolidLayer::default(),
@@ -238,11 +242,21 @@ impl DrrRenderer {
             None => CachedView::new(&self.grid, c_arm),
         };
         let LayerWork { kind, pixels: rays_traced } = self.update_anatomy(view, &mut standing)?;
-        if kind != RenderKind::Cached {
-            let window = self.parameters.display.window;
-            standing.window = self.exposure.with_anatomy(standing.images(), |a| window_limits(window, a));
-        }
         let width = standing.c_arm.columns as usize;
+        let removed = self.removed.count();
+        // Voxels outside the frame scatter into it.
+        let is_stale = standing.scatter.as_ref().is_none_or(|scatter| scatter.removed != removed);
+        let stage = self.scatter.as_ref().filter(|_| kind != RenderKind::Cached || is_stale);
+        if let Some(stage) = stage {
+            let (anatomy, table) = (standing.images(), self.exposure.spectrum());
+            let image = || stage.image(view, &self.removed, c_arm, anatomy, table);
+            standing.scatter = Some(self.pool.install(image)?);
+        }
+        if kind != RenderKind::Cached || stage.is_some() {
+            let window = self.parameters.display.window;
+            let images = standing.images();
+            standing.window = self.exposure.with_anatomy(images, width, |a| window_limits(window, a));
+        }
         let tissue = self.tissue.field(view, &self.removed);
         let bone = self.bone.as_ref().map(|layer| layer.field(view, &self.removed));
         let anatomy =

@@ -1,6 +1,6 @@
 //! Rendering parameters and the report of a frame.
 
-use scene::Spectrum;
+use scene::{Scatter, Spectrum};
 
 use crate::detector::DetectorParameters;
 use crate::display::{DisplayParameters, WindowLimits};
@@ -72,6 +72,8 @@ pub struct DrrParameters {
     pub energy_kev: f64,
     /// A spectrum instead of one energy; `energy_kev` then has no effect.
     pub spectrum: Option<Spectrum>,
+    /// Scattered radiation; `None` for none.
+    pub scatter: Option<Scatter>,
     /// CT values below this count as air and attenuate nothing.
     pub air_below_hu: i16,
     /// Hounsfield value that fills a removed voxel: air by default, about 0 for irrigation.
@@ -90,6 +92,7 @@ impl Default for DrrParameters {
             projector: Projector::default(),
             energy_kev: 60.0,
             spectrum: None,
+            scatter: None,
             air_below_hu: -900,
             fill_hu: -1000,
             threads: 2,

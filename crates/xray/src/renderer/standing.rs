@@ -6,6 +6,7 @@ use crate::display::WindowLimits;
 use crate::exposure::Anatomy;
 use crate::grid::Grid;
 use crate::ray::RayFan;
+use crate::scatter::ScatterImage;
 use crate::vector::scale;
 
 /// Maximum distance from a voxel's centre at which it still affects a ray, in voxels, with a margin for
@@ -23,6 +24,8 @@ pub(super) struct CachedView {
     pub anatomy: Vec<f64>,
     /// Metres of cortical bone, with a spectrum.
     pub bone_m: Vec<f64>,
+    /// Scatter of this anatomy, if it is modelled.
+    pub scatter: Option<ScatterImage>,
     /// True for pixels in `dirty_list`.
     pub dirty: Vec<bool>,
     pub dirty_list: Vec<u32>,
@@ -31,7 +34,7 @@ pub(super) struct CachedView {
 
 impl CachedView {
     pub fn images(&self) -> Anatomy<'_> {
-        Anatomy { total: &self.anatomy, bone_m: &self.bone_m }
+        Anatomy { total: &self.anatomy, bone_m: &self.bone_m, scatter: self.scatter.as_ref() }
     }
 
     pub fn new(grid: &Grid, c_arm: &CArm) -> Self {
@@ -42,6 +45,7 @@ impl CachedView {
             traced: true,
             anatomy: Vec::new(),
             bone_m: Vec::new(),
+            scatter: None,
             dirty: vec![false; pixels],
             dirty_list: Vec::new(),
             window: WindowLimits { low: 0.0, high: 1.0 },
@@ -55,7 +59,7 @@ impl CachedView {
         self.dirty.clear();
         self.dirty_list.clear();
         self.dirty.resize(c_arm.pixels(), false);
-        Self { c_arm: *c_arm, fan: RayFan::new(grid, c_arm), traced: true, ..self }
+        Self { c_arm: *c_arm, fan: RayFan::new(grid, c_arm), traced: true, scatter: None, ..self }
     }
 
     /// Creates an empty cache whose memory has already been touched.

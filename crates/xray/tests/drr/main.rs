@@ -34,6 +34,8 @@ mod poses;
 #[cfg(test)]
 mod projectors;
 #[cfg(test)]
+mod scatter;
+#[cfg(test)]
 mod slice_ordered;
 #[cfg(test)]
 mod slice_ordered_changes;
