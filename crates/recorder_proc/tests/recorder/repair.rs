@@ -135,7 +135,8 @@ fn a_damaged_chunk_in_the_middle_is_counted_by_topic() {
             assert_eq!(info.lost(topic), *count);
             let line = text.lines().find(|line| line.trim_start().starts_with(&format!("{topic} "))).unwrap();
             assert!(line.ends_with(&format!("{count} MISSING")), "{text}");
-            assert!(text.contains(&format!("{count} messages of {topic} to damage")), "{text}");
+            let messages = if *count == 1 { "message" } else { "messages" };
+            assert!(text.contains(&format!("{count} {messages} of {topic} to damage")), "{text}");
         }
         // Repairing a repaired log changes nothing.
         let again = repaired(folder.path(), &found.bytes).unwrap();

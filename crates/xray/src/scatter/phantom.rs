@@ -8,7 +8,7 @@ use crate::ray::{IndexRay, WorldRay};
 use crate::removal::RemovedVoxels;
 use crate::siddon;
 
-/// Largest side of a cell. Scatter varies over centimetres, so finer cells change it by less than 1 %.
+/// Largest side of a cell. Scatter varies over centimetres.
 const CELL_M: f64 = 4e-3;
 
 /// Water and cortical bone in every cell.
