@@ -52,7 +52,7 @@ pub enum LogCommand {
     Compress(make::CompressArguments),
     /// Export a topic as a table (.csv, .parquet), the X-ray frames as PNG files, or tunnel, tool and path as
     /// geometry (.stl, .obj, .vtp, .mrk.json).
-    Export(export::ExportArguments),
+    Export(Box<export::ExportArguments>),
     /// Concatenate several complete logs into one file.
     CatFiles(make::CatFilesArguments),
     /// Split a file with several runs into one log per run.

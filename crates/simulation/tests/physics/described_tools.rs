@@ -310,7 +310,7 @@ fn stiffness_follows_from_the_tube_and_from_the_notches() {
 fn every_shipped_tool_stands() {
     let mut files: Vec<PathBuf> = std::fs::read_dir(folder()).unwrap().map(|it| it.unwrap().path()).collect();
     files.sort();
-    assert_eq!(files.len(), 5);
+    assert_eq!(files.len(), 6);
     for file in files {
         let tool = ToolDescription::parse(&std::fs::read_to_string(&file).unwrap(), &file).unwrap();
         assert_eq!(tool.name, file.file_stem().unwrap().to_str().unwrap());

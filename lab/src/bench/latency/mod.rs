@@ -123,13 +123,15 @@ fn measure(
             let samples = match peer {
                 Peer::Iceoryx2 => ping_pong::measure_on(wait, rounds, |start| cores.apart(start))?,
                 Peer::Unix | Peer::Udp => sockets::measure(*peer, wait, rounds, cores)?,
-                Peer::Rust | Peer::C | Peer::Python | Peer::Fmu => match programs.command(*peer, wait, rounds) {
-                    Ok(command) => hub::measure(command, wait, rounds, cores)?,
-                    Err(reason) => {
-                        row.absent = Some(reason);
-                        continue;
+                Peer::Rust | Peer::C | Peer::Python | Peer::Fmu => {
+                    match programs.command(*peer, wait, rounds) {
+                        Ok(command) => hub::measure(command, wait, rounds, cores)?,
+                        Err(reason) => {
+                            row.absent = Some(reason);
+                            continue;
+                        }
                     }
-                },
+                }
             };
             let p50_us = samples.quantile_us(0.5);
             if *peer == Peer::Iceoryx2 {
