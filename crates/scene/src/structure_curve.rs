@@ -12,7 +12,7 @@ use crate::named_file::{ReadText, numbers, tables, take_text};
 
 const KEY: [&str; 2] = ["structure.curve", "file"];
 
-/// Replaces each `curve` in a scene's structures by a `tube`. Returns false if there is none.
+/// Replaces each `curve` in a scene's structures by a `tube`. Returns whether there was a `curve`.
 ///
 /// # Errors
 /// A file cannot be read or holds no curve, or a structure has both a `curve` and a `tube`.

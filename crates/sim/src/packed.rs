@@ -1,8 +1,8 @@
 //! A simulation's state as bytes, with which another process of the same build continues bit for bit.
 //!
-//! A keyframe holds the state for a reader that has the scene; packed bytes hold the scene as well, but of its
-//! files only the volume's SHA-256. Both are untrusted: a checksum detects damage, every length is checked,
-//! and what does not match the scene is refused.
+//! A keyframe holds the state for a reader that has the scene; packed bytes hold the scene as well, but of
+//! its files only the volume's SHA-256. Both are untrusted: a checksum detects damage, every length is
+//! checked, and what does not match the scene is refused.
 
 use std::sync::Arc;
 

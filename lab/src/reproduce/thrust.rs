@@ -211,7 +211,7 @@ struct Trend {
 }
 
 impl Trend {
-    /// Of two rows.
+    /// Compares two rows.
     fn of(what: &'static str, load: usize, [from, to]: [usize; 2], varied: fn(&Row) -> f64) -> Trend {
         let (from, to) = (ROWS[from], ROWS[to]);
         let (varied, value) = (varied(&to) / varied(&from), |row: &Row| row.measured()[load]);

@@ -60,7 +60,8 @@ pub struct Demonstration {
     /// tendons, insertion and burr speed.
     #[arg(long = "action", value_name = "FIELD")]
     actions: Vec<String>,
-    /// With `--dataset lerobot`: the controller whose commands are the actions; default: the scene's only one.
+    /// With `--dataset lerobot`: the controller whose commands are the actions; default: the scene's only
+    /// one.
     #[arg(long, value_name = "NAME")]
     controller: Option<String>,
     /// With `--dataset lerobot`: the task in words; default: the scene's name.
@@ -86,8 +87,8 @@ impl Demonstration {
 ///
 /// # Errors
 /// Not a log of this build, an unknown field or controller, no rows in this range of ticks, incompatible
-/// runs, a folder that is not empty (2); a log with a gap in these ticks, a damaged log, a full disk (1); a log that
-/// is truncated or was not ended (3).
+/// runs, a folder that is not empty (2); a log with a gap in these ticks, a damaged log, a full disk (1); a
+/// log that is truncated or was not ended (3).
 pub fn export(arguments: &ExportArguments) -> Result<(), Failure> {
     refuse_used(&arguments.output)?;
     let sources =

@@ -278,8 +278,8 @@ pub(super) fn turns<S: AsRef<[f64]>>(
         .any(|(slides_on, slope)| *slides_on && rate(slope, before) * rate(slope, after) < 0.0)
 }
 
-/// Returns the power that friction takes from tendons with these tensions, W: of each the tension times `lost`,
-/// the part of its slope that friction takes, times the rates.
+/// Returns the power that friction takes from tendons with these tensions, W: of each the tension times
+/// `lost`, the part of its slope that friction takes, times the rates.
 pub(super) fn friction_w<S: AsRef<[f64]>>(
     tension_n: &[f64; MAX_TENDONS],
     lost: &[S; MAX_TENDONS],

@@ -11,9 +11,9 @@
 //! - bodies: their contacts' forces times the tool's motion.
 //!
 //! The energy of the tool is kinetic and elastic, with the springs of tendons, contacts and stops. What the
-//! sum leaves after cutting, crushing, friction of contacts and tendons, and damping is lost to the integrator,
-//! impacts and feed against cut bone. This remainder may be negative only by the integrator's error; beyond a
-//! bound, the tick has created energy.
+//! sum leaves after cutting, crushing, friction of contacts and tendons, and damping is lost to the
+//! integrator, impacts and feed against cut bone. This remainder may be negative only by the integrator's
+//! error; beyond a bound, the tick has created energy.
 
 use messages::State;
 use nalgebra::{Isometry3, Vector3};

@@ -9,7 +9,7 @@
 //! quasi-static ∂d/∂x = n · Σ_j (lever / k_j) b_j × (p - o_j) for a tension, over the flexures j before the
 //! sphere at p, with their positions o_j, axes b_j and stiffnesses k_j. The rates keep ḋ ≥ -[`RATE_PER_S`]
 //! (d - margin), a vector-field inequality: Marinho et al. 2019, "Dynamic active constraints for surgical
-//! robots using vector-field inequalities", IEEE TRO 35:1166.
+//! robots using vector-field inequalities", IEEE Trans. Robotics 35:1166.
 
 use nalgebra::{Isometry3, Vector3};
 use scene::StructureAction;

@@ -1,10 +1,10 @@
 //! Scatter by kernels: the fast rung.
 //!
 //! Each part of the detector sends out the scatter of a thin beam through a slab of water of the thickness
-//! that its attenuation corresponds to, as a sum of Gaussians (J. M. Boone, B. A. Arnold and
-//! J. A. Seibert measured one to be a very good model, Med. Phys. 13 (1986) 254), whose shares depend on photon energy, thickness and air gap. The shares in
-//! `kernels.csv` were fitted to [`Pencil`](super::Pencil) by `cargo run --release -p xray --example scatter
-//! -- kernels`.
+//! that its attenuation corresponds to, as a sum of Gaussians (J. M. Boone, B. A. Arnold and J. A. Seibert
+//! measured one to be a very good model, Med. Phys. 13 (1986) 254), whose shares depend on photon energy,
+//! thickness and air gap. The shares in `kernels.csv` were fitted to [`Pencil`](super::Pencil) by `cargo run
+//! --release -p xray --example scatter -- kernels`.
 
 use std::sync::LazyLock;
 

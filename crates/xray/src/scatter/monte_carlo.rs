@@ -3,8 +3,8 @@
 //! Photons leave the source towards the detector. At each collision the scattered radiation that reaches one
 //! random point of the detector is added there (forced detection: the collision density estimator of the
 //! review by Andreo, Phys. Med. Biol. 36 (1991) 861), for Compton and Rayleigh scattering together;
-//! absorption is a weight. Each photon has its own random numbers and each batch of photons its own sum, so the result
-//! does not depend on the number of threads.
+//! absorption is a weight. Each photon has its own random numbers and each batch of photons its own sum, so
+//! the result does not depend on the number of threads.
 
 use counter_random::Key;
 use rayon::prelude::*;
