@@ -106,6 +106,8 @@ fn number(value: f64) -> String {
 fn unit_of(name: &str) -> Option<String> {
     let last = |words: &str| words.rsplit_once('_').and_then(|(_, word)| symbol(word));
     match name.split_once("_per_") {
+        // A length per revolution is a length.
+        Some((_, under)) if under.contains('_') => last(name).map(str::to_owned),
         Some((over, under)) => Some(format!("{}/{}", last(over)?, symbol(under)?)),
         None => last(name).map(str::to_owned),
     }

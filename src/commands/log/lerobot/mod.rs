@@ -1,5 +1,7 @@
 //! `trabecula log export --dataset lerobot`: runs as demonstrations, with what was observed and commanded.
 
+mod pictures;
+
 use std::io::BufWriter;
 use std::path::Path;
 
@@ -12,9 +14,7 @@ use output_file::OutputFile;
 use recorder_proc::exit_code::exit_code;
 use recorder_proc::log_file::{LogFile, log_path};
 use run_log::columns::{Column, columns};
-use run_log::{
-    FrameReader, FrameRecord, LogError, LogSource, MessageStream, ReadOptions, Topic, Verdict, frames,
-};
+use run_log::{LogSource, MessageStream, ReadOptions, Topic, Verdict};
 use serde_json::json;
 use zerocopy::{FromBytes, IntoBytes};
 
@@ -25,7 +25,7 @@ use crate::dataset::lerobot::{Episode, Features, LeRobot, Picture, Row};
 use crate::failure::Failure;
 use crate::report::course::Course;
 use crate::report::outcome;
-use figures::picture::grey_as_rgb8;
+use pictures::Pictures;
 
 /// Fields of the state in `observation.state` by default.
 const OBSERVED: [&str; 8] = [
@@ -286,7 +286,7 @@ impl Export<'_> {
     fn take(&mut self) -> Result<Verdict, Failure> {
         let topics = [Topic::State, Topic::Latched, Topic::Sensor].map(|topic| topic.name().to_owned());
         let mut stream = MessageStream::open_topics(&self.source.file, &topics, ReadOptions::default())?;
-        let mut pictures = Pictures::open(&self.source)?;
+        let mut pictures = Pictures::open(&self.source.file, self.source.features.picture.is_some())?;
         let mut readings: Vec<Option<Vec<f64>>> = vec![None; self.source.scene.sensor.len()];
         let mut course = Course::of(&self.source.scene, None);
         let mut running: Option<Running> = None;
@@ -326,7 +326,7 @@ impl Export<'_> {
             }
         }
         self.end(running, &course)?;
-        Ok(pictures.verdict().unwrap_or_else(|| stream.verdict()))
+        Ok(pictures.verdict()?.unwrap_or_else(|| stream.verdict()))
     }
 
     /// Adds the row of a tick, if it has one.
@@ -420,69 +420,4 @@ fn distance_m(state: &State, course: &Course) -> f64 {
     let burr_m = state.t_world_burr.position_m;
     let squares = course.target_m.iter().flatten().zip(burr_m).map(|(target, burr)| (target - burr).powi(2));
     squares.sum::<f64>().sqrt()
-}
-
-/// The frames of a log, read as far as the rows need them.
-struct Pictures {
-    reader: Option<FrameReader>,
-    /// The frame after the current one.
-    next: Option<FrameRecord>,
-    current: Option<Picture>,
-    path: std::path::PathBuf,
-}
-
-impl Pictures {
-    fn open(source: &Source) -> Result<Pictures, Failure> {
-        let reader =
-            source.features.picture.map(|_| frames(&source.file, ReadOptions::default())).transpose()?;
-        let path = source.file.path().to_owned();
-        let mut pictures = Pictures { reader, next: None, current: None, path };
-        pictures.advance()?;
-        Ok(pictures)
-    }
-
-    fn are_expected(&self) -> bool {
-        self.reader.is_some()
-    }
-
-    /// Returns how the log ends, once all frames have been read.
-    fn verdict(&mut self) -> Option<Verdict> {
-        while self.next.is_some() {
-            self.advance().ok()?;
-        }
-        self.reader.as_ref().map(FrameReader::verdict)
-    }
-
-    /// Returns the newest frame that shows this tick or one before it.
-    fn at(&mut self, tick: u64) -> Result<Option<Picture>, Failure> {
-        let mut newest = None;
-        while self.next.as_ref().is_some_and(|frame| frame.frame.tick <= tick) {
-            newest = self.next.take();
-            self.advance()?;
-        }
-        if let Some(record) = newest {
-            let Some(image) = record.image else {
-                let what = "the log has only the hashes of some frames; record it with `recording.images = \"full\"` \
-                            and `recording.image_every = 1`";
-                return Err(refused(&self.path, what));
-            };
-            let greys = record.pixels.chunks_exact(2).map(|pixel| u16::from_le_bytes([pixel[0], pixel[1]]));
-            let (png, pixels) = grey_as_rgb8(image.width, image.height, greys).map_err(not_encoded)?;
-            self.current = Some(Picture { png, pixels });
-        }
-        Ok(self.current.clone())
-    }
-
-    fn advance(&mut self) -> Result<(), Failure> {
-        let Some(reader) = &mut self.reader else { return Ok(()) };
-        self.next = loop {
-            match reader.next() {
-                None => break None,
-                Some(Ok(record)) => break Some(record),
-                Some(Err(LogError::Gap { .. })) if reader.go_on() => {}
-                Some(Err(error)) => return Err(error.into()),
-            }
-        };
-        Ok(())
-    }
 }
