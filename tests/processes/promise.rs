@@ -163,7 +163,8 @@ fn promise_6_frames_are_rendered_again_bit_for_bit_with_any_number_of_threads() 
     let log = place.complete(&scenes::drill("realtime", 0.6)).folder.join("run.mcap");
     for threads in ["1", "2", "4"] {
         let done = trabecula(&[&"replay", &log, &"--verify", &"--frames", &"--threads", &threads]);
-        succeeded(&done, &[&format!("frames on {threads} threads, all identical")]);
+        let on = if threads == "1" { "1 thread".to_owned() } else { format!("{threads} threads") };
+        succeeded(&done, &[&format!("frames on {on}, all identical")]);
         assert!(!done.out.contains("rendered 0 frames"), "{}", done.out);
     }
     let changed = place.path("changed.mcap");

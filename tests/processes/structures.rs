@@ -52,7 +52,7 @@ fn what_happens_at_a_structure_is_predicted_recorded_and_replayed() {
         let found_mm = vessel["least_clearance_mm"].as_f64().unwrap();
         assert!(least_mm.contains(&found_mm), "{on_vessel}: {found_mm}");
         let share = tumour["removed_share"].as_f64().unwrap();
-        assert!(share > 0.9 && share <= 1.0, "{share}");
+        assert!(share > 0.9 && share <= 1.0, "{on_vessel}: {share}");
         assert!(summary["drilling"]["healthy_removed_mm3"].as_f64() > Some(50.0), "{}", summary["drilling"]);
         assert_eq!(nerve["removed_mm3"], json!(0.0));
         assert!(nerve["least_clearance_mm"].as_f64().is_some_and(|mm| (7.5..9.0).contains(&mm)), "{nerve}");

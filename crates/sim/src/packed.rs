@@ -21,7 +21,7 @@ use crate::shared::SharedScene;
 use crate::simulator::{Drive, Driver, Sim, Snapshot};
 
 /// Largest keyframe of the physics, in bytes.
-const MAX_PHYSICS_BYTES: usize = 128 * MAX_KEYFRAME_BYTES;
+const MAX_PHYSICS_BYTES: usize = 1 << 30;
 
 /// What [`Sim::keyframe`] writes.
 #[derive(Serialize, Deserialize)]
