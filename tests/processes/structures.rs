@@ -51,9 +51,16 @@ fn what_happens_at_a_structure_is_predicted_recorded_and_replayed() {
         let [vessel, tumour, nerve] = [0, 1, 2].map(|index| &summary["structures"][index]);
         let found_mm = vessel["least_clearance_mm"].as_f64().unwrap();
         assert!(least_mm.contains(&found_mm), "{on_vessel}: {found_mm}");
-        let share = tumour["removed_share"].as_f64().unwrap();
-        assert!(share > 0.9 && share <= 1.0, "{on_vessel}: {share}");
-        assert!(summary["drilling"]["healthy_removed_mm3"].as_f64() > Some(50.0), "{}", summary["drilling"]);
+        // Voxels of 1 mm: what was removed is inside the target or outside, and its share is that of about as many
+        // as the ball's volume in mm3, 65.4.
+        let number = |value: &Value| value.as_f64().unwrap();
+        let [share, in_target_mm3] = ["removed_share", "removed_mm3"].map(|key| number(&tumour[key]));
+        let [all_mm3, healthy_mm3] =
+            ["removed_volume_mm3", "healthy_removed_mm3"].map(|key| number(&summary["drilling"][key]));
+        assert!(in_target_mm3 > 0.0 && healthy_mm3 > 0.0, "{on_vessel}: {tumour} {healthy_mm3}");
+        assert!((in_target_mm3 + healthy_mm3 - all_mm3).abs() < 1e-6, "{on_vessel}: {all_mm3}");
+        let voxels = in_target_mm3 / share;
+        assert!((voxels - voxels.round()).abs() < 1e-6 && (45.0..85.0).contains(&voxels), "{voxels}");
         assert_eq!(nerve["removed_mm3"], json!(0.0));
         assert!(nerve["least_clearance_mm"].as_f64().is_some_and(|mm| (7.5..9.0).contains(&mm)), "{nerve}");
         assert_replays(&folder.join("run.mcap"));
