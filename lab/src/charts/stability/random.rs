@@ -139,6 +139,8 @@ fn may_follow(key: &str, keys: &str) -> bool {
     match key {
         // Two alternatives, of which a scene can use only one.
         "edge_pressure_mpa" => !keys.contains("edge_force_n_per_mm"),
+        // The other law needs a bit, which is another tool.
+        "law" => false,
         "modes" => keys.contains("model = \"modal\""),
         _ => true,
     }
