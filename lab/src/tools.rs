@@ -10,10 +10,11 @@ use trabecula::scenes::BuiltIn;
 use trabecula::tool::source::ToolSource;
 
 /// Name and text of the compared files of `configs/tools`, the standard tool first.
-const SHIPPED: [(&str, &str); 5] = [
+const SHIPPED: [(&str, &str); 6] = [
     ("jhu_27", include_str!("../../configs/tools/jhu_27.toml")),
     ("two_segments", include_str!("../../configs/tools/two_segments.toml")),
     ("steerable_drill", include_str!("../../configs/tools/steerable_drill.toml")),
+    ("ct_sdr", include_str!("../../configs/tools/ct_sdr.toml")),
     ("tube_in_tube", include_str!("../../configs/tools/tube_in_tube.toml")),
     ("rigid_drill", include_str!("../../configs/tools/rigid_drill.toml")),
 ];
