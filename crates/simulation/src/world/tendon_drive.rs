@@ -73,12 +73,9 @@ impl TendonDrive {
 
     /// Commands tensions; `now_n` are the present ones.
     pub(super) fn servo_force(&mut self, tension_n: [f64; MAX_TENDONS], now_n: [f64; MAX_TENDONS]) {
-        self.state = match self.state {
-            _ if !self.is_limited => TendonDriveState::Force(tension_n),
-            TendonDriveState::Limited { now, is_force: true, .. } | TendonDriveState::Force(now) => {
-                TendonDriveState::Limited { goal: tension_n, now, is_force: true }
-            }
-            _ => TendonDriveState::Limited { goal: tension_n, now: now_n, is_force: true },
+        self.state = match self.is_limited {
+            true => self.limited(tension_n, now_n, true),
+            false => TendonDriveState::Force(tension_n),
         };
     }
 
@@ -88,13 +85,26 @@ impl TendonDrive {
         displacement_m: [f64; MAX_TENDONS],
         now_m: [f64; MAX_TENDONS],
     ) {
-        self.state = match self.state {
-            _ if !self.is_limited => TendonDriveState::Displacement(displacement_m),
-            TendonDriveState::Limited { now, is_force: false, .. } => {
-                TendonDriveState::Limited { goal: displacement_m, now, is_force: false }
-            }
-            _ => TendonDriveState::Limited { goal: displacement_m, now: now_m, is_force: false },
+        self.state = match self.is_limited {
+            true => self.limited(displacement_m, now_m, false),
+            false => TendonDriveState::Displacement(displacement_m),
         };
+    }
+
+    /// Follows a goal from where the actuators are: from the setpoints of the same kind, else from the
+    /// present tensions or displacements.
+    fn limited(
+        &self,
+        goal: [f64; MAX_TENDONS],
+        present: [f64; MAX_TENDONS],
+        is_force: bool,
+    ) -> TendonDriveState {
+        let now = match self.state {
+            TendonDriveState::Limited { now, is_force: was_force, .. } if was_force == is_force => now,
+            TendonDriveState::Force(now) if is_force => now,
+            _ => present,
+        };
+        TendonDriveState::Limited { goal, now, is_force }
     }
 
     /// Returns the setpoints that a fixture's limits apply to, and whether they are tensions; `None` if the
