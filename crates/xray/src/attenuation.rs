@@ -64,6 +64,11 @@ impl Material {
         }
     }
 
+    /// Density, g/cm3.
+    pub(crate) fn density_g_per_cm3(self) -> f64 {
+        self.table().0
+    }
+
     /// Mass attenuation coefficient at an energy within the table's range, cm2/g.
     pub(crate) fn mass_mu_cm2_per_g(self, energy_kev: f64) -> f64 {
         log_log(&ENERGIES_KEV, &self.table().1, energy_kev)
@@ -78,7 +83,7 @@ impl Material {
         let (low, high) = ENERGY_RANGE_KEV;
         check_range("energy_kev", energy_kev, low, high, "30 to 120 keV")?;
         // cm2/g * g/cm3 = 1/cm = 100/m.
-        Ok(100.0 * self.table().0 * self.mass_mu_cm2_per_g(energy_kev))
+        Ok(100.0 * self.density_g_per_cm3() * self.mass_mu_cm2_per_g(energy_kev))
     }
 }
 

@@ -9,14 +9,15 @@
 use std::sync::LazyLock;
 
 use super::tables;
+use crate::attenuation::Material;
 use crate::lane_math;
 
 /// Energy of an electron at rest, keV (CODATA 2018).
 const ELECTRON_KEV: f64 = 510.998_95;
 /// Energy times wavelength of a photon, keV angstrom (CODATA 2018).
 const KEV_ANGSTROM: f64 = 12.398_419_84;
-/// Water and cortical bone, g/cm3.
-const DENSITIES_G_PER_CM3: [f64; 2] = [1.0, 1.92];
+/// The materials of a phantom.
+const MATERIALS: [Material; 2] = [Material::Water, Material::CorticalBone];
 /// Nodes of the resampled tables, in equal ratios of energy and of momentum transfer.
 const ENERGY_NODES: usize = 257;
 const MOMENTUM_NODES: usize = 1025;
@@ -227,9 +228,9 @@ impl Interactions {
             let energy_kev = node(ENERGIES, i, ENERGY_NODES);
             [0, 1].map(|material| {
                 // cm2/g * g/cm3 = 1/cm = 100/m.
-                let per_m = |table: &[f64]| {
-                    100.0 * DENSITIES_G_PER_CM3[material] * logarithmic(table, energy_kev, ENERGIES)
-                };
+                let density_g_per_cm3 = MATERIALS[material].density_g_per_cm3();
+                let per_m =
+                    |table: &[f64]| 100.0 * density_g_per_cm3 * logarithmic(table, energy_kev, ENERGIES);
                 let [photoelectric, incoherent, coherent] = mass[material].map(|table| per_m(table));
                 let (compton_integral, thomson_integral) = integrals(&shapes[material], energy_kev);
                 Coefficients {

@@ -10,7 +10,6 @@ use std::sync::LazyLock;
 
 use pulp::Arch;
 
-use super::nodes_of;
 use crate::attenuation::Material;
 use crate::carm::CArm;
 use crate::detector::add_scaled_row;
@@ -43,9 +42,8 @@ static TABLE: LazyLock<Vec<Shares>> = LazyLock::new(|| {
 
 type Shares = [f64; COMPONENTS];
 
-/// Thickness of water with the electrons of one metre of cortical bone: densities times electrons per gram
-/// (NIST's Z/A: 0.51478 and 0.55508).
-const WATER_PER_BONE: f64 = 1.92 * 0.514_78 / 0.555_08;
+/// Electrons per nucleon of water and of cortical bone (NIST's Z/A).
+const Z_OVER_A: [f64; 2] = [0.555_08, 0.514_78];
 /// Thicknesses at which a C-arm's shares are tabulated.
 const STEP_M: f64 = 0.0125;
 const STEPS: usize = 41;
@@ -142,9 +140,10 @@ impl Kernels {
         c_arm: &CArm,
         anatomy: Anatomy<'_>,
         table: Option<&SpectrumTable>,
-        most_nodes: usize,
+        (columns, rows): (usize, usize),
     ) -> Vec<f32> {
-        let (columns, rows) = nodes_of(c_arm, most_nodes);
+        // Thickness of water with the electrons of one metre of cortical bone.
+        let water_per_bone = Material::CorticalBone.density_g_per_cm3() * Z_OVER_A[1] / Z_OVER_A[0];
         let by_thickness = self.of_c_arm(c_arm);
         let mut sent = vec![[0.0_f32; COMPONENTS]; columns * rows];
         let mut depths = vec![[0.0; 2]; columns * rows];
@@ -155,7 +154,7 @@ impl Kernels {
                 None => (total, total / self.water_per_m),
                 Some(table) => {
                     let bone_m = of(anatomy.bone_m);
-                    (table.attenuation(total, bone_m), total + WATER_PER_BONE * bone_m)
+                    (table.attenuation(total, bone_m), total + water_per_bone * bone_m)
                 }
             };
             *depth = [attenuation, water_m];

@@ -55,6 +55,31 @@ pub(super) struct Site {
     pub total_per_m: f64,
 }
 
+/// The straight way of a photon through a phantom.
+struct Way {
+    /// Its start, and its direction per metre, in index coordinates.
+    origin: Vec3,
+    direction: Vec3,
+    /// Where it enters and leaves the phantom, m.
+    enter: f64,
+    leave: f64,
+    coefficients: [Coefficients; 2],
+}
+
+impl Way {
+    /// Attenuation by densities, 1/m, or by metres of both materials.
+    fn attenuation(&self, of: [f64; 2]) -> f64 {
+        of[0] * self.coefficients[0].total_per_m + of[1] * self.coefficients[1].total_per_m
+    }
+
+    /// What is there after these metres.
+    fn site(&self, phantom: &Phantom, flown: f64) -> Site {
+        let fractions = phantom.at(add_scaled(self.origin, flown, self.direction));
+        let (coefficients, total_per_m) = (self.coefficients, self.attenuation(fractions));
+        Site { fractions, coefficients, total_per_m }
+    }
+}
+
 /// Follows photons through a phantom.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Tracker<'a> {
@@ -104,54 +129,48 @@ impl<'a> Tracker<'a> {
     /// Moves a photon to its first collision, drawn evenly along its way through the phantom, with the weight
     /// of a collision there: deep collisions are rare, but most of what leaves the patient comes from them.
     fn first(&self, photon: &mut Photon, numbers: &mut Numbers) -> Option<Site> {
-        let grid = self.phantom.grid();
-        let (origin, direction) =
-            (grid.world_to_index(photon.position_m), grid.vector_to_index(photon.direction));
-        let ray = IndexRay { origin, direction, length_m: 1.0 };
-        let (enter, leave) = clip_to_volume(&ray, grid.dims(), (0.0, f64::MAX))?;
-        let flown = enter + numbers.uniform() * (leave - enter);
-        let fractions = self.phantom.at(add_scaled(origin, flown, direction));
-        let coefficients = self.interactions.at(photon.energy_kev);
-        let attenuation =
-            |f: [f64; 2]| f[0] * coefficients[0].total_per_m + f[1] * coefficients[1].total_per_m;
-        let total_per_m = attenuation(fractions);
-        if total_per_m <= 0.0 {
+        let way = self.way(photon)?;
+        let flown = way.enter + numbers.uniform() * (way.leave - way.enter);
+        let site = way.site(self.phantom, flown);
+        if site.total_per_m <= 0.0 {
             return None;
         }
         let position_m = add_scaled(photon.position_m, flown, photon.direction);
-        let depth = attenuation(self.phantom.lengths_m(photon.position_m, position_m));
-        photon.weight *= total_per_m * (leave - enter) * lane_math::exp(-depth);
+        let depth = way.attenuation(self.phantom.lengths_m(photon.position_m, position_m));
+        photon.weight *= site.total_per_m * (way.leave - way.enter) * lane_math::exp(-depth);
         photon.position_m = position_m;
-        Some(Site { fractions, coefficients, total_per_m })
+        Some(site)
     }
 
     /// Moves a photon to its next collision; `None` if it leaves the phantom.
     fn fly(&self, photon: &mut Photon, numbers: &mut Numbers) -> Option<Site> {
+        let way = self.way(photon)?;
+        let largest = way.attenuation(self.phantom.largest());
+        if largest <= 0.0 {
+            return None;
+        }
+        let mut flown = way.enter;
+        loop {
+            flown -= lane_math::log(numbers.uniform()) / largest;
+            if flown >= way.leave {
+                return None;
+            }
+            let site = way.site(self.phantom, flown);
+            if numbers.uniform() * largest < site.total_per_m {
+                photon.position_m = add_scaled(photon.position_m, flown, photon.direction);
+                return Some(site);
+            }
+        }
+    }
+
+    /// Returns the way ahead of a photon; `None` if it misses the phantom.
+    fn way(&self, photon: &Photon) -> Option<Way> {
         let grid = self.phantom.grid();
         let (origin, direction) =
             (grid.world_to_index(photon.position_m), grid.vector_to_index(photon.direction));
         let ray = IndexRay { origin, direction, length_m: 1.0 };
         let (enter, leave) = clip_to_volume(&ray, grid.dims(), (0.0, f64::MAX))?;
-        let coefficients = self.interactions.at(photon.energy_kev);
-        let attenuation =
-            |f: [f64; 2]| f[0] * coefficients[0].total_per_m + f[1] * coefficients[1].total_per_m;
-        let largest = attenuation(self.phantom.largest());
-        if largest <= 0.0 {
-            return None;
-        }
-        let mut flown = enter;
-        loop {
-            flown -= lane_math::log(numbers.uniform()) / largest;
-            if flown >= leave {
-                return None;
-            }
-            let fractions = self.phantom.at(add_scaled(origin, flown, direction));
-            let total_per_m = attenuation(fractions);
-            if numbers.uniform() * largest < total_per_m {
-                photon.position_m = add_scaled(photon.position_m, flown, photon.direction);
-                return Some(Site { fractions, coefficients, total_per_m });
-            }
-        }
+        Some(Way { origin, direction, enter, leave, coefficients: self.interactions.at(photon.energy_kev) })
     }
 
     /// Scatters a photon; absorption lowers its weight.

@@ -4,6 +4,7 @@ use scene::ScatterModel;
 
 use super::kernel::Kernels;
 use super::{MonteCarlo, Phantom, nodes_of};
+use crate::attenuation::Material;
 use crate::carm::CArm;
 use crate::detector::{blur_row, gaussian_weights};
 use crate::error::DrrError;
@@ -151,7 +152,7 @@ impl Stage {
         };
         let (columns, rows) = nodes_of(c_arm, most);
         let values = match &self.method {
-            Method::Kernel(kernels) => kernels.image(c_arm, anatomy, table, most),
+            Method::Kernel(kernels) => kernels.image(c_arm, anatomy, table, (columns, rows)),
             Method::MonteCarlo(monte_carlo) => {
                 let phantom = Phantom::of_volume(view, removed, self.fill_hu, |hu| self.densities.of(hu))?;
                 let estimate = monte_carlo.estimate(&phantom, c_arm, &self.beam)?;
@@ -167,13 +168,14 @@ impl Stage {
 fn centre_m(view: &VolumeView<'_>, densities: &Densities) -> [f64; 3] {
     let grid = view.grid();
     let [nx, ny, nz] = grid.dims();
+    let bone_density = Material::CorticalBone.density_g_per_cm3();
     let (mut mass, mut moment) = (0.0, [0.0; 3]);
     for z in (0..nz).step_by(STRIDE) {
         for y in (0..ny).step_by(STRIDE) {
             let row = &view.hu()[nx * (y + ny * z)..][..nx];
             for (x, &hu) in row.iter().enumerate().step_by(STRIDE) {
                 let [water, bone] = densities.of(hu).map(f64::from);
-                let density = water + 1.92 * bone;
+                let density = water + bone_density * bone;
                 mass += density;
                 moment = add_scaled(moment, density, [x as f64, y as f64, z as f64]);
             }
