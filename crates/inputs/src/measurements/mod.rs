@@ -96,11 +96,14 @@ const SQLITE: &str = "a bag in SQLite; convert it with `ros2 bag convert` to the
 fn mcap_files(path: &Path) -> Result<Vec<PathBuf>, Failure> {
     let is = |file: &Path, ending: &str| file.extension().is_some_and(|found| found == ending);
     let refused = |why: &str| Err(Failure::bad_input(format!("{}: {why}", foreign_path(path))));
-    match () {
-        () if is(path, "db3") => return refused(SQLITE),
-        () if is(path, "bag") => return refused("a bag of ROS 1; convert it to MCAP with ROS 2 messages"),
-        () if !path.is_dir() => return Ok(vec![path.to_owned()]),
-        () => {}
+    if is(path, "db3") {
+        return refused(SQLITE);
+    }
+    if is(path, "bag") {
+        return refused("a bag of ROS 1; convert it to MCAP with ROS 2 messages");
+    }
+    if !path.is_dir() {
+        return Ok(vec![path.to_owned()]);
     }
     let entries = std::fs::read_dir(path)
         .map_err(|cause| Failure::bad_input(format!("{}: cannot be read ({cause})", foreign_path(path))))?;
