@@ -8,7 +8,7 @@ mod driven;
 
 use std::path::PathBuf;
 
-use ipc_types::scene::{Controller, Scene};
+use ipc_types::scene::{Controller, Scene, whole_steps};
 use trabecula_client::{Client, Connection};
 use trabecula_fmu::master::Archived;
 
@@ -97,7 +97,7 @@ impl Setup {
         let connections = Connections::of(self, &archived.model, scene).map_err(Failure::bad_input)?;
         if let Some(scene) = scene {
             let step_s = self.ticks(scene.dt_s())? as f64 * scene.dt_s();
-            let fixed = archived.model.fixed_step_s.filter(|fixed_s| !is_multiple(step_s, *fixed_s));
+            let fixed = archived.model.fixed_step_s.filter(|fixed_s| whole_steps(step_s, *fixed_s).is_none());
             if let Some(fixed_s) = fixed {
                 return Err(Failure::bad_input(format!(
                     "{}: the step is {step_s} s; expected a multiple of the FMU's fixed internal step, {fixed_s} s",
@@ -111,22 +111,14 @@ impl Setup {
     /// Returns the number of ticks in a step of the FMU.
     fn ticks(&self, dt_s: f64) -> Result<u64, Failure> {
         let Some(step_ms) = self.step_ms else { return Ok(1) };
-        let count = (step_ms * 1e-3 / dt_s).round();
-        match is_multiple(step_ms * 1e-3, dt_s) && (1.0..=1e6).contains(&count) {
-            true => Ok(count as u64),
-            false => Err(Failure::bad_input(format!(
+        whole_steps(step_ms * 1e-3, dt_s).filter(|count| *count <= 1_000_000).ok_or_else(|| {
+            Failure::bad_input(format!(
                 "{} is {step_ms}; expected a multiple of the scene's tick, {} ms",
                 self.labels.step,
                 dt_s * 1e3
-            ))),
-        }
+            ))
+        })
     }
-}
-
-/// Whether a time is a whole number of steps, except for rounding.
-fn is_multiple(time_s: f64, step_s: f64) -> bool {
-    let count = (time_s / step_s).round();
-    count >= 1.0 && (count * step_s - time_s).abs() <= 1e-6 * step_s
 }
 
 /// Checks the FMUs of a scene's controllers without running them; `source` names the scene in messages.
@@ -136,10 +128,8 @@ fn is_multiple(time_s: f64, step_s: f64) -> bool {
 pub fn check(scene: &Scene, source: &dyn std::fmt::Display) -> Result<(), Failure> {
     for controller in &scene.controller {
         let Some(setup) = Setup::of(controller) else { continue };
-        setup.check(Some(scene)).map_err(|error| Failure {
-            message: format!("{source}: controller `{}`: {}", controller.name, error.message),
-            ..error
-        })?;
+        let name = format_args!("{source}: controller `{}`", controller.name);
+        setup.check(Some(scene)).map_err(|error| error.of(&name))?;
     }
     Ok(())
 }

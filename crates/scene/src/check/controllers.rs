@@ -2,7 +2,9 @@
 
 use super::Checker;
 use crate::error::SceneError;
-use crate::model::{Controller, CurvedDrilling, Display, Drives, Drr, Feedback, Scene, TensionSweep};
+use crate::model::{
+    Controller, CurvedDrilling, Display, Drives, Drr, Feedback, Scene, TensionSweep, whole_steps,
+};
 
 /// Names of the other processes, and end reasons that are not process names: a log's end names its cause.
 const RESERVED_NAMES: [&str; 7] =
@@ -149,7 +151,7 @@ fn check_fmu(controller: &Controller, scene: &Scene, checker: &Checker) -> Resul
     }
     let dt_ms = scene.run.dt_ms;
     match controller.step_ms {
-        Some(step_ms) if (controller.step_ticks(dt_ms) as f64 * dt_ms - step_ms).abs() > 1e-6 * dt_ms => {
+        Some(step_ms) if whole_steps(step_ms, dt_ms).is_none() => {
             let problem = format!("is {step_ms}; expected a multiple of `run.dt_ms`, {dt_ms}");
             Err(checker.invalid(&key("step_ms"), problem))
         }

@@ -82,11 +82,13 @@ impl Controller {
     pub fn is_program(&self) -> bool {
         self.command.is_some() || self.fmu.is_some()
     }
+}
 
-    /// Ticks in a step of its `fmu`.
-    pub fn step_ticks(&self, dt_ms: f64) -> u64 {
-        self.step_ms.map_or(1, |step_ms| (step_ms / dt_ms).round().max(1.0) as u64)
-    }
+/// Returns how many steps are in a duration, both in the same unit; `None` if it is not a multiple of a step,
+/// except for rounding.
+pub fn whole_steps(duration: f64, step: f64) -> Option<u64> {
+    let count = (duration / step).round();
+    (count >= 1.0 && (count * step - duration).abs() <= 1e-6 * step).then_some(count as u64)
 }
 
 /// A part of the tool that a controller drives.

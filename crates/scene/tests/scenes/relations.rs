@@ -3,7 +3,7 @@
 
 use std::path::Path;
 
-use scene::{Scene, keys_without_effect};
+use scene::{Scene, keys_without_effect, whole_steps};
 
 const LEAST: &str = r#"
 name = "relations"
@@ -178,7 +178,7 @@ fn keys_of_an_fmu_are_checked_with_each_other() {
     let fmu = "fmu = \"b.fmu\"\n";
     let scene = parsed(&controller(&format!("{fmu}step_ms = 3.0\noptional = true\nrestarts = 2"))).unwrap();
     assert!(scene.controller[0].fmu.as_ref().unwrap().is_absolute());
-    assert_eq!(scene.controller[0].step_ticks(scene.run.dt_ms), 3);
+    assert_eq!(whole_steps(scene.controller[0].step_ms.unwrap(), scene.run.dt_ms), Some(3));
     let refused = [
         (
             "hold = { tension_n = 1 }\ninputs = { y = \"bend_rad\" }".to_owned(),
