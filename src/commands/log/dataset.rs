@@ -1,7 +1,7 @@
 //! `trabecula log export --dataset`: re-renders the frames of logs with labels, as a training data set.
 
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use foreign_text::foreign_path;
 use ipc_types::messages::Tick;
@@ -43,21 +43,29 @@ pub fn export(format: Format, arguments: &ExportArguments) -> Result<(), Failure
     let shares: Vec<String> = parts.iter().map(|(name, frames)| format!("{name} {frames}")).collect();
     let shares = if shares.is_empty() { String::new() } else { format!(" ({})", shares.join(", ")) };
     let said = format!("{frames} labelled frames{shares}, {in_gaps} skipped in gaps of the log");
-    // The worst verdict decides the exit code.
-    let badness = |verdict: &&Verdict| (!verdict.is_intact(), verdict.is_stopped_by_damage());
-    let worst = verdicts.iter().max_by_key(badness).cloned().unwrap_or_default();
     let mut figures = json!({"frames": frames});
     if !parts.is_empty() {
         figures["split"] = parts.iter().map(|(name, n)| ((*name).to_owned(), json!(n))).collect();
     }
-    arguments.say(&said, figures, &worst);
+    arguments.say(&said, figures, &worst(&verdicts));
     for (name, _) in parts.iter().filter(|(_, frames)| *frames == 0) {
         tell!("trabecula: --split: `{name}` is empty; use more runs or another --seed");
     }
-    for (log, verdict) in arguments.logs.iter().zip(&verdicts).filter(|(_, verdict)| !verdict.is_intact()) {
+    judged_all(&arguments.logs, &verdicts)
+}
+
+/// Returns the worst verdict, which decides the exit code.
+pub(super) fn worst(verdicts: &[Verdict]) -> Verdict {
+    let badness = |verdict: &&Verdict| (!verdict.is_intact(), verdict.is_stopped_by_damage());
+    verdicts.iter().max_by_key(badness).cloned().unwrap_or_default()
+}
+
+/// Prints what is wrong with each log; the worst verdict is the exit code.
+pub(super) fn judged_all(logs: &[PathBuf], verdicts: &[Verdict]) -> Result<(), Failure> {
+    for (log, verdict) in logs.iter().zip(verdicts).filter(|(_, verdict)| !verdict.is_intact()) {
         tell!("trabecula: {}: {verdict}", log_path(log).display());
     }
-    ended_with(exit_code(&worst))
+    ended_with(exit_code(&worst(verdicts)))
 }
 
 /// An export in progress.
@@ -73,7 +81,9 @@ impl Export<'_> {
         let arguments = self.arguments;
         let log = open(log, arguments)?;
         let threads = std::thread::available_parallelism().map_or(1, usize::from);
-        let Some(mut replay) = FrameReplay::new(&log, threads)? else { return Err(refused(&log, NO_X_RAY)) };
+        let Some(mut replay) = FrameReplay::new(&log, threads)? else {
+            return Err(refused(&log.path, NO_X_RAY));
+        };
         let labels = log.scene.drr.as_ref().map(Drr::labels).unwrap_or_default();
         let bone_from_hu = self.dataset.bone_from_hu();
         let run = Run { images: labels.images, ..run(&log, arguments, index)? };
@@ -91,7 +101,7 @@ impl Export<'_> {
             }
             let greys = rendered.pixels.chunks_exact(2).filter_map(|grey| u16::read_from_bytes(grey).ok());
             let sample = Sample { frame: rendered.frame, greys: greys.collect(), labels };
-            let files = self.dataset.add(&sample, &run).map_err(|what| refused(&log, &what))?;
+            let files = self.dataset.add(&sample, &run).map_err(|what| refused(&log.path, &what))?;
             files.into_iter().try_for_each(|file| write(&arguments.output, file))?;
         }
         Ok(replay.verdict())
@@ -105,7 +115,7 @@ fn checked(arguments: &ExportArguments) -> Result<i16, Failure> {
     for log in &arguments.logs {
         let log = open(log, arguments)?;
         let (Some(_), Some(threshold_hu)) = (&log.scene.drr, log.scene.labels_bone_from_hu()) else {
-            return Err(refused(&log, NO_X_RAY));
+            return Err(refused(&log.path, NO_X_RAY));
         };
         let own = (arguments.bone_from_hu.unwrap_or(threshold_hu), log.reader()?.initial().joint_count);
         let first = *common.get_or_insert(own);
@@ -115,14 +125,14 @@ fn checked(arguments: &ExportArguments) -> Result<i16, Failure> {
                  --bone-from-hu",
                 own.0, first.0
             );
-            return Err(refused(&log, &what));
+            return Err(refused(&log.path, &what));
         }
         if own.1 != first.1 {
             let what = format!("its tool has {} joints, but {} in the previous logs", own.1, first.1);
-            return Err(refused(&log, &what));
+            return Err(refused(&log.path, &what));
         }
         if !has_frames(&log, arguments)? {
-            return Err(refused(&log, "the log has no frames in this range of ticks"));
+            return Err(refused(&log.path, "the log has no frames in this range of ticks"));
         }
     }
     common
@@ -152,8 +162,8 @@ fn open(log: &Path, arguments: &ExportArguments) -> Result<OpenedLog, Failure> {
     OpenedLog::open(log, &overrides)
 }
 
-fn refused(log: &OpenedLog, what: &str) -> Failure {
-    Failure::bad_input(format!("--dataset: {}: {what}", foreign_path(&log.path)))
+pub(super) fn refused(log: &Path, what: &str) -> Failure {
+    Failure::bad_input(format!("--dataset: {}: {what}", foreign_path(log)))
 }
 
 /// Describes the run of the log with this index.

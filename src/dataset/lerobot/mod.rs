@@ -166,7 +166,11 @@ impl LeRobot {
             ("task_index".to_owned(), Column::Integers((0..self.tasks.len() as i64).collect())),
             ("__index_level_0__".to_owned(), Column::Texts(self.tasks.iter().cloned().map(Some).collect())),
         ];
-        let described = |name: Value, field: &str, kind: &str, numpy: &str| json!({"name": name, "field_name": field, "pandas_type": kind, "numpy_type": numpy, "metadata": null});
+        let described = |name: Value, field: &str, kind: &str, numpy: &str| {
+            json!({
+                "name": name, "field_name": field, "pandas_type": kind, "numpy_type": numpy, "metadata": null,
+            })
+        };
         let pandas = json!({
             "index_columns": ["__index_level_0__"],
             "column_indexes": [],

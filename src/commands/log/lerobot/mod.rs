@@ -11,19 +11,17 @@ use ipc_types::messages::layout::Message;
 use ipc_types::messages::{Command, Latched, SensorReading, State, Tick};
 use ipc_types::scene::Scene;
 use output_file::OutputFile;
-use recorder_proc::exit_code::exit_code;
 use recorder_proc::log_file::{LogFile, log_path};
 use run_log::columns::{Column, columns};
 use run_log::{LogSource, MessageStream, ReadOptions, Topic, Verdict};
 use serde_json::json;
 use zerocopy::{FromBytes, IntoBytes};
 
-use super::dataset::{refuse_used, write};
-use super::ended_with;
+use super::dataset::{judged_all, refuse_used, refused, worst, write};
 use super::export::ExportArguments;
 use crate::dataset::lerobot::{Episode, Features, LeRobot, Picture, Row};
 use crate::failure::Failure;
-use crate::report::course::Course;
+use crate::report::course::{Course, distance_m};
 use crate::report::outcome;
 use pictures::Pictures;
 
@@ -110,19 +108,13 @@ pub fn export(arguments: &ExportArguments) -> Result<(), Failure> {
     }
     let files = set.end().map_err(not_encoded)?;
     files.into_iter().try_for_each(|file| write(&arguments.output, file))?;
-    let badness = |verdict: &&Verdict| (!verdict.is_intact(), verdict.is_stopped_by_damage());
-    let worst = verdicts.iter().max_by_key(badness).cloned().unwrap_or_default();
     let figures = json!({"episodes": episodes, "rows": rows});
-    arguments.say(&format!("{rows} rows in {episodes} episodes"), figures, &worst);
-    ended_with(exit_code(&worst))
+    arguments.say(&format!("{rows} rows in {episodes} episodes"), figures, &worst(&verdicts));
+    judged_all(&arguments.logs, &verdicts)
 }
 
 fn not_encoded(cause: impl std::fmt::Display) -> Failure {
     Failure::failed(format!("the data set cannot be encoded: {cause}"))
-}
-
-fn refused(path: &Path, what: &str) -> Failure {
-    Failure::bad_input(format!("--dataset: {}: {what}", foreign_path(path)))
 }
 
 /// An element of `observation.state`.
@@ -351,7 +343,7 @@ impl Export<'_> {
             Some(running) => running,
             None => running.insert(self.start(state.tick)?),
         };
-        let distance_m = distance_m(state, course);
+        let distance_m = from_target_m(state, course);
         running.close(distance_m)?;
         running.open = Some((row, distance_m));
         running.rows += 1;
@@ -397,7 +389,7 @@ impl Export<'_> {
     /// Ends an episode.
     fn end(&mut self, running: Option<Running>, course: &Course) -> Result<(), Failure> {
         let Some(mut running) = running else { return Ok(()) };
-        let last = course.last.as_ref().map_or(0.0, |state| distance_m(state, course));
+        let last = course.last.as_ref().map_or(0.0, |state| from_target_m(state, course));
         running.close(last)?;
         let success = outcome::reached_target(&self.source.scene, course);
         let out = self.set.add(running.episode, success).map_err(not_encoded)?;
@@ -416,8 +408,6 @@ impl Running {
 }
 
 /// Distance of the burr from the scene's target; 0 without one.
-fn distance_m(state: &State, course: &Course) -> f64 {
-    let burr_m = state.t_world_burr.position_m;
-    let squares = course.target_m.iter().flatten().zip(burr_m).map(|(target, burr)| (target - burr).powi(2));
-    squares.sum::<f64>().sqrt()
+fn from_target_m(state: &State, course: &Course) -> f64 {
+    course.target_m.map_or(0.0, |target_m| distance_m(target_m, state.t_world_burr.position_m))
 }

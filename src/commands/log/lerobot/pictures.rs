@@ -6,7 +6,8 @@ use figures::picture::grey_as_rgb8;
 use recorder_proc::log_file::LogFile;
 use run_log::{FrameReader, FrameRecord, LogError, LogSource, ReadOptions, Verdict, frames};
 
-use super::{not_encoded, refused};
+use super::super::dataset::refused;
+use super::not_encoded;
 use crate::dataset::lerobot::Picture;
 use crate::failure::Failure;
 
@@ -51,8 +52,8 @@ impl Pictures {
         }
         if let Some(record) = newest {
             let Some(image) = record.image else {
-                let what = "the log has only the hashes of some frames; record it with `recording.images = \"full\"` \
-                            and `recording.image_every = 1`";
+                let what = "the log has only the hashes of some frames; record it with \
+                            `recording.images = \"full\"` and `recording.image_every = 1`";
                 return Err(refused(&self.path, what));
             };
             let greys = record.pixels.chunks_exact(2).map(|pixel| u16::from_le_bytes([pixel[0], pixel[1]]));
