@@ -239,11 +239,12 @@ pub fn run_with(
     let mut own_memory = Memory::default();
     own_memory.measure("self");
     let volume_spacing_m = ct.as_ref().map(|ct| ct.volume.grid.spacing_m());
+    let subscriptions = Subscriptions::open(&hub.host.session)?;
+    let parts = start_parts(plan, &hub)?;
+    // While the parts start.
     let regions = Regions::of(&plan.scene, ct.as_ref().map(|ct| &ct.volume));
     // Keep only the copy in shared memory.
     drop(ct);
-    let subscriptions = Subscriptions::open(&hub.host.session)?;
-    let parts = start_parts(plan, &hub)?;
     let replacements = Replacements::new(&hub.host.session)?;
     // The viewer is not a part of the run: if it fails, the run continues.
     let viewer = plan.view.map(|view| hub.start_viewer(view)).transpose()?;

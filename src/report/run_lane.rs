@@ -6,7 +6,7 @@ use std::path::Path;
 use ipc_types::messages::{Frame, ImagePrefix, MAX_TENDONS, Pose, Removed, SensorReading, State};
 use ipc_types::scene::Scene;
 use recorder_proc::log_file::LogFile;
-use run_log::{LogError, LogHeader, LogMessage, MessageStream, ReadOptions, Topic};
+use run_log::{LogError, LogHeader, LogMessage, MessageStream, ReadOptions, Topic, voxel_indices};
 use zerocopy::FromBytes;
 
 use super::course::{Course, Plane};
@@ -91,7 +91,7 @@ pub struct RunLane {
     pub end_ns: u64,
     /// Reduced states.
     pub course: Course,
-    /// Voxels drilled since the start or the last reset.
+    /// Voxels drilled since the start or the last reset, for a scene with structures.
     pub drilled: Vec<u32>,
     /// Curves for the figures; `None` without a state.
     pub curves: Option<Curves>,
@@ -167,7 +167,7 @@ impl RunLane {
                     self.course.clearances.add(&reading);
                 }
             }
-            Some(Topic::Removed) => self.removed(message.body),
+            Some(Topic::Removed) if self.has_structures() => self.removed(message.body),
             Some(Topic::DrrFrame) => {
                 self.frames.count += u64::from(Frame::read_from_bytes(message.body).is_ok())
             }
@@ -182,6 +182,10 @@ impl RunLane {
         }
     }
 
+    fn has_structures(&self) -> bool {
+        self.scene.as_ref().is_some_and(|scene| !scene.structure.is_empty())
+    }
+
     /// Adds the voxels that a tick removed; those of tick 0 are the pilot holes.
     fn removed(&mut self, body: &[u8]) {
         let Ok((removed, voxels)) = Removed::read_from_prefix(body) else { return };
@@ -189,7 +193,7 @@ impl RunLane {
             self.drilled.clear();
         }
         if removed.tick > 0 {
-            self.drilled.extend(voxels.as_chunks::<4>().0.iter().map(|bytes| u32::from_le_bytes(*bytes)));
+            self.drilled.extend(voxel_indices(voxels));
         }
     }
 
