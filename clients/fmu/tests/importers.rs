@@ -13,50 +13,18 @@ use sim::{Drive, SharedScene, Sim, View};
 use tempfile::TempDir;
 use test_support::limited::Limited;
 use test_support::python;
-use test_support::scenes::TOOL;
+use test_support::scenes::{BLOCK, OPEN_LOOP, TOOL, x_ray};
 use trabecula_fmu::{Version, export};
 use zerocopy::IntoBytes;
 
 const RUN: &str = "name = \"a\"\nrun = { mode = \"lockstep\", duration_s = 0.2 }\n";
 
 /// A block that a built-in controller drills under X-ray.
-const DRILL: &str = r#"
-name = "drill"
-[run]
-mode = "lockstep"
-duration_s = 0.2
-seed = 7
-[volume]
-phantom = "block"
-spacing_mm = 1.0
-[tool]
-burr_start_mm = [0.0, 0.0, -31.0]
-direction = [0.0, 0.0, 1.0]
-bend_toward = [1.0, 0.0, 0.0]
-[drr]
-rate_hz = 10.0
-isocentre_mm = [0.0, 0.0, -20.0]
-columns = 64
-rows = 48
-pixel_pitch_mm = 1.5
-photons_per_pixel = 5000.0
-threads = 1
-[[sensor]]
-name = "encoder"
-rate_hz = 200.0
-encoders = {}
-[[controller]]
-name = "reference"
-drives = ["tendon", "arm", "burr"]
-[controller.curved_drilling]
-feed_mm_per_s = 10.0
-insertion_mm = 20.0
-tension_n = 6.0
-ramp_start_mm = 1.0
-ramp_end_mm = 15.0
-burr_speed_rpm = 8000.0
-feedback = "none"
-"#;
+fn drill() -> String {
+    let run = "name = \"drill\"\nrun = { mode = \"lockstep\", duration_s = 0.2, seed = 7 }\n";
+    let encoder = "[[sensor]]\nname = \"encoder\"\nrate_hz = 200.0\nencoders = {}\n";
+    [run, BLOCK, &x_ray(10.0, 48), encoder, OPEN_LOOP].concat()
+}
 
 const TICKS: u64 = 200;
 
@@ -161,7 +129,7 @@ fn a_built_in_controller_drills_in_the_fmu_as_in_a_run() {
     let Some(python) = fmpy() else { return };
     for version in [Version::Three, Version::Two] {
         let place = Place::new();
-        let shared = place.scene(DRILL);
+        let shared = place.scene(&drill());
         let fmu = place.exported(&shared, version);
         let parameters = json!({"scene.run.seed": 9});
         let seeded = SharedScene::load(Some(&place.0.path().join("scene.toml")), &[], Some(9)).unwrap();

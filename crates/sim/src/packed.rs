@@ -7,6 +7,7 @@
 use std::sync::Arc;
 
 use controllers::MemoryError;
+use foreign_text::{counted, foreign};
 use messages::services::MAX_KEYFRAME_BYTES;
 use messages::{Frame, Latched, Tick};
 use recorder_proc::build_info;
@@ -178,8 +179,8 @@ impl Sim {
         if build != of_build(&current) {
             return Err(SimError::Packed(format!(
                 "packed by another build ({} for {}), this is {} for {}; use the build that packed it",
-                foreign_text::foreign(build.0),
-                foreign_text::foreign(build.1),
+                foreign(build.0),
+                foreign(build.1),
                 current.version,
                 current.target
             )));
@@ -254,7 +255,9 @@ fn written(content: &impl Serialize) -> Result<Vec<u8>, SimError> {
 fn read<'b, T: Deserialize<'b>>(bytes: &'b [u8]) -> Result<T, SimError> {
     match postcard::take_from_bytes(bytes) {
         Ok((read, [])) => Ok(read),
-        Ok((_, rest)) => Err(SimError::Packed(format!("malformed: {} bytes too many", rest.len()))),
+        Ok((_, rest)) => {
+            Err(SimError::Packed(format!("malformed: {} too many", counted(rest.len(), "byte"))))
+        }
         Err(cause) => Err(SimError::Packed(format!("malformed ({cause})"))),
     }
 }

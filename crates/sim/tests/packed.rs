@@ -6,46 +6,8 @@ use std::sync::Arc;
 
 use messages::{ArmMode, BurrMode, Command, TendonMode};
 use sim::{Drive, SharedScene, Sim, SimError, Snapshot};
+use test_support::scenes::{BLOCK, LATE_SENSORS, x_ray};
 use xxhash_rust::xxh3::xxh3_64;
-
-/// A block 0.25 mm in front of the burr, seen by a C-arm and by sensors, to be completed by a controller.
-const BLOCK: &str = r#"
-name = "packed"
-[run]
-mode = "lockstep"
-duration_s = 1.0
-seed = 7
-[volume]
-phantom = "block"
-spacing_mm = 1.0
-[tool]
-burr_start_mm = [0.0, 0.0, -31.0]
-direction = [0.0, 0.0, 1.0]
-bend_toward = [1.0, 0.0, 0.0]
-[drr]
-rate_hz = 20.0
-isocentre_mm = [0.0, 0.0, -20.0]
-columns = 64
-rows = 64
-pixel_pitch_mm = 1.5
-photons_per_pixel = 5000.0
-threads = 1
-[[sensor]]
-name = "shape"
-rate_hz = 100.0
-delay_ms = 20.0
-fbg = {}
-[[sensor]]
-name = "tracker"
-rate_hz = 40.0
-delay_ms = 20.0
-jitter_ms = 10.0
-dropout = 0.2
-tracker = { on = "base", camera_mm = [0.0, 300.0, -900.0] }
-[[controller]]
-name = "mine"
-drives = ["tendon", "arm", "burr"]
-"#;
 
 const DRILLS: &str = "
 [controller.curved_drilling]
@@ -59,10 +21,14 @@ target_mm = [4.0, 0.0, -16.0]
 guidance_gain_n_per_mm = 2.0
 ";
 
+/// The block, seen by a C-arm and by sensors, with a controller.
 fn scene(controller: &str) -> Arc<SharedScene> {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("scene.toml");
-    std::fs::write(&file, format!("{BLOCK}{controller}")).unwrap();
+    let run = "name = \"packed\"\nrun = { mode = \"lockstep\", duration_s = 1.0, seed = 7 }\n";
+    let mine = "[[controller]]\nname = \"mine\"\ndrives = [\"tendon\", \"arm\", \"burr\"]\n";
+    let text = [run, BLOCK, &x_ray(20.0, 64), LATE_SENSORS, mine, controller].concat();
+    std::fs::write(&file, text).unwrap();
     SharedScene::load(Some(&file), &["contact.friction=0.25".to_owned()], Some(11)).unwrap()
 }
 
@@ -182,7 +148,7 @@ fn bytes_that_are_not_a_simulation_of_this_build_are_refused() {
     refused(&summed(other), "packed by another build (9.");
     let mut longer = packed.clone();
     longer.push(0);
-    refused(&summed(longer), "1 bytes too many");
+    refused(&summed(longer), "1 byte too many");
     let elsewhere = Sim::new(&scene("external = true\n"), &Drive::Nothing).unwrap();
     let error = sim.restore_keyframe(&elsewhere.keyframe().unwrap()).unwrap_err();
     assert!(error.to_string().contains("of another scene"), "{error}");

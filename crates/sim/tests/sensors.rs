@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "tests fail")]
 
 use std::path::Path;
-use std::sync::Arc;
+use std::sync::{Arc, LazyLock};
 
 use controllers::built_in;
 use hub::in_process::{Answer, InProcess};
@@ -13,35 +13,16 @@ use run_log::segments::{SegmentOptions, keyframe_before, verify_segments};
 use run_log::{LogReader, MessageStream, ReadOptions, Topic};
 use sim::{Drive, SharedScene, Sim};
 use simulation::{CtView, Simulation};
+use test_support::scenes::{BLOCK, LATE_SENSORS};
 
 /// Drills a curve on a shape that is 20 ms old; the other kinds of sensors are present but unused.
-const SCENE: &str = r#"
-name = "measured"
-[run]
-mode = "lockstep"
-duration_s = 0.6
-seed = 7
-[volume]
-phantom = "block"
-spacing_mm = 1.0
-[tool]
-burr_start_mm = [0.0, 0.0, -31.0]
-direction = [0.0, 0.0, 1.0]
-bend_toward = [1.0, 0.0, 0.0]
-[recording]
-keyframe_interval_s = 0.1
-[[sensor]]
-name = "shape"
-rate_hz = 100.0
-delay_ms = 20.0
-fbg = {}
-[[sensor]]
-name = "tracker"
-rate_hz = 40.0
-delay_ms = 20.0
-jitter_ms = 10.0
-dropout = 0.2
-tracker = { on = "base", camera_mm = [0.0, 300.0, -900.0] }
+static SCENE: LazyLock<String> = LazyLock::new(|| {
+    let run = "name = \"measured\"\nrun = { mode = \"lockstep\", duration_s = 0.6, seed = 7 }\n\
+               recording = { keyframe_interval_s = 0.1 }\n";
+    [run, BLOCK, LATE_SENSORS, OTHERS].concat()
+});
+
+const OTHERS: &str = r#"
 [[sensor]]
 name = "joints"
 rate_hz = 125.0
@@ -84,7 +65,7 @@ fn simulation(shared: &SharedScene) -> Simulation<'_> {
 #[test]
 fn a_measured_run_is_the_same_in_a_simulation_in_the_hub_and_in_its_replay() {
     let place = tempfile::tempdir().unwrap();
-    let shared = load(place.path(), SCENE);
+    let shared = load(place.path(), &SCENE);
     let mut run = InProcess::new(shared.scene(), simulation(&shared));
     let mut controller =
         built_in(shared.scene(), "reference", &|_| panic!("no calibration")).unwrap().unwrap();
@@ -144,7 +125,7 @@ fn a_measured_run_is_the_same_in_a_simulation_in_the_hub_and_in_its_replay() {
 #[test]
 fn readings_underway_are_part_of_a_snapshot() {
     let place = tempfile::tempdir().unwrap();
-    let shared = load(place.path(), SCENE);
+    let shared = load(place.path(), &SCENE);
     let mut sim = Sim::new(&shared, &Drive::Nothing).unwrap();
     sim.step(&[], 210).unwrap();
     let here = sim.snapshot();
@@ -164,7 +145,7 @@ fn readings_underway_are_part_of_a_snapshot() {
 #[test]
 fn a_reset_clears_what_is_underway() {
     let place = tempfile::tempdir().unwrap();
-    let shared = load(place.path(), SCENE);
+    let shared = load(place.path(), &SCENE);
     let mut plant = simulation(&shared);
     let mut last = 0;
     for tick in 0..400 {

@@ -3,8 +3,8 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "tests fail")]
 
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
+use std::sync::{Arc, LazyLock};
 
 use controllers::built_in;
 use hub::in_process::{Answer, InProcess};
@@ -14,43 +14,14 @@ use run_log::LogReader;
 use sim::{Batch, Drive, SharedScene, Sim, SimError, View};
 use simulation::Simulation;
 use tempfile::TempDir;
+use test_support::scenes::{BLOCK, OPEN_LOOP, x_ray};
 
-/// A block 0.25 mm in front of the burr, and a controller that drills a curve into it.
-const DRILL: &str = r#"
-name = "drill"
-[run]
-mode = "realtime"
-duration_s = 0.8
-seed = 7
-[volume]
-phantom = "block"
-spacing_mm = 1.0
-[tool]
-burr_start_mm = [0.0, 0.0, -31.0]
-direction = [0.0, 0.0, 1.0]
-bend_toward = [1.0, 0.0, 0.0]
-[recording]
-keyframe_interval_s = 0.1
-[drr]
-rate_hz = 10.0
-isocentre_mm = [0.0, 0.0, -20.0]
-columns = 64
-rows = 64
-pixel_pitch_mm = 1.5
-photons_per_pixel = 5000.0
-threads = 1
-[[controller]]
-name = "reference"
-drives = ["tendon", "arm", "burr"]
-[controller.curved_drilling]
-feed_mm_per_s = 10.0
-insertion_mm = 20.0
-tension_n = 6.0
-ramp_start_mm = 1.0
-ramp_end_mm = 15.0
-burr_speed_rpm = 8000.0
-feedback = "none"
-"#;
+/// The block, seen by a C-arm, and a controller that drills a curve into it.
+static DRILL: LazyLock<String> = LazyLock::new(|| {
+    let run = "name = \"drill\"\nrun = { mode = \"realtime\", duration_s = 0.8, seed = 7 }\n\
+               recording = { keyframe_interval_s = 0.1 }\n";
+    [run, BLOCK, &x_ray(10.0, 64), OPEN_LOOP].concat()
+});
 
 struct Place(TempDir);
 
@@ -101,7 +72,7 @@ fn hash_at(states: &[State], tick: u64) -> [u64; 2] {
 
 #[test]
 fn built_in_controllers_lead_to_the_hubs_own_ticks() {
-    let place = Place::with(DRILL);
+    let place = Place::with(&DRILL);
     let shared = place.scene();
     let scene = shared.scene();
     let ct = simulation::CtView::from(&shared.ct().unwrap().volume);
@@ -123,7 +94,7 @@ fn built_in_controllers_lead_to_the_hubs_own_ticks() {
 
 #[test]
 fn a_snapshot_brings_back_every_later_tick_in_this_and_other_simulations() {
-    let place = Place::with(DRILL);
+    let place = Place::with(&DRILL);
     let shared = place.scene();
     let mut sim = Sim::new(&shared, &Drive::Everything).unwrap();
     let mut taken = Vec::new();
@@ -152,7 +123,7 @@ fn a_snapshot_brings_back_every_later_tick_in_this_and_other_simulations() {
 
 #[test]
 fn built_in_controllers_are_part_of_a_snapshot() {
-    let place = Place::with(DRILL);
+    let place = Place::with(&DRILL);
     let mut sim = Sim::new(&place.scene(), &Drive::Nothing).unwrap();
     sim.step(&[], 300).unwrap();
     let here = sim.snapshot();
@@ -167,7 +138,7 @@ fn built_in_controllers_are_part_of_a_snapshot() {
 
 #[test]
 fn no_number_of_threads_changes_a_bit() {
-    let place = Place::with(DRILL);
+    let place = Place::with(&DRILL);
     let shared = place.scene();
     let mut alone: Vec<Sim> = (0..5).map(|_| Sim::new(&shared, &Drive::Everything).unwrap()).collect();
     let command = |index: usize, tick: u64| {
@@ -203,7 +174,7 @@ fn no_number_of_threads_changes_a_bit() {
 
 #[test]
 fn a_recording_is_a_log_that_leads_to_the_same_ticks_from_any_tick_on() {
-    let place = Place::with(DRILL);
+    let place = Place::with(&DRILL);
     let shared = place.scene();
     for (drive, folder) in [(Drive::Everything, "driven"), (Drive::Nothing, "own")] {
         let mut sim = Sim::new(&shared, &drive).unwrap();
@@ -255,7 +226,7 @@ fn a_recording_is_a_log_that_leads_to_the_same_ticks_from_any_tick_on() {
 
 #[test]
 fn a_recording_that_nobody_closes_is_whole() {
-    let place = Place::with(DRILL);
+    let place = Place::with(&DRILL);
     let mut sim = Sim::new(&place.scene(), &Drive::Nothing).unwrap();
     sim.record(&place.path("out")).unwrap();
     sim.step(&[], 10).unwrap();
@@ -268,7 +239,7 @@ fn a_recording_that_nobody_closes_is_whole() {
 
 #[test]
 fn a_refused_command_changes_nothing() {
-    let place = Place::with(DRILL);
+    let place = Place::with(&DRILL);
     let shared = place.scene();
     let mut sim = Sim::new(&shared, &Drive::Everything).unwrap();
     let mut other = Sim::new(&shared, &Drive::Everything).unwrap();
@@ -287,7 +258,7 @@ fn a_refused_command_changes_nothing() {
 #[test]
 fn an_optional_controller_joins_with_its_first_command() {
     let second = "[[controller]]\nname = \"later\"\ndrives = []\nexternal = true\noptional = true\n";
-    let place = Place::with(&format!("{DRILL}{second}"));
+    let place = Place::with(&format!("{}{second}", *DRILL));
     let mut sim = Sim::new(&place.scene(), &Drive::Everything).unwrap();
     sim.record(&place.path("out")).unwrap();
     sim.step(&[pushing(0), Command::zeroed()], 3).unwrap();
@@ -303,7 +274,7 @@ fn an_optional_controller_joins_with_its_first_command() {
 /// Regression: an image of an earlier state showed holes that were drilled later.
 #[test]
 fn a_picture_after_a_jump_is_that_of_a_simulation_that_never_jumped() {
-    let place = Place::with(DRILL);
+    let place = Place::with(&DRILL);
     let shared = place.scene();
     let picture = |sim: &mut Sim| sim.render(View::Scene).unwrap().pixels;
     let mut sim = Sim::new(&shared, &Drive::Nothing).unwrap();
@@ -323,7 +294,7 @@ fn a_picture_after_a_jump_is_that_of_a_simulation_that_never_jumped() {
 
 #[test]
 fn pictures_from_many_c_arms_are_those_from_each_and_change_nothing() {
-    let place = Place::with(DRILL);
+    let place = Place::with(&DRILL);
     let shared = place.scene();
     let mut sim = Sim::new(&shared, &Drive::Nothing).unwrap();
     let angles = |primary_deg: f64, secondary_deg: f64| View::Angles { primary_deg, secondary_deg };
@@ -353,7 +324,7 @@ fn pictures_from_many_c_arms_are_those_from_each_and_change_nothing() {
 /// Regression: in Python, Ctrl-C was delayed until the last of many frames.
 #[test]
 fn many_pictures_are_given_up_when_asked_to_and_their_number_changes_none() {
-    let place = Place::with(DRILL);
+    let place = Place::with(&DRILL);
     let mut sim = Sim::new(&place.scene(), &Drive::Nothing).unwrap();
     sim.step(&[], 400).unwrap();
     let view = |n: usize| View::Angles { primary_deg: n as f64, secondary_deg: 0.0 };
@@ -374,7 +345,7 @@ fn many_pictures_are_given_up_when_asked_to_and_their_number_changes_none() {
 
 #[test]
 fn scenes_of_the_same_synthetic_volume_share_it() {
-    let place = Place::with(DRILL);
+    let place = Place::with(&DRILL);
     let (one, other) = (place.scene(), place.scene());
     assert!(std::ptr::eq(one.hu(), other.hu()));
     let settings = ["volume.spacing_mm=1.5".to_owned()];
