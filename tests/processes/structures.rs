@@ -51,8 +51,8 @@ fn what_happens_at_a_structure_is_predicted_recorded_and_replayed() {
         let [vessel, tumour, nerve] = [0, 1, 2].map(|index| &summary["structures"][index]);
         let found_mm = vessel["least_clearance_mm"].as_f64().unwrap();
         assert!(least_mm.contains(&found_mm), "{on_vessel}: {found_mm}");
-        // Voxels of 1 mm: what was removed is inside the target or outside, and its share is that of about as many
-        // as the ball's volume in mm3, 65.4.
+        // Voxels of 1 mm: what was removed is inside the target or outside, and its share is that of about as
+        // many as the ball's volume in mm3, 65.4.
         let number = |value: &Value| value.as_f64().unwrap();
         let [share, in_target_mm3] = ["removed_share", "removed_mm3"].map(|key| number(&tumour[key]));
         let [all_mm3, healthy_mm3] =

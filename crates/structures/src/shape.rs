@@ -61,7 +61,7 @@ pub enum StructureError {
         /// What is wrong.
         cause: GridError,
     },
-    /// It is defined by the bone of a volume, and there is none.
+    /// It follows from the bone of a volume, but the scene has no volume.
     #[error("structure `{0}` needs a volume")]
     NoVolume(String),
 }
