@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use foreign_text::foreign_path;
+use foreign_text::{counted, foreign_path};
 use ipc_types::messages::Tick;
 use ipc_types::messages::layout::hex;
 use ipc_types::scene::Drr;
@@ -42,7 +42,8 @@ pub fn export(format: Format, arguments: &ExportArguments) -> Result<(), Failure
     dataset.end().into_iter().try_for_each(|file| write(folder, file))?;
     let shares: Vec<String> = parts.iter().map(|(name, frames)| format!("{name} {frames}")).collect();
     let shares = if shares.is_empty() { String::new() } else { format!(" ({})", shares.join(", ")) };
-    let said = format!("{frames} labelled frames{shares}, {in_gaps} skipped in gaps of the log");
+    let labelled = counted(frames, "labelled frame");
+    let said = format!("{labelled}{shares}, {in_gaps} skipped in gaps of the log");
     let mut figures = json!({"frames": frames});
     if !parts.is_empty() {
         figures["split"] = parts.iter().map(|(name, n)| ((*name).to_owned(), json!(n))).collect();

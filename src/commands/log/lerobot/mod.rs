@@ -6,7 +6,7 @@ use std::io::BufWriter;
 use std::path::Path;
 
 use clap::Args;
-use foreign_text::foreign_path;
+use foreign_text::{counted, foreign_path};
 use ipc_types::messages::layout::Message;
 use ipc_types::messages::{Command, Latched, SensorReading, State, Tick};
 use ipc_types::scene::Scene;
@@ -109,7 +109,8 @@ pub fn export(arguments: &ExportArguments) -> Result<(), Failure> {
     let files = set.end().map_err(not_encoded)?;
     files.into_iter().try_for_each(|file| write(&arguments.output, file))?;
     let figures = json!({"episodes": episodes, "rows": rows});
-    arguments.say(&format!("{rows} rows in {episodes} episodes"), figures, &worst(&verdicts));
+    let said = format!("{} in {}", counted(rows, "row"), counted(episodes, "episode"));
+    arguments.say(&said, figures, &worst(&verdicts));
     judged_all(&arguments.logs, &verdicts)
 }
 
