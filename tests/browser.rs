@@ -21,7 +21,7 @@ use ipc_types::session::{host_is_alive, wipe_dead_sessions};
 use program::{Place, Run, parts_of, trabecula, wait_for};
 use recorder_proc::log_file::LogFile;
 use run_log::{LogReader, TickRecord};
-use test_support::limited::Limited;
+use test_support::limited::{Limited, SetAtEnd};
 use test_support::python;
 
 /// npm is needed only if the system has no Chromium.
@@ -175,16 +175,6 @@ fn commands(folder: &Path, burr_speed_rad_per_s: f64) -> usize {
             && command.source == SOURCE_FRESH
     };
     ticks.map_while(Result::ok).filter(is_asked).count()
-}
-
-/// Sets a flag when it is dropped, also in a panic: a check that reached its limit left the test waiting for
-/// its thread.
-struct SetAtEnd<'f>(&'f AtomicBool);
-
-impl Drop for SetAtEnd<'_> {
-    fn drop(&mut self) {
-        self.0.store(true, Ordering::Relaxed);
-    }
 }
 
 #[test]

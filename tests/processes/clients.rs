@@ -11,7 +11,7 @@ use ipc_types::session::SessionError;
 
 use crate::common::client::{Client, Pilot};
 use crate::common::logs::{assert_replays, read};
-use crate::common::program::{Ended, Place, assert_nothing_left, trabecula};
+use crate::common::program::{Ended, Place, assert_nothing_left, trabecula, wait_for};
 use crate::common::scenes;
 
 const TICKS: u64 = 300;
@@ -91,9 +91,10 @@ fn bad_commands_are_refused_by_field_and_change_nothing() {
             pilot.send(command);
             expected.push(*words);
         }
-        while events.len() < bad.len() {
+        wait_for("an event of each refused command", || {
             events.extend(pilot.client.events());
-        }
+            (events.len() >= bad.len()).then_some(())
+        });
         assert!(pilot.client.states.receive().unwrap().is_none(), "no tick was made from a refused command");
         state
     });
@@ -116,10 +117,8 @@ fn an_unreachable_goal_is_refused_with_an_event() {
         command.t_world_base.position_m[0] += 5.0;
         pilot.answer(&state, command);
         let next = pilot.next_state();
-        let mut events = Vec::new();
-        while events.is_empty() {
-            events.extend(pilot.client.events());
-        }
+        let heard = || Some(pilot.client.events()).filter(|events| !events.is_empty());
+        let events = wait_for("an event of the refused goal", heard);
         assert!(events[0].1.contains("controller `pilot`: command 151: arm"), "{events:?}");
         next
     });

@@ -3,10 +3,11 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use ipc_types::messages::{CONTROL_STOP, Command, TENDON_SERVO_JF};
+use test_support::limited::SetAtEnd;
 use trabecula_client::ClientError;
 
 use crate::common::client::Pilot;
-use crate::common::program::{LIMIT, Place};
+use crate::common::program::{LIMIT, Place, wait_for};
 use crate::common::scenes;
 use crate::languages::clients;
 use crate::strays::{answer_here, joined, stopped};
@@ -21,6 +22,7 @@ fn a_stop_is_heard_while_a_controller_floods_in_lockstep() {
     let run = place.start(&scene);
     let (session, over) = (run.session(), AtomicBool::new(false));
     let ended = std::thread::scope(|scope| {
+        let _over = SetAtEnd(&over);
         scope.spawn(|| {
             let mut pilot = Pilot::join(&session, "pilot");
             let state = pilot.next_state();
@@ -35,14 +37,12 @@ fn a_stop_is_heard_while_a_controller_floods_in_lockstep() {
             }
         });
         let mut observer = joined(&run, "");
-        while observer.status().unwrap().is_none_or(|status| status.refused_commands < 1000) {
-            std::thread::yield_now();
-        }
+        wait_for("1000 refused commands", || {
+            observer.status().unwrap().filter(|status| status.refused_commands >= 1000)
+        });
         observer.run_control(CONTROL_STOP, 0, LIMIT).unwrap();
         drop(observer);
-        let ended = run.end();
-        over.store(true, Ordering::Relaxed);
-        ended
+        run.end()
     });
     assert_eq!(ended.code, Some(0), "{}", ended.err);
 }

@@ -13,6 +13,7 @@ use ipc_types::messages::{
 use ipc_types::messages::{Part, services};
 use ipc_types::session::{Reader, Session, SessionError, SessionId};
 use rustix::process::Signal;
+use test_support::limited::SetAtEnd;
 use zerocopy::IntoBytes;
 
 use crate::common::client::{Client, Pilot, bare_port, send_bare};
@@ -127,6 +128,7 @@ fn a_writer_that_keeps_writing_changes_no_decision() {
     let over = AtomicBool::new(false);
     let memory = command_memory(&run.session(), HONEST_N);
     std::thread::scope(|scope| {
+        let _over = SetAtEnd(&over);
         scope.spawn(|| {
             let file = File::options().read(true).write(true).open(&memory).unwrap();
             let mut bytes = vec![0; file.metadata().unwrap().len() as usize];
@@ -150,7 +152,6 @@ fn a_writer_that_keeps_writing_changes_no_decision() {
             }
             pilot.answer(&state, honest);
         }
-        over.store(true, Ordering::Relaxed);
     });
     drop(pilot);
     let ended = stopped(run, observer, ());

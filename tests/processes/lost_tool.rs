@@ -20,7 +20,6 @@ fn pull_until_it_ends(client: &mut Client) -> ClientError {
                 command.tendon_force_n[0] = 60.0;
                 client.send().unwrap();
             }
-            Err(ClientError::TimedOut(_)) => {}
             Err(outcome) => return outcome,
         }
     }

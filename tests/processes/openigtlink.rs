@@ -4,6 +4,7 @@ use std::io::{Read, Write};
 use std::net::TcpStream;
 use std::path::Path;
 use std::process::{Command, Stdio};
+use std::time::Instant;
 
 use openigtlink::{Body, HeaderVersion, Message};
 use recorder_proc::log_file::LogFile;
@@ -262,7 +263,9 @@ fn what_a_peer_must_not_do_is_refused_and_counted_and_the_run_goes_on() {
 /// Reads what is sent to a peer until it holds some words, and returns it as text.
 fn read_until(stream: &mut TcpStream, words: &str) -> String {
     let (mut told, mut piece) = (Vec::new(), [0; 4096]);
+    let end = Instant::now() + LIMIT;
     loop {
+        assert!(Instant::now() < end, "`{words}` was not said within {LIMIT:?}");
         let bytes = stream.read(&mut piece).unwrap_or_else(|cause| panic!("{words}: {cause}"));
         assert!(bytes > 0, "closed before `{words}`");
         let searched = told.len().saturating_sub(words.len());

@@ -9,6 +9,7 @@ use ipc_types::messages::PHASE_ENDED;
 use recorder_proc::log_file::LogFile;
 use run_log::{EndReason, MessageStream, ReadOptions, Topic};
 use rustix::process::Signal;
+use test_support::limited::SetAtEnd;
 
 use crate::common::client::{Client, Pilot};
 use crate::common::logs::{assert_replays, read};
@@ -139,6 +140,7 @@ fn a_flood_up_to_the_end_costs_the_log_nothing() {
     let session = run.session();
     let over = AtomicBool::new(false);
     let ended = std::thread::scope(|scope| {
+        let _over = SetAtEnd(&over);
         scope.spawn(|| {
             let pilot = Pilot::join(&session, "pilot");
             let mut sequence = 0;
@@ -150,9 +152,7 @@ fn a_flood_up_to_the_end_costs_the_log_nothing() {
                 });
             }
         });
-        let ended = run.end();
-        over.store(true, Ordering::Relaxed);
-        ended
+        run.end()
     });
     assert_eq!(ended.code, Some(0), "{}", ended.err);
     let log = read(&ended.folder);

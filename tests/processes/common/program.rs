@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::sync::{LazyLock, Mutex, PoisonError};
 use std::time::{Duration, Instant};
-use test_support::limited::{COMMAND_LIMIT, Limited, Watchdog};
+use test_support::limited::{COMMAND_LIMIT, Limited, TestLimit, Watchdog};
 
 use ipc_types::process::descendants;
 use ipc_types::session::{SessionId, places};
@@ -132,13 +132,13 @@ pub fn only_entry(folder: &Path) -> PathBuf {
     fs::read_dir(folder).unwrap().next().unwrap().unwrap().path()
 }
 
-/// A test's own folder.
+/// A test's own folder, and the test's limit.
 #[derive(Debug)]
-pub struct Place(TempDir);
+pub struct Place(TempDir, TestLimit);
 
 impl Place {
     pub fn new() -> Place {
-        Place(tempfile::tempdir().unwrap())
+        Place(tempfile::tempdir().unwrap(), TestLimit::new())
     }
 
     pub fn path(&self, name: &str) -> PathBuf {

@@ -3,6 +3,7 @@
 use std::io::{self, Read};
 use std::os::unix::process::CommandExt;
 use std::process::{Child, Command, ExitStatus, Output, Stdio};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::time::{Duration, Instant};
 
@@ -126,6 +127,58 @@ impl Drop for Watchdog {
     }
 }
 
+/// Ends the test program if the test that made this has not ended within [`TEST_LIMIT`]: cargo's test runner
+/// has no limit of its own, and waits for a hung test without naming it.
+#[derive(Debug)]
+pub struct TestLimit(Sender<()>);
+
+/// Longer than the longest test on a loaded machine.
+const TEST_LIMIT: Duration = Duration::from_secs(1200);
+
+impl TestLimit {
+    /// A limit for the test of this thread, until dropped.
+    pub fn new() -> TestLimit {
+        TestLimit::of(TEST_LIMIT, |name| {
+            eprintln!("the test `{name}` did not end within {TEST_LIMIT:?}");
+            std::process::exit(101);
+        })
+    }
+
+    fn of(limit: Duration, exceeded: impl FnOnce(&str) + Send + 'static) -> TestLimit {
+        let name = std::thread::current().name().unwrap_or("without a name").to_owned();
+        let (sender, receiver) = channel();
+        std::thread::spawn(move || {
+            if receiver.recv_timeout(limit) == Err(RecvTimeoutError::Timeout) {
+                exceeded(&name);
+            }
+        });
+        TestLimit(sender)
+    }
+}
+
+impl Default for TestLimit {
+    fn default() -> TestLimit {
+        TestLimit::new()
+    }
+}
+
+impl Drop for TestLimit {
+    fn drop(&mut self) {
+        // The thread may have ended.
+        let _ = self.0.send(());
+    }
+}
+
+/// Sets a flag when it is dropped, also in a panic: a scope waits for its threads, and they for the flag.
+#[derive(Debug)]
+pub struct SetAtEnd<'f>(pub &'f AtomicBool);
+
+impl Drop for SetAtEnd<'_> {
+    fn drop(&mut self) {
+        self.0.store(true, Ordering::Relaxed);
+    }
+}
+
 /// Kills a child, and its group if it leads one.
 fn kill_with_group(child: &mut Child) {
     // No such group: the child leads none, and is killed alone.
@@ -184,6 +237,15 @@ mod tests {
         child.stdout.take().unwrap().read_to_string(&mut said).unwrap();
         drop(watchdog);
         assert!(!end_within(&mut child, COMMAND_LIMIT, "sleep").success());
+    }
+
+    #[test]
+    fn a_test_that_hangs_is_named() {
+        let (sender, receiver) = channel();
+        let limit =
+            TestLimit::of(Duration::from_millis(20), move |name| sender.send(name.to_owned()).unwrap());
+        assert!(receiver.recv_timeout(COMMAND_LIMIT).unwrap().ends_with("a_test_that_hangs_is_named"));
+        drop(limit);
     }
 
     #[test]
