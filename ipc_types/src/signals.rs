@@ -24,8 +24,8 @@ const STAY_IGNORED: [i32; 4] = [libc::SIGHUP, libc::SIGINT, libc::SIGQUIT, libc:
 /// choice and stay. With a limit on the address space all threads share one allocation arena: each further
 /// one takes 64 MiB of it. Call it before the first thread starts; threads and children inherit the result.
 pub fn reset_inherited_state() {
-    reset_inherited_signals();
     stop_inherited_timers();
+    reset_inherited_signals();
     let inherited = umask(Mode::empty());
     umask(inherited - Mode::RWXU);
     if getrlimit(Resource::As).current.is_some() {
@@ -35,13 +35,21 @@ pub fn reset_inherited_state() {
 }
 
 /// Stops the timers of `setitimer` and `alarm`, which survive `exec`: their signals would kill the process.
+/// One that was blocked and is pending is discarded: `SIG_IGN` does that.
 fn stop_inherited_timers() {
-    for timer in [libc::ITIMER_REAL, libc::ITIMER_VIRTUAL, libc::ITIMER_PROF] {
+    for (timer, signal) in [
+        (libc::ITIMER_REAL, libc::SIGALRM),
+        (libc::ITIMER_VIRTUAL, libc::SIGVTALRM),
+        (libc::ITIMER_PROF, libc::SIGPROF),
+    ] {
         // SAFETY: `itimerval` is a C structure of integers, for which zero is valid and stops the timer. The
-        // call reads a whole structure that outlives it, and gets null for the previous value.
+        // call reads a whole structure that outlives it, and gets null for the previous value. With SIG_IGN
+        // and SIG_DFL no code of this process runs on a signal.
         unsafe {
             let none: libc::itimerval = std::mem::zeroed();
             libc::setitimer(timer, &raw const none, std::ptr::null_mut());
+            libc::signal(signal, libc::SIG_IGN);
+            libc::signal(signal, libc::SIG_DFL);
         }
     }
 }

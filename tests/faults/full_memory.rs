@@ -113,7 +113,7 @@ fn a_shared_memory_with_no_room_for_more_files_is_named() {
 fn a_killed_session_in_another_shared_memory_is_left_to_a_hub_that_sees_it() {
     let Some(space) = own_memory("size=1g") else { return };
     let place = private_place();
-    let killed = start(Command::new("env"), &place, &scenes::hold("realtime", 60.0));
+    let killed = start(Command::new("env"), &place, &scenes::hold("realtime", 600.0));
     let session = session_below(&place.path(""));
     wait_for("its parts", || (parts_of(&session).len() >= 3).then_some(()));
     kill_all(killed.pid(), &session);

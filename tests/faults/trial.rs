@@ -222,7 +222,7 @@ fn killed_joining(session: &Path, name: &str, random: &mut Rng) {
 /// Another hub runs for a while; one of its processes is killed.
 fn second_hub(random: &mut Rng) {
     let place = Place::new();
-    let run = place.start(&scenes::hold("realtime", 60.0));
+    let run = place.start(&scenes::hold("realtime", 600.0));
     let session = run.session();
     let client = Client::join(&session);
     client.wait_for_state(|state| state.tick >= 100);

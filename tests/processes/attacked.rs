@@ -141,7 +141,7 @@ fn a_run_folder_that_is_moved_during_the_run_blames_no_part() {
 fn what_others_put_into_a_runs_folder_stays_and_costs_nothing_else() {
     const MINE: &str = "a user's own work";
     let place = Place::new();
-    let run = place.start(&scenes::drill("realtime", 60.0));
+    let run = place.start(&scenes::drill("realtime", 600.0));
     let client = Client::at(&run, 200);
     let folder = wait_for("the log", || run.log()).parent().unwrap().to_owned();
     // A file, a folder, a link to another file, and names that the run uses while it ends.
@@ -182,7 +182,7 @@ fn what_others_put_into_a_runs_folder_stays_and_costs_nothing_else() {
 #[test]
 fn a_summary_that_cannot_be_written_costs_no_picture_and_no_table() {
     let place = Place::new();
-    let run = place.start(&scenes::drill("realtime", 60.0));
+    let run = place.start(&scenes::drill("realtime", 600.0));
     let client = Client::at(&run, 200);
     let folder = wait_for("the log", || run.log()).parent().unwrap().to_owned();
     fs::write(folder.join("summary.json"), "mine").unwrap();

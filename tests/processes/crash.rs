@@ -134,7 +134,7 @@ fn a_completed_run_survives_a_crash_of_the_machine() {
 fn a_run_under_way_survives_a_crash_of_the_machine() {
     let Some(disk) = disk() else { return };
     let place = Place::new();
-    let scene = place.scene(&format!("{}{}", scenes::hold("realtime", 60.0), scenes::keyframes(0.5)));
+    let scene = place.scene(&format!("{}{}", scenes::hold("realtime", 600.0), scenes::keyframes(0.5)));
     let run = Run::start(&scene, disk.folder().join("out"), &[]);
     let client = Client::join(&run.session());
     let recorder = run.part("recorder");

@@ -12,7 +12,7 @@ use crate::common::scenes;
 #[test]
 fn ctrl_c_ends_all_cleanly_with_a_valid_log() {
     let place = Place::new();
-    let run = place.start(&scenes::drill("realtime", 60.0));
+    let run = place.start(&scenes::drill("realtime", 600.0));
     Client::at(&run, 300);
     signal(run.pid(), Signal::INT);
     let ended = run.end();

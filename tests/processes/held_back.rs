@@ -41,7 +41,7 @@ fn assert_named(misses: &Value, cause: &str) {
 #[test]
 fn a_stopped_physics_is_called_stopped_and_not_stolen() {
     let place = Place::new();
-    let run = place.start(&scenes::hold("realtime", 60.0));
+    let run = place.start(&scenes::hold("realtime", 600.0));
     let misses = misses(run, |run, _| {
         let physics = run.part("physics");
         signal(physics, Signal::STOP);
@@ -92,7 +92,7 @@ impl Group {
     }
 
     fn start(&self, place: &Place) -> Run {
-        let scene = place.scene(&scenes::hold("realtime", 60.0));
+        let scene = place.scene(&scenes::hold("realtime", 600.0));
         let mut command = self.command(env!("CARGO_BIN_EXE_trabecula"));
         command.arg("run").arg(scene).arg("--output").arg(place.path("out")).arg("--quiet");
         Run::of(command, place.path("out"))

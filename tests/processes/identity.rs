@@ -89,7 +89,7 @@ fn progress_from_a_foreign_program_neither_lifts_nor_stalls_lockstep() {
 #[test]
 fn a_foreign_program_on_a_free_port_of_a_part_does_not_end_the_recorder() {
     let place = Place::new();
-    let scene = scenes::hold("realtime", 60.0) + "\n[recording]\nkeyframe_interval_s = 0.0\n";
+    let scene = scenes::hold("realtime", 600.0) + "\n[recording]\nkeyframe_interval_s = 0.0\n";
     let run = place.start(&scene);
     let mut observer = joined(&run, "");
     observer.next_event().unwrap();
@@ -118,7 +118,7 @@ fn a_writer_that_keeps_writing_changes_no_decision() {
     /// More than any tendon can bear.
     const FORGED_N: f64 = 9.876_543_21e6;
     let place = Place::new();
-    let run = place.start(&scenes::shared("realtime", 60.0));
+    let run = place.start(&scenes::shared("realtime", 600.0));
     let observer = joined(&run, "");
     let mut pilot = Pilot::join(&run.session(), "pilot");
     let mut honest = Command { tendon_mode: TENDON_SERVO_JF, arm_mode: ARM_HOLD, ..Command::zeroed() };

@@ -181,12 +181,16 @@ fn a_replay_with_too_few_processes_ends_with_a_message() {
     assert!(!said.contains("panicked") && output.status.code() != Some(101), "{:?} {said}", output.status);
 }
 
-/// Regression: a timer that the parent had set killed the launcher, and so the run.
+/// Regression: a timer that the parent had set killed the launcher, and so the run. Blocked, so that it cannot
+/// end the parent before `exec`: the launcher finds a pending signal and a timer that goes on.
 #[test]
 fn a_timer_of_the_parent_does_not_end_a_run() {
-    for timer in ["REAL", "VIRTUAL", "PROF"] {
+    for (timer, its_signal) in [("REAL", "SIGALRM"), ("VIRTUAL", "SIGVTALRM"), ("PROF", "SIGPROF")] {
         let script = format!(
-            "import os, signal, sys; signal.setitimer(signal.ITIMER_{timer}, 0.05); os.execvp(sys.argv[1], sys.argv[1:])"
+            "import os, signal, sys; its = {{signal.{its_signal}}}; signal.pthread_sigmask(signal.SIG_BLOCK, its); \
+             signal.setitimer(signal.ITIMER_{timer}, 0.05, 0.05)\n\
+             while not signal.sigpending(): pass\n\
+             os.execvp(sys.argv[1], sys.argv[1:])"
         );
         let place = Place::new();
         let ended = started_by(&["python3", "-c", &script], &place, &scenes::hold("realtime", 0.5)).end();

@@ -73,7 +73,7 @@ fn a_controller_whose_first_command_is_refused_is_told_why_when_its_time_is_up()
 #[test]
 fn a_stopped_controller_in_realtime_is_held_then_safe_and_drives_again() {
     let place = Place::new();
-    let scene = scenes::drill("realtime", 60.0).replace("seed = 7", "seed = 7\nhold_ticks = 40");
+    let scene = scenes::drill("realtime", 600.0).replace("seed = 7", "seed = 7\nhold_ticks = 40");
     let run = place.start(&scene);
     let client = Client::join(&run.session());
     let drives = |state: &State| state.burr_speed_rad_per_s > 0.0 && state.applied[0].source == SOURCE_FRESH;

@@ -169,7 +169,7 @@ fn the_table_of_a_damaged_log_can_be_read() {
 #[test]
 fn the_drilled_ct_is_written_while_the_run_goes_on() {
     let place = Place::new();
-    let scene = place.scene(&scenes::drill("realtime", 60.0));
+    let scene = place.scene(&scenes::drill("realtime", 600.0));
     let run = Run::start(&scene, place.path("out"), &[]);
     let file = place.path("drilled.nrrd");
     let gone_in = || volume_io::read(&file).unwrap().hu.iter().filter(|hu| **hu == -1000).count();

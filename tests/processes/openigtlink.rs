@@ -168,7 +168,7 @@ fn assert_image(image: &Value, records: &[FrameRecord]) {
 fn the_projects_own_cpp_library_reads_every_message_and_is_obeyed() {
     let place = Place::new();
     let Some(mut peer) = reference_peer(&place) else { return };
-    let run = place.start(&format!("{}{DRR}", scenes::drill_unseen("realtime", 60.0)));
+    let run = place.start(&format!("{}{DRR}", scenes::drill_unseen("realtime", 600.0)));
     let token = place.path("token");
     std::fs::write(&token, format!("{TOKEN}\n")).unwrap();
     let bridge = Bridge::start(&run.session(), &["--control-token-file", token.to_str().unwrap()]);

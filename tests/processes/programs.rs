@@ -120,7 +120,7 @@ fn replies_in(folder: &Path) -> Option<usize> {
 #[test]
 fn what_is_done_in_a_pause_is_in_the_file() {
     let place = Place::new();
-    let run = place.start(&scenes::hold("realtime", 60.0));
+    let run = place.start(&scenes::hold("realtime", 600.0));
     let client = Client::at(&run, 50);
     client.ask(ipc_types::messages::CONTROL_PAUSE, 0);
     let folder = std::fs::read_dir(place.path("out")).unwrap().next().unwrap().unwrap().path();

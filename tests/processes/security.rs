@@ -44,7 +44,7 @@ fn nobody_can(script: &str, file: &Path) -> bool {
 #[test]
 fn another_user_can_neither_read_nor_write_a_session() {
     let place = Place::new();
-    let run = place.start(&scenes::drill("realtime", 60.0));
+    let run = place.start(&scenes::drill("realtime", 600.0));
     let client = Client::at(&run, 50);
     let files = files_of(&run);
     for file in &files {

@@ -246,7 +246,7 @@ fn two_hubs_in_two_pid_namespaces_do_not_meet() {
 #[test]
 fn a_run_whose_session_folder_is_removed_goes_on_with_its_clients() {
     let place = Place::new();
-    let run = place.start(&scenes::drill("realtime", 60.0));
+    let run = place.start(&scenes::drill("realtime", 600.0));
     let mut client = joined(&run, "");
     client.run_control(CONTROL_RESUME, 0, LIMIT).unwrap();
     let first = client.wait_state(LIMIT).unwrap().tick;

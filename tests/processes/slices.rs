@@ -79,7 +79,7 @@ fn a_log_is_sliced_as_it_was_at_the_time_that_is_shown() {
 #[test]
 fn a_running_session_is_sliced_and_one_without_volume_says_so() {
     let place = Place::new();
-    let run = place.start(&scenes::drill("realtime", 60.0));
+    let run = place.start(&scenes::drill("realtime", 600.0));
     let mut view = View::start(&[], Some(&run.session()));
     let (_, pixels) = slice(&mut view, about([0.0; 3], 80));
     assert!(count(&pixels, OUTSIDE) > 3000 && pixels.iter().any(|hu| *hu >= 150), "no bone");
@@ -91,7 +91,7 @@ fn a_running_session_is_sliced_and_one_without_volume_says_so() {
     assert_eq!(view.call(1, json!({"action": "stop"})), json!({"ok": true}));
     run.end();
 
-    let run = place.start(&scenes::hold("realtime", 60.0));
+    let run = place.start(&scenes::hold("realtime", 600.0));
     let mut view = View::start(&[], Some(&run.session()));
     assert!(refused(&mut view, about([0.0; 3], 80)).contains("no `[volume]`"));
     assert_eq!(view.call(1, json!({"action": "stop"})), json!({"ok": true}));

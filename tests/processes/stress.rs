@@ -212,7 +212,7 @@ fn bad_stress_arguments_are_refused_with_what_is_allowed() {
 #[test]
 fn parts_in_real_time_have_priorities_in_their_order_and_misses_have_causes() {
     let place = Place::new();
-    let run = place.start(&scenes::drill("realtime", 60.0));
+    let run = place.start(&scenes::drill("realtime", 600.0));
     let client = Client::at(&run, 50);
     let nice = |pid: u32| getpriority_process(Pid::from_raw(pid as i32)).unwrap();
     let parts = ["physics", "controller", "recorder", "drr"].map(|name| nice(run.part(name)));

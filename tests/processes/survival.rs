@@ -38,7 +38,7 @@ fn paused(place: &Place, scene: &str, disturb: impl FnOnce(&Run)) -> (u64, Ended
 #[test]
 fn a_recorder_that_is_stopped_for_a_second_loses_nothing() {
     let place = Place::new();
-    let run = place.start(&scenes::hold("realtime", 60.0));
+    let run = place.start(&scenes::hold("realtime", 600.0));
     let client = Client::at(&run, 100);
     let recorder = run.part("recorder");
     signal(recorder, Signal::STOP);
@@ -75,7 +75,7 @@ fn assert_repairs(place: &Place, folder: &Path) -> String {
 #[test]
 fn a_killed_recorder_loses_at_most_100_ms_and_its_log_can_be_repaired() {
     let place = Place::new();
-    let scene = scenes::hold("realtime", 60.0);
+    let scene = scenes::hold("realtime", 600.0);
     let (published, ended) = paused(&place, &scene, |run| signal(run.part("recorder"), Signal::KILL));
     assert_eq!(ended.code, Some(1), "{}", ended.err);
     let log = read(&ended.folder);
@@ -111,7 +111,7 @@ fn a_recorder_that_is_killed_before_the_first_tick_leaves_a_log_that_says_of_wha
 #[test]
 fn a_log_that_cannot_be_finished_is_told() {
     let place = Place::new();
-    let (published, ended) = paused(&place, &scenes::hold("realtime", 60.0), |run| {
+    let (published, ended) = paused(&place, &scenes::hold("realtime", 600.0), |run| {
         let folder = std::fs::read_dir(place.path("out")).unwrap().flatten().next().unwrap().path();
         let bytes = std::fs::metadata(folder.join("run.mcap")).unwrap().len();
         let recorder = Pid::from_raw(run.part("recorder") as i32).unwrap();
