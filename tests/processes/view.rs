@@ -1,5 +1,6 @@
 //! The viewer next to a run, and on logs.
 
+use std::collections::VecDeque;
 use std::io::Write;
 use std::net::TcpStream;
 use std::path::Path;
@@ -27,6 +28,8 @@ pub struct View {
     pub token: String,
     socket: WebSocket<TcpStream>,
     channels: Vec<Value>,
+    /// Messages that arrived while another one was awaited, with their subscriptions.
+    earlier: VecDeque<(u32, Vec<u8>)>,
 }
 
 impl View {
@@ -40,7 +43,8 @@ impl View {
         let line = first_line(&mut child);
         let (address, token) = line.trim().strip_prefix("http://").unwrap().split_once("/#token=").unwrap();
         let (socket, channels) = connect(address, token);
-        View { child, address: address.to_owned(), token: token.to_owned(), socket, channels }
+        let (address, token) = (address.to_owned(), token.to_owned());
+        View { child, address, token, socket, channels, earlier: VecDeque::new() }
     }
 
     /// Subscribes with the channel's number as the id.
@@ -52,14 +56,53 @@ impl View {
         id
     }
 
-    pub fn next(&mut self, subscription: u32) -> Vec<u8> {
+    /// Returns the answer to a call; keeps the messages of subscriptions for [`View::next`].
+    fn next_answer(&mut self) -> Vec<u8> {
+        let end = Instant::now() + LIMIT;
         loop {
+            assert!(Instant::now() < end, "no answer within {LIMIT:?}");
+            if let Message::Binary(bytes) = self.socket.read().unwrap() {
+                match bytes[0] {
+                    1 => self.keep(&bytes),
+                    3 => return bytes.to_vec(),
+                    _ => {}
+                }
+            }
+        }
+    }
+
+    fn keep(&mut self, bytes: &[u8]) {
+        let subscription = u32::from_le_bytes(bytes[1..5].try_into().unwrap());
+        self.earlier.push_back((subscription, bytes[13..].to_vec()));
+    }
+
+    /// Returns the next message of a subscription. None is lost: it may arrive before the answer to the call
+    /// that caused it.
+    pub fn next(&mut self, subscription: u32) -> Vec<u8> {
+        let end = Instant::now() + LIMIT;
+        loop {
+            let found = self.earlier.iter().position(|(other, _)| *other == subscription);
+            if let Some((_, message)) = found.and_then(|index| self.earlier.remove(index)) {
+                return message;
+            }
+            assert!(Instant::now() < end, "no message within {LIMIT:?}");
             if let Message::Binary(bytes) = self.socket.read().unwrap()
                 && bytes[0] == 1
-                && bytes[1..5] == subscription.to_le_bytes()
             {
-                return bytes[13..].to_vec();
+                self.keep(&bytes);
             }
+        }
+    }
+
+    /// Returns the next message of a subscription to JSON that satisfies a condition.
+    pub fn next_json(&mut self, subscription: u32, wanted: impl Fn(&Value) -> bool) -> Value {
+        let end = Instant::now() + LIMIT;
+        loop {
+            let message: Value = serde_json::from_slice(&self.next(subscription)).unwrap();
+            if wanted(&message) {
+                return message;
+            }
+            assert!(Instant::now() < end, "no such message within {LIMIT:?}; the last one: {message}");
         }
     }
 
@@ -81,14 +124,9 @@ impl View {
         bytes.extend_from_slice(b"json");
         bytes.extend_from_slice(body.to_string().as_bytes());
         self.socket.send(Message::binary(bytes)).unwrap();
-        loop {
-            if let Message::Binary(bytes) = self.socket.read().unwrap()
-                && bytes[0] == 3
-            {
-                let end = 13 + u32::from_le_bytes(bytes[9..13].try_into().unwrap()) as usize;
-                return (String::from_utf8(bytes[13..end].to_vec()).unwrap(), bytes[end..].to_vec());
-            }
-        }
+        let bytes = self.next_answer();
+        let end = 13 + u32::from_le_bytes(bytes[9..13].try_into().unwrap()) as usize;
+        (String::from_utf8(bytes[13..end].to_vec()).unwrap(), bytes[end..].to_vec())
     }
 
     /// Ends a viewer of a log.
@@ -300,14 +338,11 @@ pub fn notices(view: &mut View, count: usize) -> Vec<String> {
 /// time after it.
 fn marks(view: &mut View, kind: &str) -> Vec<String> {
     let playback = view.subscribe("/view/playback");
-    loop {
-        let told: Value = serde_json::from_slice(&view.next(playback)).unwrap();
+    let texts = |told: &Value| -> Vec<String> {
         let marks = told["events"].as_array().into_iter().flatten().filter(|mark| mark["kind"] == kind);
-        let texts: Vec<String> = marks.map(|mark| mark["text"].as_str().unwrap().to_owned()).collect();
-        if !texts.is_empty() {
-            return texts;
-        }
-    }
+        marks.map(|mark| mark["text"].as_str().unwrap().to_owned()).collect()
+    };
+    texts(&view.next_json(playback, |told| !texts(told).is_empty()))
 }
 
 #[test]
