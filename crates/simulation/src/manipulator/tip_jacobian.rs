@@ -10,7 +10,8 @@
 //! unit force of a contact along its normal. These are the terms of the step's implicit operator without
 //! masses. As there, the turning of loads with the tool (gravity, contact forces) is left out. K depends on the
 //! contacts that press and on the bone as it is; the friction of contacts and the sliding state of tendons do
-//! not change.
+//! not change. As in the step, a flexure's wrap changes the friction in itself but not in more distal ones: at a
+//! friction of 0.2 and a bend of 50 degrees, the columns of a sliding tendon are 8 % too long.
 //!
 //! Of a chain no matrix is factored: from base to tip, every spring adds its flexibility to that of the link
 //! before it, and every contact takes away a part (Sherman and Morrison), so the cost is O(freedoms +

@@ -78,7 +78,9 @@ fn scale(columns: &[[f64; 6]]) -> [f64; 2] {
     let largest = |rows: core::ops::Range<usize>| {
         columns.iter().flat_map(|c| c[rows.clone()].to_vec()).fold(0.0, |m: f64, x| m.max(x.abs()))
     };
-    [largest(0..3), largest(3..6)]
+    // Of a rotation by 1 rad, 1 mm is little; of a translation by 1 m, 1 rad.
+    let (linear, angular) = (largest(0..3), largest(3..6));
+    [linear.max(1e-3 * angular), angular.max(linear)]
 }
 
 /// Returns the largest relative errors of tensions, base and compliance.
@@ -95,7 +97,7 @@ fn errors(m: &AnyManipulator, load: &Load) -> [f64; 3] {
         })
     };
     [
-        all(&per_tension[..tendons], &|t| difference(m, load, 1e-2, |load, step| load.tension_n[t] += step)),
+        all(&per_tension[..tendons], &|t| difference(m, load, 1e-3, |load, step| load.tension_n[t] += step)),
         all(&per_base, &|k| difference(m, load, 1e-6, |load, step| move_base(load, k, step))),
         all(&compliance, &|k| {
             difference(m, load, if k < 3 { 1e-3 } else { 1e-5 }, |load, step| load.wrench[k] += step)
@@ -129,7 +131,7 @@ fn every_rung_in_free_space_is_the_difference_of_settled_poses() {
         let m = tool(rung, |_| (), &load);
         let errors = errors(&m, &load);
         println!("{}: errors of tensions, base, compliance {errors:?}", rung.name());
-        // Differences of second order over 1 % of the load.
+        // What has not settled in 0.6 s.
         assert!(errors.iter().all(|error| *error < 2e-5), "{}: {errors:?}", rung.name());
     }
 }
@@ -141,7 +143,7 @@ fn a_wall_holds_the_tip_in_every_rung() {
     for rung in Rung::ALL {
         let free = tool(rung, |_| (), &load);
         let reach_m = free.proxy_spheres().iter().map(|s| s.centre_m.x + s.radius_m).fold(0.0, f64::max);
-        let load = Load { wall_m: Some(reach_m - 2e-5), ..load };
+        let load = Load { wall_m: Some(reach_m - 3e-4), ..load };
         let m = tool(rung, |_| (), &load);
         let pressed_n: f64 = m.contact_results().iter().map(|result| result.normal_force_n).sum();
         let (held, without) = (m.tip_jacobian(), free.tip_jacobian());
@@ -195,14 +197,14 @@ fn a_single_flexure_is_its_lever_squared_over_its_stiffness() {
         let m = AnyManipulator::new(rung, p, &rest()).unwrap();
         let lever = tip_m + m.parameters().cutter.front_radius_m();
         let c = m.tip_jacobian().compliance[0][0];
-        assert!((c * k / (lever * lever) - 1.0).abs() < 1e-8, "{}: {c}", rung.name());
+        assert!((c * k / (lever * lever) - 1.0).abs() < 1e-6, "{}: {c}", rung.name());
     }
 }
 
 #[test]
 fn a_stopped_flexure_is_stiffer_and_slack_tendons_have_columns() {
     let load =
-        Load { tension_n: [12.0, 0.0, 0.0, 0.0], base: rest().t_world_base, wrench: [0.0; 6], wall_m: None };
+        Load { tension_n: [12.0, 1.0, 0.0, 0.0], base: rest().t_world_base, wrench: [0.0; 6], wall_m: None };
     for rung in [Rung::Planar, Rung::Spatial] {
         let free = tool(rung, |_| (), &load);
         let stopped = tool(rung, |p| p.joint_limit_rad = 0.03, &load);
@@ -212,7 +214,8 @@ fn a_stopped_flexure_is_stiffer_and_slack_tendons_have_columns() {
         let of = |m: &AnyManipulator| m.tip_jacobian().compliance[4][4];
         assert!(of(&stopped) < 0.9 * of(&free));
         assert!(errors[0].max(errors[2]) < 1e-3, "{}: {errors:?}", rung.name());
-        assert!(scale(&stopped.tip_jacobian().per_tension[1..2])[0] > 1e-5);
+        let slack = tool(rung, |_| (), &Load { tension_n: [0.0; 4], ..load }).tip_jacobian().per_tension;
+        assert!(slack[0][4] > 0.05 && (slack[0][4] + slack[1][4]).abs() < 1e-12, "{slack:?}");
     }
 }
 
