@@ -12,8 +12,8 @@ use crate::common::scenes;
 /// Drives a run of 200 ticks with a tension that rises; returns states and Jacobians that the client saw.
 fn driven(place: &Place, scene: &str) -> (Vec<(State, Option<TipJacobian>)>, std::path::PathBuf) {
     let run = place.start(scene);
-    let controller = Some("pilot".to_owned());
-    let connection = Connection { session: Some(run.session()), controller, ..Connection::default() };
+    let (session, controller) = (run.session().display().to_string(), Some("pilot".to_owned()));
+    let connection = Connection { session: Some(session), controller, ..Connection::default() };
     let mut client = Client::connect(&connection).unwrap();
     let mut seen = Vec::new();
     for _ in 0..200 {
