@@ -5,7 +5,6 @@ message! {
     /// Jacobian and compliance of the tip at the present state. Published before the state of the tick, and only
     /// with `manipulator.tip_jacobian`. Not recorded: it follows from the state, and a replay in
     /// `trabecula.sim` computes it again.
-    ///
     /// At rest near the state: bone and pressing contacts stay as they are, without friction; tendons keep
     /// their sliding state. Matrices are row by row, world axes. Rows are the tip's linear, then angular
     /// velocity, at the origin of `State.t_world_tip`.

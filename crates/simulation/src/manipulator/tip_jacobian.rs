@@ -18,11 +18,11 @@
 //! contacts). Springs in series like this are the force-deflection rule for flexible manipulators; see Siciliano
 //! and Khatib (eds.), Springer Handbook of Robotics, 2nd ed., ch. 11.
 
-use nalgebra::{Isometry3, Matrix3, SMatrix, SVector, Vector3};
+use nalgebra::{Isometry3, SMatrix, SVector, Vector3};
 
 use super::MAX_TENDONS;
 use super::common::Common;
-use super::spatial::algebra::{Spatial, ZERO, add_scaled, dot, force_at};
+use super::spatial::algebra::{Spatial, ZERO, dot, force_at};
 use super::state::ManipulatorState;
 use super::tendon::{Channels, sign};
 
@@ -50,6 +50,19 @@ pub struct LinkMotion {
     flexibility: [Spatial; 6],
 }
 
+#[inline(always)]
+fn cross([a, b, c]: &[f64; 3], [x, y, z]: &[f64; 3]) -> [f64; 3] {
+    [b * z - c * y, c * x - a * z, a * y - b * x]
+}
+
+/// Adds scale b to a.
+#[inline(always)]
+pub(super) fn add_scaled<const N: usize>(a: &mut [f64; N], scale: f64, b: &[f64; N]) {
+    for k in 0..N {
+        a[k] += scale * b[k];
+    }
+}
+
 const UNIT: [Spatial; 6] = {
     let mut unit = [ZERO; 6];
     let mut i = 0;
@@ -69,11 +82,17 @@ impl LinkMotion {
     /// Continues to the next link across a spring that moves it along `axis`; `pull` is the generalised force
     /// on it per unit of each tension.
     pub(super) fn cross(&mut self, axis: &Spatial, stiffness: f64, pull: &[f64; MAX_TENDONS]) {
-        for (column, x) in self.flexibility.iter_mut().zip(axis) {
-            add_scaled(column, x / stiffness, axis);
+        let (flexibility, mut moved) = (1.0 / stiffness, [0.0; 6]);
+        for k in 0..6 {
+            moved[k] = flexibility * axis[k];
         }
-        for (column, pull) in self.per_tension.iter_mut().zip(pull).filter(|(_, pull)| **pull != 0.0) {
-            add_scaled(column, pull / stiffness, axis);
+        for k in 0..6 {
+            add_scaled(&mut self.flexibility[k], moved[k], axis);
+        }
+        for t in 0..MAX_TENDONS {
+            if pull[t] != 0.0 {
+                add_scaled(&mut self.per_tension[t], pull[t], &moved);
+            }
         }
     }
 
@@ -93,30 +112,43 @@ impl LinkMotion {
 
     /// Returns the Jacobian at a point of the link, base axes, as seen from the world.
     pub(super) fn at(&self, point: &Vector3<f64>, t_world_base: &Isometry3<f64>) -> TipJacobian {
-        let rotation = t_world_base.rotation.to_rotation_matrix().into_inner();
-        let lever = point.cross_matrix();
+        let rotation = t_world_base.rotation.to_rotation_matrix();
+        let (mut to_world, at) = ([[0.0; 3]; 3], [point.x, point.y, point.z]);
+        for row in 0..3 {
+            for column in 0..3 {
+                to_world[row][column] = rotation[(row, column)];
+            }
+        }
         let twist = |motion: &Spatial| {
-            let (w, v) = (Vector3::from_column_slice(&motion[..3]), Vector3::from_column_slice(&motion[3..]));
-            let (v, w) = (rotation * (v - lever * w), rotation * w);
-            [v.x, v.y, v.z, w.x, w.y, w.z]
-        };
-        // Columns of inputs: unit vectors along the world's axes, in the tool's order and axes.
-        let inputs = |columns: &[Spatial; 6], lever: &Matrix3<f64>| {
-            core::array::from_fn(|k| {
-                let axis: Vector3<f64> = rotation.row(k % 3).transpose();
-                let (angular, linear) = if k < 3 { (lever * axis, axis) } else { (axis, Vector3::zeros()) };
-                let mut sum = ZERO;
-                for i in 0..3 {
-                    add_scaled(&mut sum, angular[i], &columns[i]);
-                    add_scaled(&mut sum, linear[i], &columns[3 + i]);
+            let [w, v] = [[motion[0], motion[1], motion[2]], [motion[3], motion[4], motion[5]]];
+            let (turned, mut out) = (cross(&w, &at), ZERO);
+            for row in 0..3 {
+                for k in 0..3 {
+                    out[row] += to_world[row][k] * (v[k] + turned[k]);
+                    out[3 + row] += to_world[row][k] * w[k];
                 }
-                twist(&sum)
-            })
+            }
+            out
+        };
+        // Columns of inputs at `point`: linear, then angular, along the world's axes.
+        let inputs = |columns: &[Spatial; 6], point: &[f64; 3]| {
+            let mut out = [ZERO; 6];
+            for k in 0..3 {
+                let (axis, mut sums) = (to_world[k], [ZERO; 2]);
+                let moment = cross(point, &axis);
+                for i in 0..3 {
+                    add_scaled(&mut sums[0], moment[i], &columns[i]);
+                    add_scaled(&mut sums[0], axis[i], &columns[3 + i]);
+                    add_scaled(&mut sums[1], axis[i], &columns[i]);
+                }
+                (out[k], out[3 + k]) = (twist(&sums[0]), twist(&sums[1]));
+            }
+            out
         };
         TipJacobian {
             per_tension: self.per_tension.each_ref().map(twist),
-            per_base: inputs(&self.per_base, &Matrix3::zeros()),
-            compliance: inputs(&self.flexibility, &lever),
+            per_base: inputs(&self.per_base, &[0.0; 3]),
+            compliance: inputs(&self.flexibility, &at),
         }
     }
 }
@@ -124,55 +156,58 @@ impl LinkMotion {
 /// A tool with a few freedoms, each of which moves all links.
 pub(super) struct FewFreedoms<const N: usize> {
     /// Stiffness.
-    pub operator: SMatrix<f64, N, N>,
+    pub operator: [[f64; N]; N],
     /// Motion of the last link per unit of each freedom.
     pub axis: [Spatial; N],
-    pull: [SVector<f64, N>; MAX_TENDONS],
+    pull: [[f64; N]; MAX_TENDONS],
     /// Generalised force of the contacts per unit of the base's motion, negative.
-    base: [SVector<f64, N>; 6],
+    base: [[f64; N]; 6],
 }
 
 impl<const N: usize> FewFreedoms<N> {
     /// Returns freedoms without stiffness, motion and forces.
     pub fn new() -> Self {
-        let none = SVector::zeros();
-        Self { operator: SMatrix::zeros(), axis: [ZERO; N], pull: [none; MAX_TENDONS], base: [none; 6] }
+        let none = [0.0; N];
+        Self { operator: [none; N], axis: [ZERO; N], pull: [none; MAX_TENDONS], base: [none; 6] }
     }
 
     /// Adds a spring along the displacement `row`.
     pub fn add_spring(&mut self, row: &[f64; N], stiffness: f64) {
-        let row = SVector::from(*row);
-        self.operator.ger(stiffness, &row, &row, 1.0);
+        for k in 0..N {
+            add_scaled(&mut self.operator[k], stiffness * row[k], row);
+        }
     }
 
     /// Adds the torques of tendons along the displacement `row`, per unit of each tension.
     pub fn add_pull(&mut self, row: &[f64; N], torque: &[f64; MAX_TENDONS]) {
-        for (pull, torque) in self.pull.iter_mut().zip(torque).filter(|(_, torque)| **torque != 0.0) {
-            pull.axpy(*torque, &SVector::from(*row), 1.0);
+        for t in 0..MAX_TENDONS {
+            if torque[t] != 0.0 {
+                add_scaled(&mut self.pull[t], torque[t], row);
+            }
         }
     }
 
     /// Adds a contact: a spring along the unit force `f`, whose generalised force is `on`, to the world.
     pub fn add_support(&mut self, on: &[f64; N], f: &Spatial, stiffness: f64) {
         self.add_spring(on, stiffness);
-        for (base, f) in self.base.iter_mut().zip(f) {
-            base.axpy(stiffness * f, &SVector::from(*on), 1.0);
+        for k in 0..6 {
+            add_scaled(&mut self.base[k], stiffness * f[k], on);
         }
     }
 
     /// Returns the motion of the last link; of a tool that buckles, that of the base.
     pub fn tip_motion(&self) -> LinkMotion {
         let mut motion = LinkMotion::of_base();
-        let Some(factor) = self.operator.cholesky() else { return motion };
-        let moved = |force: &SVector<f64, N>| {
-            let q = factor.solve(force);
-            self.axis.iter().zip(q.iter()).fold(ZERO, |mut sum, (axis, q)| {
-                add_scaled(&mut sum, *q, axis);
-                sum
-            })
+        let Some(factor) = SMatrix::<f64, N, N>::from(self.operator).cholesky() else { return motion };
+        let moved = |force: &[f64; N]| {
+            let (q, mut sum) = (factor.solve(&SVector::from(*force)), ZERO);
+            for k in 0..N {
+                add_scaled(&mut sum, q[k], &self.axis[k]);
+            }
+            sum
         };
         motion.per_tension = self.pull.each_ref().map(moved);
-        motion.flexibility = core::array::from_fn(|k| moved(&SVector::from_fn(|n, _| self.axis[n][k])));
+        motion.flexibility = core::array::from_fn(|k| moved(&core::array::from_fn(|n| self.axis[n][k])));
         for (column, base) in motion.per_base.iter_mut().zip(&self.base) {
             add_scaled(column, -1.0, &moved(base));
         }

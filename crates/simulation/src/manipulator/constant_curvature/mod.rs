@@ -224,9 +224,9 @@ impl ManipulatorModel for ConstantCurvature {
         let (added, pull) = self.tendons_on_bend();
         let stop = self.stop.stiffness_at(self.common.state.stop_torque_nm[0]);
         for k in 0..3 {
-            few.operator[(k, k)] = self.stiffness[k];
+            few.operator[k][k] = self.stiffness[k];
         }
-        few.operator[(3, 3)] = stiffness(self.stiffness[3], added, stop);
+        few.operator[3][3] = stiffness(self.stiffness[3], added, stop);
         few.axis = on_point(parameters.burr_centre_m());
         few.add_pull(&[0.0, 0.0, 0.0, 1.0], &pull);
         for Support { force, sphere, .. } in supports(&self.common) {

@@ -30,10 +30,10 @@ use super::geometry::Layout;
 use super::helix;
 use super::model::{ManipulatorModel, Rung, own_parts};
 use super::parameters::{ManipulatorParameters, TendonRoute};
-use super::spatial::algebra::{add_scaled, dot, shift_along, turn_about};
+use super::spatial::algebra::{dot, shift_along, turn_about};
 use super::state::{BaseMotion, StepInput, StepReport};
 use super::tendon::{Channels, friction_w};
-use super::tip_jacobian::{FewFreedoms, LinkMotion, Pulls, supports};
+use super::tip_jacobian::{FewFreedoms, LinkMotion, Pulls, add_scaled, supports};
 use super::{MAX_CONTACTS, MAX_JOINTS};
 use basis::Basis;
 use operator::Dynamics;
@@ -261,7 +261,7 @@ impl<const N: usize> ManipulatorModel for MomentModes<N> {
         let mut few = FewFreedoms::new();
         for k in 0..N {
             let mount = parameters.mount_stiffness_n_per_m.get(k);
-            few.operator[(k, k)] = *mount.unwrap_or(&1.0);
+            few.operator[k][k] = *mount.unwrap_or(&1.0);
         }
         let mut supports = supports(common).peekable();
         for (axis, unit) in few.axis.iter_mut().zip([Vector3::x(), Vector3::y(), Vector3::z()]) {
@@ -275,7 +275,9 @@ impl<const N: usize> ManipulatorModel for MomentModes<N> {
                 let stop = if is_stopped { parameters.joint_stop_stiffness_nm_per_rad } else { 0.0 };
                 few.add_spring(row, added.max(-self.stiffness[i]) + stop);
                 let turn = turn_about(&Vector3::new(shape.x[link], 0.0, shape.z[link]), &Vector3::y());
-                few.axis.iter_mut().zip(row).for_each(|(axis, turned)| add_scaled(axis, *turned, &turn));
+                for k in MOUNT..N {
+                    add_scaled(&mut few.axis[k], row[k], &turn);
+                }
                 few.add_pull(row, &pull);
             }
             while let Some(support) = supports.next_if(|support| support.link == link) {
