@@ -16,7 +16,7 @@ pub(in crate::manipulator) fn dot(a: &Spatial, b: &Spatial) -> f64 {
 }
 
 /// Adds scale b to a.
-pub(in crate::manipulator) fn add_scaled(a: &mut Spatial, scale: f64, b: &Spatial) {
+pub(super) fn add_scaled(a: &mut Spatial, scale: f64, b: &Spatial) {
     for (a, b) in a.iter_mut().zip(b) {
         *a += scale * b;
     }
