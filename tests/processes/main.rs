@@ -76,6 +76,7 @@ mod survival;
 mod suspended;
 mod sweeps;
 mod terminal;
+mod tip_jacobian;
 mod tools;
 mod truth;
 mod unread;

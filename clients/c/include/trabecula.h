@@ -40,6 +40,7 @@ extern "C" {
     "Latched=81124c23facff698;" \
     "Removed=5ce3babf608d61af;" \
     "SensorReading=c28288800b91c249;" \
+    "TipJacobian=db714ceaf54d8831;" \
     "Keyframe=e1b9ba2b5a994f57;" \
     "Volume=c5a2aacd347a5ea0;" \
     "Frame=228045ff193eb24b;" \
@@ -60,7 +61,7 @@ extern "C" {
     "LatchedCommand=47e8ff9bb9bed988;" \
     "CArmGeometry=7864e87c0e8671ed;" \
     "CArmProjection=46e6726030fe2f0e;" \
-    "Abi=a16e5544816b9fdc"
+    "Abi=7bfea8bdfce0fa31"
 
 /* Status codes. */
 #define TRB_OK (0) /* Success. */
@@ -589,6 +590,29 @@ TRB_ASSERT(offsetof(trb_sensor_reading, valid) == 32, "trb_sensor_reading.valid"
 TRB_ASSERT(offsetof(trb_sensor_reading, value_count) == 36, "trb_sensor_reading.value_count");
 TRB_ASSERT(offsetof(trb_sensor_reading, value) == 40, "trb_sensor_reading.value");
 TRB_ASSERT(sizeof(trb_sensor_reading) == 296, "trb_sensor_reading");
+
+/* Jacobian and compliance of the tip at the present state. Published before the state of the tick, and
+ * only with `manipulator.tip_jacobian`. Not recorded: it follows from the state, and a replay in
+ * `trabecula.sim` computes it again. At rest near the state: bone and pressing contacts stay as they
+ * are, without friction; tendons keep their sliding state. Matrices are row by row, world axes. Rows
+ * are the tip's linear, then angular velocity, at the origin of `State.t_world_tip`. */
+typedef struct trb_tip_jacobian {
+    /* `State.tick` of the state. */
+    uint64_t tick;
+    /* 6 x 4: velocity of the tip per rate of each tendon's tension, m/N and rad/N; 0 without the tendon. */
+    double per_tension[24];
+    /* 6 x 6: velocity of the tip per linear, then angular velocity of the tool base at the origin of
+     * `State.t_world_base`. */
+    double per_base[36];
+    /* 6 x 6: displacement of the tip per force, then torque on it, at constant tensions and a fixed base:
+     * m/N, m/(N m), rad/N and rad/(N m). */
+    double compliance[36];
+} trb_tip_jacobian;
+TRB_ASSERT(offsetof(trb_tip_jacobian, tick) == 0, "trb_tip_jacobian.tick");
+TRB_ASSERT(offsetof(trb_tip_jacobian, per_tension) == 8, "trb_tip_jacobian.per_tension");
+TRB_ASSERT(offsetof(trb_tip_jacobian, per_base) == 200, "trb_tip_jacobian.per_base");
+TRB_ASSERT(offsetof(trb_tip_jacobian, compliance) == 488, "trb_tip_jacobian.compliance");
+TRB_ASSERT(sizeof(trb_tip_jacobian) == 776, "trb_tip_jacobian");
 
 /* One part of a keyframe. A keyframe saves everything that the physics keeps between ticks, so that a
  * replay can start there. The bytes are written by `simulation::Simulation::write_keyframe` and are
@@ -1242,6 +1266,12 @@ int32_t trb_next_removed(trb_client client, trb_removed_view *view);
  * the state is. `*reading` points into shared memory and stays valid and unchanged until this client's
  * next call of trb_next_reading that returns TRB_OK, or trb_disconnect. */
 int32_t trb_next_reading(trb_client client, const trb_sensor_reading **reading);
+
+/* Returns the newest Jacobian of the tip; TRB_TIMEOUT if there is none, because the scene does not set
+ * `manipulator.tip_jacobian`. That of a state is available when the state is. `*jacobian` points into
+ * shared memory and stays valid and unchanged until this client's next call of
+ * trb_newest_tip_jacobian, or trb_disconnect. */
+int32_t trb_newest_tip_jacobian(trb_client client, const trb_tip_jacobian **jacobian);
 
 #ifdef __cplusplus
 }

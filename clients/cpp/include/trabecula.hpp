@@ -169,6 +169,12 @@ public:
         const trb_sensor_reading *reading = nullptr;
         return came(trb_next_reading(client_, &reading)) ? reading : nullptr;
     }
+    // Returns the newest Jacobian of the tip, or null if the scene does not set `manipulator.tip_jacobian`; that
+    // of a state is available when the state is. Valid until the next call.
+    const trb_tip_jacobian *tip_jacobian() {
+        const trb_tip_jacobian *jacobian = nullptr;
+        return came(trb_newest_tip_jacobian(client_, &jacobian)) ? jacobian : nullptr;
+    }
     // Adds a text to the session's events, which are recorded in the log.
     void remark(const std::string &text, std::uint32_t severity = TRB_SEVERITY_INFO) {
         check(trb_remark(client_, severity, text.c_str()));

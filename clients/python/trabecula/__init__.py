@@ -19,7 +19,7 @@ from ._errors import ArgumentError, Ended, Error, ReadOnlyError
 from ._generated import *  # noqa: F403  messages and constants
 from ._generated import VERSION as __version__
 from ._geometry import pixel_to_world, pose_matrix, rotation_matrix, world_to_pixel
-from ._results import Ct, Image, Info, Reading, Removal, SessionEvent
+from ._results import Ct, Image, Info, Reading, Removal, SessionEvent, TipJacobian
 from ._run import run
 from ._view import Elements, View
 
@@ -36,6 +36,7 @@ __all__ = [
     "Reading",
     "Removal",
     "SessionEvent",
+    "TipJacobian",
     "View",
     "pixel_to_world",
     "pose_matrix",

@@ -18,6 +18,7 @@ LAYOUTS = (
     "Latched=81124c23facff698;"
     "Removed=5ce3babf608d61af;"
     "SensorReading=c28288800b91c249;"
+    "TipJacobian=db714ceaf54d8831;"
     "Keyframe=e1b9ba2b5a994f57;"
     "Volume=c5a2aacd347a5ea0;"
     "Frame=228045ff193eb24b;"
@@ -38,7 +39,7 @@ LAYOUTS = (
     "LatchedCommand=47e8ff9bb9bed988;"
     "CArmGeometry=7864e87c0e8671ed;"
     "CArmProjection=46e6726030fe2f0e;"
-    "Abi=a16e5544816b9fdc"
+    "Abi=7bfea8bdfce0fa31"
 )
 
 OK = 0
@@ -637,6 +638,32 @@ class SensorReading(View):
     value = ArrayField(np.float64, "Measured values.", "value_count")
 
 
+class TipJacobian(View):
+    """Jacobian and compliance of the tip at the present state. Published before the state of the
+    tick, and only with `manipulator.tip_jacobian`. Not recorded: it follows from the state,
+    and a replay in `trabecula.sim` computes it again. At rest near the state: bone and
+    pressing contacts stay as they are, without friction; tendons keep their sliding state.
+    Matrices are row by row, world axes. Rows are the tip's linear, then angular velocity, at
+    the origin of `State.t_world_tip`.
+    """
+
+    if not TYPE_CHECKING:
+        __slots__ = ()
+
+    dtype = np.dtype(
+        {
+            "names": ["tick", "per_tension", "per_base", "compliance"],
+            "formats": ["<u8", ("<f8", (24,)), ("<f8", (36,)), ("<f8", (36,))],
+            "offsets": [0, 8, 200, 488],
+            "itemsize": 776,
+        }
+    )
+    tick: int = field("<Q", 0, "`State.tick` of the state.")
+    per_tension = ArrayField(np.float64, "6 x 4: velocity of the tip per rate of each tendon's tension, m/N and rad/N; 0 without the tendon.")
+    per_base = ArrayField(np.float64, "6 x 6: velocity of the tip per linear, then angular velocity of the tool base at the origin of `State.t_world_base`.")
+    compliance = ArrayField(np.float64, "6 x 6: displacement of the tip per force, then torque on it, at constant tensions and a fixed base: m/N, m/(N m), rad/N and rad/(N m).")
+
+
 class Keyframe(View):
     """One part of a keyframe. A keyframe saves everything that the physics keeps between ticks,
     so that a replay can start there. The bytes are written by
@@ -1086,6 +1113,7 @@ FUNCTIONS: list[tuple[str, Any, list[Any]]] = [
     ("trb_remark", ctypes.c_int32, [ctypes.c_uint64, ctypes.c_uint32, ctypes.c_char_p]),
     ("trb_next_removed", ctypes.c_int32, [ctypes.c_uint64, ctypes.c_void_p]),
     ("trb_next_reading", ctypes.c_int32, [ctypes.c_uint64, ctypes.c_void_p]),
+    ("trb_newest_tip_jacobian", ctypes.c_int32, [ctypes.c_uint64, ctypes.c_void_p]),
 ]
 
 __all__ = [
@@ -1115,6 +1143,7 @@ __all__ = [
     "Latched",
     "Removed",
     "SensorReading",
+    "TipJacobian",
     "Keyframe",
     "Volume",
     "CArmGeometry",

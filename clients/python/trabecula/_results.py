@@ -138,6 +138,25 @@ class Reading(NamedTuple):
         )
 
 
+class TipJacobian(NamedTuple):
+    """Jacobian and compliance of the tip, copied; rows are linear, then angular, world axes."""
+
+    #: `State.tick` of the state.
+    tick: int
+    #: 6 x 4: twist of the tip per rate of each tendon's tension; 0 without the tendon.
+    per_tension: npt.NDArray[np.float64]
+    #: 6 x 6: twist of the tip per twist of the tool base.
+    per_base: npt.NDArray[np.float64]
+    #: 6 x 6: displacement of the tip per force and torque on it, at constant tensions.
+    compliance: npt.NDArray[np.float64]
+
+    @staticmethod
+    def of(message: g.TipJacobian) -> TipJacobian:
+        """Copies a message."""
+        fields = (message.per_tension, message.per_base, message.compliance)
+        return TipJacobian(message.tick, *(np.array(field).reshape(6, -1) for field in fields))
+
+
 class SessionEvent(NamedTuple):
     """An event of the session."""
 

@@ -2,7 +2,7 @@
 
 use messages::{
     Blame, Command, ControllerIndex, EventCode, Keyframe, Latched, Part, Removed, RunControl,
-    RunControlReply, RunStatus, SensorReading, Severity, State, Tick, TickTiming,
+    RunControlReply, RunStatus, SensorReading, Severity, State, Tick, TickTiming, TipJacobian,
 };
 
 use crate::pacing::Start;
@@ -30,6 +30,14 @@ pub trait Outputs {
     /// # Errors
     /// As [`Outputs::send_latched`].
     fn send_reading(&mut self, reading: &SensorReading) -> Result<(), Self::Error>;
+
+    /// Sends the tip's Jacobian at the next state sent, which no log needs.
+    ///
+    /// # Errors
+    /// As [`Outputs::send_latched`].
+    fn send_tip_jacobian(&mut self, _jacobian: &TipJacobian) -> Result<(), Self::Error> {
+        Ok(())
+    }
 
     /// Sends x_k.
     ///

@@ -50,6 +50,7 @@ mod sensor;
 pub mod services;
 mod state;
 mod timing;
+mod tip_jacobian;
 mod volume;
 
 pub use codes::*;
@@ -65,6 +66,7 @@ pub use plant::{Approach, ArmEntry, Breach, PastStop, Plant, Refusal};
 pub use sensor::*;
 pub use state::*;
 pub use timing::*;
+pub use tip_jacobian::*;
 pub use volume::*;
 
 use crate::layout::{Description, Message};
@@ -110,6 +112,7 @@ pub const ALL: &[&Description] = &[
     Latched::DESCRIPTION,
     Removed::DESCRIPTION,
     SensorReading::DESCRIPTION,
+    TipJacobian::DESCRIPTION,
     Keyframe::DESCRIPTION,
     Volume::DESCRIPTION,
     Frame::DESCRIPTION,

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use crate::{ControllerIndex, Latched, SensorReading, State};
+use crate::{ControllerIndex, Latched, SensorReading, State, TipJacobian};
 
 /// A deterministic system: x_{k+1} = step(x_k, u_k) and nothing else: no clock, no randomness, no I/O.
 ///
@@ -29,6 +29,11 @@ pub trait Plant {
     /// Returns the sensor readings that arrive with the present state.
     fn readings(&self) -> &[SensorReading] {
         &[]
+    }
+
+    /// Returns the tip's Jacobian at the present state, if the scene asks for it.
+    fn tip_jacobian(&self) -> Option<TipJacobian> {
+        None
     }
 
     /// Returns the parts of the last tick's commands that could not be followed.

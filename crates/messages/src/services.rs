@@ -9,7 +9,7 @@ use crate::part::Part;
 use crate::{
     Command, DrrReply, DrrRequest, Event, Frame, FrameTiming, ImagePrefix, Keyframe, Latched,
     MAX_CONTROLLERS, Progress, Removed, RunControl, RunControlReply, RunStatus, SensorReading, State,
-    TickTiming, Volume,
+    TickTiming, TipJacobian, Volume,
 };
 
 /// The log that a service is recorded to.
@@ -19,7 +19,8 @@ pub enum Lane {
     Run,
     /// `timing.mcap`: wall-clock facts and everything that depends on them.
     Timing,
-    /// Not recorded as messages (the volume: the log's metadata holds its hash).
+    /// Not recorded as messages (the volume: the log's metadata holds its hash; the tip's Jacobian follows
+    /// from the state).
     None,
 }
 
@@ -107,6 +108,9 @@ pub const REMOVED: Service = Service {
 /// the 4.096 s for which it can stall.
 pub const SENSOR: Service =
     Service { history: 0, ..fixed::<SensorReading>("sensor", Lane::Run, PHYSICS_ONLY, 1024) };
+/// `TipJacobian`, once per tick, for scenes with `manipulator.tip_jacobian`.
+pub const TIP_JACOBIAN: Service =
+    Service { lossless_length: 8, ..fixed::<TipJacobian>("tip_jacobian", Lane::None, PHYSICS_ONLY, 8) };
 /// `Keyframe`, in parts, every `recording.keyframe_interval_s`. The queue holds one keyframe of the largest
 /// size, the recorder's queue two.
 pub const KEYFRAME: Service = Service {
@@ -221,6 +225,7 @@ pub const ALL: &[Service] = &[
     LATCHED,
     REMOVED,
     SENSOR,
+    TIP_JACOBIAN,
     KEYFRAME,
     VOLUME,
     FRAME,

@@ -1,14 +1,14 @@
 //! Builds the messages that the bridge publishes for a state, as CDR.
 
-use messages::{ArmMode, ArmStatus, Phase, State};
+use messages::{ArmMode, ArmStatus, MAX_TENDONS, Phase, State, TipJacobian};
 use nalgebra::{UnitQuaternion, Vector3};
 use serde::Serialize;
 
 use crate::cdr;
 use crate::commander::OperatingState;
 use crate::msg::{
-    Clock, Float64, Header, JointState, OperatingStateMessage, PoseStamped, Text, TfMessage, Time,
-    TransformStamped, TwistStamped, UInt64, WrenchStamped,
+    Clock, Float64, Float64MultiArray, Header, JointState, OperatingStateMessage, PoseStamped, Text,
+    TfMessage, Time, TransformStamped, TwistStamped, UInt64, WrenchStamped,
 };
 use crate::robot::{FrameInParent, Robot, WORLD, isometry};
 use crate::topics::{Output, TUBE_JOINT_NAMES, joint_names};
@@ -65,6 +65,9 @@ fn arm(out: &mut Vec<Outgoing>, robot: &Robot, state: &State, stamp: Time) {
         let (linear, angular) = (linear.into(), angular.into());
         push(out, Output::ArmMeasuredCv, &TwistStamped { header: header(stamp, WORLD), linear, angular });
     }
+    if let Some(jacobian) = robot.base_jacobian(state) {
+        push(out, Output::ArmJacobian, &Float64MultiArray::of_rows(jacobian));
+    }
     let [force, torque] = wrench_in_base(state);
     let header = header(stamp, &robot.tool_base());
     push(out, Output::ArmMeasuredCf, &WrenchStamped { header, force: force.into(), torque: torque.into() });
@@ -117,6 +120,21 @@ fn tool(out: &mut Vec<Outgoing>, robot: &Robot, state: &State, stamp: Time) {
     }
     push(out, Output::BurrForce, &Float64 { data: state.burr_force_n });
     push(out, Output::RemovedVoxels, &UInt64 { data: state.removed_total });
+}
+
+/// Returns the messages of the tip's Jacobian.
+pub fn of_tip_jacobian(robot: &Robot, jacobian: &TipJacobian) -> Vec<Outgoing> {
+    let mut out = Vec::new();
+    let row = |matrix: &[f64], columns: usize, row: usize| matrix[row * columns..][..columns].to_vec();
+    let rows = core::array::from_fn(|at| {
+        let mut pulls = row(&jacobian.per_tension, MAX_TENDONS, at);
+        pulls.truncate(robot.tendons());
+        [pulls, row(&jacobian.per_base, 6, at)].concat()
+    });
+    push(&mut out, Output::TipJacobian, &Float64MultiArray::of_rows(rows));
+    let compliance = core::array::from_fn(|at| row(&jacobian.compliance, 6, at));
+    push(&mut out, Output::TipCompliance, &Float64MultiArray::of_rows(compliance));
+    out
 }
 
 pub(crate) fn transform(placed: FrameInParent, stamp: Time) -> TransformStamped {

@@ -1,7 +1,7 @@
 //! Arm and tool as a tree of frames, and the arm's velocity.
 
 use messages::{MAX_ARM_JOINTS, Pose, State};
-use nalgebra::{Isometry3, Quaternion, SVector, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Quaternion, SVector, Translation3, UnitQuaternion, Vector3, Vector6};
 use scene::{Scene, ToolOuterTube};
 use simulation::arm::{ArmGeometry, ArmParameters};
 use simulation::pose;
@@ -196,13 +196,29 @@ impl Robot {
         }
         let jacobian = self.geometry.frames(&state.arm_joint_position_rad).jacobian();
         let rates = SVector::from(state.arm_joint_velocity_rad_per_s);
-        let twist = jacobian * rates;
+        Some(self.at_base(state, &(jacobian * rates)))
+    }
+
+    /// Returns the Jacobian of the tool's base by the arm's joints, with the rows of [`Self::base_velocity`].
+    pub fn base_jacobian(&self, state: &State) -> Option<[Vec<f64>; 6]> {
+        if self.flange_floats() {
+            return None;
+        }
+        let jacobian = self.geometry.frames(&state.arm_joint_position_rad).jacobian();
+        let columns = 0..self.arm_joints().len();
+        let columns: Vec<_> =
+            columns.map(|joint| self.at_base(state, &jacobian.column(joint).into_owned())).collect();
+        Some(core::array::from_fn(|row| columns.iter().map(|column| column[row / 3][row % 3]).collect()))
+    }
+
+    /// Transfers a twist of the flange in the axes of the arm's base to the tool's base, world axes.
+    fn at_base(&self, state: &State, twist: &Vector6<f64>) -> [[f64; 3]; 2] {
         let turn = self.t_world_arm_base.rotation;
         let angular = turn * Vector3::new(twist[3], twist[4], twist[5]);
         let arm =
             Vector3::from(state.t_world_base.position_m) - Vector3::from(state.t_world_flange.position_m);
         let linear = turn * Vector3::new(twist[0], twist[1], twist[2]) + angular.cross(&arm);
-        Some([linear.into(), angular.into()])
+        [linear.into(), angular.into()]
     }
 }
 

@@ -126,6 +126,8 @@ topics! {
         "the tool's base in `world`, its mount's deflection included";
     ArmMeasuredCv "/<arm>/measured_cv" "geometry_msgs/TwistStamped" State
         "velocity of the tool's base along the axes of `world`, from the joints' velocities";
+    ArmJacobian "/<arm>/jacobian" "std_msgs/Float64MultiArray" State
+        "6 rows by the arm's joints: linear, then angular velocity of the tool's base in `world` per joint rate";
     ArmMeasuredCf "/<arm>/measured_cf" "geometry_msgs/WrenchStamped" State
         "wrench of the tool on the flange, in the frame of the tool's base";
     OperatingState "/<arm>/operating_state" "crtk_msgs/OperatingState" Latched
@@ -142,6 +144,12 @@ topics! {
         "deployed length of the tube, m, and its roll, rad, with their speeds; only for a tool with an \
          outer tube";
     BurrForce "/<cm>/burr/force" "std_msgs/Float64" State "normal force between burr and bone in N";
+    TipJacobian "/<cm>/jacobian" "std_msgs/Float64MultiArray" State
+        "6 rows: linear, then angular velocity of the tip in `world` per rate of each tendon's tension, then per \
+         linear and angular velocity of the tool's base; only with `manipulator.tip_jacobian`";
+    TipCompliance "/<cm>/compliance" "std_msgs/Float64MultiArray" State
+        "6 rows by 6: displacement of the tip in `world` per force, then torque on it; only with \
+         `manipulator.tip_jacobian`";
     RemovedVoxels "/removed_voxels" "std_msgs/UInt64" State
         "voxels removed since the start or the last reset";
     CArmImage "/c_arm/image_raw" "sensor_msgs/Image" Image

@@ -227,6 +227,11 @@ impl Scene {
         !self.sensor.is_empty() || !self.structure.is_empty()
     }
 
+    /// Whether states are accompanied by the tip's Jacobian.
+    pub fn has_tip_jacobian(&self) -> bool {
+        self.manipulator.tip_jacobian == Some(true)
+    }
+
     /// Ticks between two keyframes; `None` without keyframes.
     pub fn keyframe_period_ticks(&self) -> Option<u64> {
         let interval_s = self.recording.keyframe_interval_s;

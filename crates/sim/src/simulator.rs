@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use controllers::{BuiltIn, Controller};
 use hub::in_process::{Answer, Commands, InProcess, InProcessError};
-use messages::{Breach, Command, ControllerIndex, Frame, Latched, SensorReading, State, Tick};
+use messages::{Breach, Command, ControllerIndex, Frame, Latched, SensorReading, State, Tick, TipJacobian};
 use simulation::{Simulation, SimulationError, SimulationSnapshot, StateEntry};
 use xray::Labels;
 use xray::frame::RenderedFrame;
@@ -162,6 +162,11 @@ impl Sim {
             true => self.run.plant().readings().to_vec(),
             false => self.readings.iter().copied().collect(),
         }
+    }
+
+    /// Returns Jacobian and compliance of the tip at the present state, whatever `manipulator.tip_jacobian` is.
+    pub fn tip_jacobian(&self) -> TipJacobian {
+        self.run.plant().tip_jacobian()
     }
 
     /// Returns the names of the controllers that the caller drives, in the scene's order.

@@ -136,6 +136,46 @@ fn a_vector_that_does_not_fit_changes_nothing() {
     assert!(model.notes.iter().any(|note| note.contains("follows a path")), "{:?}", model.notes);
 }
 
+/// At rest the tip follows the tensions by `C (I - A)⁻¹ B`.
+#[test]
+fn the_tip_jacobian_is_the_static_gain_of_the_tick() {
+    for model in ["constant_curvature", "modal", "planar", "spatial", "full"] {
+        let mut sim = sim(&format!(
+            "manipulator = {{ model = \"{model}\", tendon_friction = 0.0, damping_ratio = 1.0 }}"
+        ));
+        let command = pull([6.0, 1.0]);
+        sim.step(&[command], 1000).unwrap();
+        let inputs = names(&["tendon_force_n"]);
+        let linear = sim.linearize(&[command], &inputs, &names(&["t_world_tip.position_m"])).unwrap();
+        let (n, m) = (linear.states.len(), linear.inputs.len());
+        let of_tool = |at: &usize| {
+            let of = ["mount", "bend", "mode", "flexure"];
+            of.iter().any(|part| linear.states[*at].name.starts_with(part))
+        };
+        // The arm's joints keep their positions: their own gain is infinite.
+        let tool: Vec<usize> = (0..n).filter(of_tool).collect();
+        let a = matrix(n, &linear.a).select_rows(&tool).select_columns(&tool);
+        let b = matrix(n, &linear.b).select_rows(&tool);
+        let held = (DMatrix::identity(tool.len(), tool.len()) - a).lu().solve(&b).unwrap();
+        let gain = matrix(3, &linear.c).select_columns(&tool) * held;
+        let (own, state) = (sim.tip_jacobian(), *sim.state());
+        let own_gain = DMatrix::from_fn(3, m, |row, tendon| own.per_tension[row * 4 + tendon]);
+        let error = (&own_gain - &gain).amax() / gain.amax();
+        println!("{model}: {:.3e} m/N, error {error:.1e}", gain.amax());
+        assert!(own.tick == 1000 && error < 1e-6, "{model}: {own_gain} {gain}");
+        // In free space the tip moves rigidly with the base, and the compliance is symmetric.
+        let lever: [f64; 3] =
+            core::array::from_fn(|k| state.t_world_tip.position_m[k] - state.t_world_base.position_m[k]);
+        let rigid = [0.0, lever[2], -lever[1], -lever[2], 0.0, lever[0], lever[1], -lever[0], 0.0];
+        for (at, rigid) in rigid.iter().enumerate() {
+            let (row, k) = (at / 3, at % 3);
+            assert!((own.per_base[row * 6 + 3 + k] - rigid).abs() < 1e-12, "{model}: {row} {k}");
+            let (one, other) = (own.compliance[row * 6 + 3 + k], own.compliance[(3 + k) * 6 + row]);
+            assert!((one - other).abs() < 1e-9 * own.compliance[6 * 4 + 4].abs().max(1.0), "{model}");
+        }
+    }
+}
+
 /// Takes the same derivatives from outside, with other differences.
 fn by_hand(sim: &mut Sim, command: &Command, output: impl Fn(&Sim) -> f64) -> [DMatrix<f64>; 3] {
     let here = sim.snapshot();

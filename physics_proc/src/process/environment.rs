@@ -9,7 +9,7 @@ use ipc_types::clock::now_ns;
 use ipc_types::messages::services;
 use ipc_types::messages::{
     Blame, Command, ControllerIndex, Keyframe, Latched, Part, Participant, Progress, Removed, RunControl,
-    RunControlReply, RunStatus, SensorReading, State, Tick, TickTiming,
+    RunControlReply, RunStatus, SensorReading, State, Tick, TickTiming, TipJacobian,
 };
 use ipc_types::ports::{PortError, Publisher, ReceivedMessage, Subscriber};
 use ipc_types::process::{EndRequest, EventSender};
@@ -29,6 +29,8 @@ pub(super) struct SharedMemory<'s> {
     removed: Publisher<Removed>,
     /// `None` without sensors.
     readings: Option<Publisher<SensorReading>>,
+    /// `None` if the scene does not ask for it.
+    tip_jacobian: Option<Publisher<TipJacobian>>,
     /// `None` without a recorder.
     keyframe: Option<Publisher<Keyframe>>,
     status: Publisher<RunStatus>,
@@ -72,6 +74,10 @@ impl<'s> SharedMemory<'s> {
             latched: session.publisher(&services::LATCHED)?,
             removed: session.publisher(&services::REMOVED)?,
             readings: scene.has_readings().then(|| session.publisher(&services::SENSOR)).transpose()?,
+            tip_jacobian: scene
+                .has_tip_jacobian()
+                .then(|| session.publisher(&services::TIP_JACOBIAN))
+                .transpose()?,
             keyframe: recorded.then(|| session.publisher(&services::KEYFRAME)).transpose()?,
             status: session.publisher(&services::RUN_STATUS)?,
             timing: session.publisher(&services::TICK_TIMING)?,
@@ -142,6 +148,10 @@ impl Outputs for SharedMemory<'_> {
 
     fn send_reading(&mut self, reading: &SensorReading) -> Result<(), PortError> {
         self.readings.as_ref().map_or(Ok(()), |publisher| publisher.send(reading))
+    }
+
+    fn send_tip_jacobian(&mut self, jacobian: &TipJacobian) -> Result<(), PortError> {
+        self.tip_jacobian.as_ref().map_or(Ok(()), |publisher| publisher.send(jacobian))
     }
 
     fn send_state(&mut self, state: &State) -> Result<(), PortError> {

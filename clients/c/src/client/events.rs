@@ -1,7 +1,9 @@
 //! Events, remarks, removed voxels and sensor readings.
 
 use ipc_types::messages::services;
-use ipc_types::messages::{Event, EventCode, Participant, Removed, SensorReading, Severity, Tick};
+use ipc_types::messages::{
+    Event, EventCode, Participant, Removed, SensorReading, Severity, Tick, TipJacobian,
+};
 use ipc_types::ports::{ReceivedMessage, Subscriber};
 use ipc_types::process::EventSender;
 
@@ -83,6 +85,19 @@ impl Client {
             }
         }
         Ok(None)
+    }
+
+    /// Returns the newest Jacobian of the tip, if the scene sets `manipulator.tip_jacobian`; that of a state is
+    /// available when the state is. It stays in shared memory until a newer one is returned.
+    ///
+    /// # Errors
+    /// [`ClientError::Forked`]; or a transport error.
+    pub fn tip_jacobian(&mut self) -> Result<Option<&TipJacobian>, ClientError> {
+        self.check_process()?;
+        while let Some(jacobian) = self.tip_jacobians.as_ref().map_or(Ok(None), Subscriber::receive)? {
+            put(&mut self.tip_jacobian, jacobian);
+        }
+        Ok(self.tip_jacobian.as_ref().map(ReceivedMessage::message))
     }
 }
 

@@ -14,7 +14,8 @@ use std::time::{Duration, Instant};
 use ipc_types::messages::layout::Message;
 use ipc_types::messages::services;
 use ipc_types::messages::{
-    Command, DrrReply, DrrRequest, Event, Frame, Phase, Removed, RunStatus, SensorReading, State, Volume,
+    Command, DrrReply, DrrRequest, Event, Frame, Phase, Removed, RunStatus, SensorReading, State,
+    TipJacobian, Volume,
 };
 use ipc_types::own::ProcessOwned;
 use ipc_types::ports::{Publisher, ReceivedMessage, Subscriber};
@@ -69,6 +70,9 @@ pub struct Client {
     /// `None` without sensors.
     readings: Option<Subscriber<SensorReading>>,
     pub(crate) reading: Option<ReceivedMessage<SensorReading>>,
+    /// `None` if the scene does not ask for it.
+    tip_jacobians: Option<Subscriber<TipJacobian>>,
+    pub(crate) tip_jacobian: Option<ReceivedMessage<TipJacobian>>,
     pub(crate) frames: Option<Subscriber<Frame>>,
     pub(crate) frame: Option<ReceivedMessage<Frame>>,
     pub(crate) requests: Option<Requests>,
@@ -152,6 +156,11 @@ impl Client {
             removal: None,
             readings: scene.has_readings().then(|| session.subscriber(&services::SENSOR)).transpose()?,
             reading: None,
+            tip_jacobians: scene
+                .has_tip_jacobian()
+                .then(|| session.subscriber(&services::TIP_JACOBIAN))
+                .transpose()?,
+            tip_jacobian: None,
             frames: None,
             frame: None,
             requests: None,
@@ -394,6 +403,7 @@ impl Client {
             _event: self.event.zip(self.events),
             _removal: self.removal.zip(self.removed),
             _reading: self.reading.zip(self.readings),
+            _tip_jacobian: self.tip_jacobian.zip(self.tip_jacobians),
             _frame: self.frame.zip(self.frames),
             _volume: self.volume.zip(self.volumes),
             _command: self.command,
@@ -409,6 +419,7 @@ pub(crate) struct Kept {
     _event: Option<(ReceivedMessage<Event>, Subscriber<Event>)>,
     _removal: Option<(ReceivedMessage<Removed>, Subscriber<Removed>)>,
     _reading: Option<(ReceivedMessage<SensorReading>, Subscriber<SensorReading>)>,
+    _tip_jacobian: Option<(ReceivedMessage<TipJacobian>, Subscriber<TipJacobian>)>,
     _frame: Option<(ReceivedMessage<Frame>, Subscriber<Frame>)>,
     _volume: Option<(ReceivedMessage<Volume>, Subscriber<Volume>)>,
     _command: Box<Command>,

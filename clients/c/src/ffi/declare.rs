@@ -3,7 +3,8 @@
 use std::ffi::c_char;
 
 use ipc_types::messages::{
-    Command, Event, Frame, Pose, Removed, RunControlReply, RunStatus, SensorReading, State, Volume,
+    Command, Event, Frame, Pose, Removed, RunControlReply, RunStatus, SensorReading, State, TipJacobian,
+    Volume,
 };
 
 /// A type's spelling in C.
@@ -27,6 +28,7 @@ c_types! {
     *const u16 => "const uint16_t *", *const i16 => "const int16_t *", *const u32 => "const uint32_t *",
     *const State => "const trb_state *", *mut *const State => "const trb_state **",
     *mut *const SensorReading => "const trb_sensor_reading **",
+    *mut *const TipJacobian => "const trb_tip_jacobian **",
     *mut *mut Command => "trb_command **",
     *const Pose => "const trb_pose *",
     *const Frame => "const trb_frame *", *const Volume => "const trb_volume *",

@@ -4,7 +4,7 @@ use std::ffi::{CStr, CString, c_char};
 use std::sync::OnceLock;
 use std::time::Duration;
 
-use ipc_types::messages::{Command, Pose, RunControlReply, RunStatus, SensorReading, State};
+use ipc_types::messages::{Command, Pose, RunControlReply, RunStatus, SensorReading, State, TipJacobian};
 
 use super::outcome::{self, Failure, outcome};
 use super::views::{EventPointers, FramePointers, RemovedPointers, SessionInfo, VolumePointers};
@@ -380,6 +380,22 @@ functions! {
             })?;
             // SAFETY: not null; the caller promises that it can be written.
             unsafe { put(reading, "reading", oldest) }
+        })
+    }
+
+    /// Returns the newest Jacobian of the tip; TRB_TIMEOUT if there is none, because the scene does not set
+    /// `manipulator.tip_jacobian`. That of a state is available when the state is. `*jacobian` points into
+    /// shared memory and stays valid and unchanged until this client's next call of trb_newest_tip_jacobian, or
+    /// trb_disconnect.
+    fn trb_newest_tip_jacobian(client: u64, jacobian: *mut *const TipJacobian) -> i32 {
+        outcome(|| {
+            check_null(jacobian, "jacobian")?;
+            let newest = table::with(client, |open| {
+                let newest = open.client.tip_jacobian()?;
+                newest.map(core::ptr::from_ref).ok_or(NOTHING_YET)
+            })?;
+            // SAFETY: not null; the caller promises that it can be written.
+            unsafe { put(jacobian, "jacobian", newest) }
         })
     }
 }

@@ -211,6 +211,12 @@ impl Sim {
         Ok(PyBytes::new(py, readings.as_bytes()))
     }
 
+    /// The bytes of the tip's Jacobian.
+    fn tip_jacobian<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
+        let jacobian = self.with(py, |sim| Ok(sim.tip_jacobian()))?;
+        Ok(PyBytes::new(py, jacobian.as_bytes()))
+    }
+
     /// Indices of the drilled voxels, as bytes of uint32.
     fn drilled<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
         let drilled = self.with(py, |sim| Ok(sim.drilled().to_vec()))?;

@@ -69,6 +69,45 @@ pub struct UInt64 {
     pub data: u64,
 }
 
+/// `std_msgs/msg/Float64MultiArray`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Float64MultiArray {
+    /// Arrangement of the numbers.
+    pub layout: MultiArrayLayout,
+    /// The numbers.
+    pub data: Vec<f64>,
+}
+
+/// `std_msgs/msg/MultiArrayLayout`.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct MultiArrayLayout {
+    /// Dimensions, the outermost first.
+    pub dim: Vec<MultiArrayDimension>,
+    /// Number of entries before the first.
+    pub data_offset: u32,
+}
+
+/// `std_msgs/msg/MultiArrayDimension`.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct MultiArrayDimension {
+    /// Its name.
+    pub label: String,
+    /// Number of entries.
+    pub size: u32,
+    /// Number of numbers in it.
+    pub stride: u32,
+}
+
+impl Float64MultiArray {
+    /// Returns a matrix of six rows: linear, then angular.
+    pub fn of_rows(rows: [Vec<f64>; 6]) -> Float64MultiArray {
+        let columns = rows[0].len() as u32;
+        let dimension = |label: &str, size, stride| MultiArrayDimension { label: label.into(), size, stride };
+        let dim = vec![dimension("rows", 6, 6 * columns), dimension("columns", columns, columns)];
+        Float64MultiArray { layout: MultiArrayLayout { dim, data_offset: 0 }, data: rows.concat() }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

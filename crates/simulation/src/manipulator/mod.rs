@@ -45,6 +45,7 @@ mod spatial;
 mod state;
 mod step;
 mod tendon;
+mod tip_jacobian;
 mod validation;
 
 use nalgebra::{Isometry3, Vector3};
@@ -58,7 +59,9 @@ use geometry::{Configuration, Layout};
 use loads::Loads;
 use model::own_parts;
 use pressing::{MAX_FREEDOMS, MOUNT};
+use spatial::algebra::{shift_along, turn_about};
 use tendon::{Channels, TendonLoad};
+use tip_jacobian::{LinkMotion, Pulls, stiffness, supports};
 
 pub use common::Common;
 pub use constant_curvature::ConstantCurvature;
@@ -78,6 +81,7 @@ pub use spatial::SpatialChain;
 pub use state::{
     BaseMotion, ContactResult, ManipulatorState, ProxySphere, StepInput, StepReport, TendonCommand, Wrench,
 };
+pub use tip_jacobian::TipJacobian;
 
 /// Maximum number of flexures of the planar rung.
 pub const MAX_JOINTS: usize = 32;
@@ -264,6 +268,33 @@ impl ManipulatorModel for Manipulator {
 
     fn tendon_friction_w(&self) -> f64 {
         tendon::friction_w(&self.tendon_tensions_n(), &self.tendon.lost, self.joint_velocities_rad_per_s())
+    }
+
+    fn tip_motion(&self) -> LinkMotion {
+        let Self { common, layout, configuration, .. } = self;
+        let (law, mut pulls) =
+            (common.parameters.stop_law(), Pulls::of(&self.tendon.channels, &common.state));
+        let (mut motion, mut supports) = (LinkMotion::of_base(), supports(common).peekable());
+        for (axis, stiffness) in [Vector3::x(), Vector3::y(), Vector3::z()]
+            .into_iter()
+            .zip(common.parameters.mount_stiffness_n_per_m)
+        {
+            motion.cross(&shift_along(&axis), stiffness, &[0.0; MAX_TENDONS]);
+        }
+        for link in 0..=layout.joints {
+            if let Some(i) = link.checked_sub(1) {
+                let half = [configuration.half_sin[i], configuration.half_cos[i]];
+                let (added, pull) = pulls.planar(i, common.bend[0][i], half);
+                let stop = law.stiffness_at(common.state.stop_torque_nm[i]);
+                let [x, z] = configuration.origin[link];
+                let axis = turn_about(&Vector3::new(x, 0.0, z), &Vector3::y());
+                motion.cross(&axis, stiffness(self.stiffness[i], added, stop), &pull);
+            }
+            while let Some(support) = supports.next_if(|support| support.link == link) {
+                motion.support(&support.force, common.parameters.contact.stiffness_n_per_m);
+            }
+        }
+        motion
     }
 
     fn mass_moment_kg_m(&self) -> Vector3<f64> {

@@ -10,6 +10,7 @@ use super::moment_modes::{FEW_MODES, MomentModes};
 use super::parameters::ManipulatorParameters;
 use super::spatial::SpatialChain;
 use super::state::{BaseMotion, ContactResult, ManipulatorState, ProxySphere, StepInput, StepReport, Wrench};
+use super::tip_jacobian::{LinkMotion, TipJacobian};
 use super::validation::validate_base;
 use super::{MAX_TENDONS, Manipulator};
 
@@ -81,6 +82,9 @@ pub trait ManipulatorModel {
     fn damping_w(&self) -> f64;
     /// Returns the power that the friction of tendons in their channels takes, W.
     fn tendon_friction_w(&self) -> f64;
+    /// Returns the motion of the last link.
+    #[doc(hidden)]
+    fn tip_motion(&self) -> LinkMotion;
     /// Returns the sum of mass times position relative to the base origin, base axes, kg m.
     fn mass_moment_kg_m(&self) -> Vector3<f64>;
 
@@ -211,6 +215,15 @@ pub trait ManipulatorModel {
     /// Returns the frequency of the first bending mode of the straight tool on a rigid mount, Hz.
     fn first_natural_frequency_hz(&self) -> f64 {
         self.common().first_frequency_rad_per_s / (2.0 * core::f64::consts::PI)
+    }
+
+    /// Returns the derivatives of the pose of the tip, the front of the burr, at rest near the present state:
+    /// see [`TipJacobian`].
+    fn tip_jacobian(&self) -> TipJacobian {
+        let front_m = self.parameters().tip_offset_m + self.parameters().cutter.front_radius_m();
+        let (base, tip) = (&self.base().t_world_base, self.t_world_point(self.joint_count(), front_m));
+        let point = base.inverse_transform_point(&tip.translation.vector.into());
+        self.tip_motion().at(&point.coords, base)
     }
 
     /// Returns the number of tendons.
@@ -370,6 +383,10 @@ impl ManipulatorModel for AnyManipulator {
 
     fn tendon_friction_w(&self) -> f64 {
         self.model().tendon_friction_w()
+    }
+
+    fn tip_motion(&self) -> LinkMotion {
+        self.model().tip_motion()
     }
 
     fn mass_moment_kg_m(&self) -> Vector3<f64> {

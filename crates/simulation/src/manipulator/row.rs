@@ -78,6 +78,17 @@ impl StopLaw {
         if end.abs() > most { (most.copysign(end) - q_rad) / dt } else { rate_rad_per_s }
     }
 
+    /// Returns the stiffness of a stop that exerts a torque, N m/rad.
+    pub fn stiffness_at(&self, torque_nm: f64) -> f64 {
+        match torque_nm.abs() {
+            0.0 => 0.0,
+            torque_nm if torque_nm > self.soft_nm(torque_nm) => {
+                (1.0 + HARD_STOP_RATIO) * self.stiffness_nm_per_rad
+            }
+            _ => self.stiffness_nm_per_rad,
+        }
+    }
+
     /// Returns the elastic energy of a stop that exerts a torque, J.
     pub fn energy_j(&self, torque_nm: f64) -> f64 {
         let soft = self.soft_nm(torque_nm.abs());

@@ -1,7 +1,8 @@
 //! Writes the state message.
 
 use messages::{
-    AppliedCommand, ArmProtectiveStop, ArmStatus, Contact, ContactPart, Latched, MAX_ARM_JOINTS, Pose, Wrench,
+    AppliedCommand, ArmProtectiveStop, ArmStatus, Contact, ContactPart, Latched, MAX_ARM_JOINTS, Pose,
+    TipJacobian, Wrench,
 };
 use nalgebra::{Isometry3, Vector3};
 
@@ -81,6 +82,34 @@ impl Simulation<'_> {
         state.contact_iterations = report.contact_iterations as u32;
         state.contact_residual_m_per_s = report.contact_residual_m_per_s;
         state.stop_excess_rad = past_stops(tool).fold(0.0, f64::max);
+    }
+
+    /// Returns Jacobian and compliance of the tip at the present state
+    /// ([`ManipulatorModel::tip_jacobian`](crate::manipulator::ManipulatorModel::tip_jacobian)).
+    pub fn tip_jacobian(&self) -> TipJacobian {
+        let own = self.manipulator.tip_jacobian();
+        // The manipulator's base is that of the tube, and moves with the tool base.
+        let tube_m = &self.manipulator.base().t_world_base.translation.vector;
+        let lever_m = tube_m - Vector3::from(self.state.t_world_base.position_m);
+        let mut per_base = own.per_base;
+        for k in 0..3 {
+            let moved = Vector3::ith(k, 1.0).cross(&lever_m);
+            for (j, moved) in moved.iter().enumerate() {
+                for row in 0..6 {
+                    per_base[3 + k][row] += moved * own.per_base[j][row];
+                }
+            }
+        }
+        let mut message = TipJacobian { tick: self.state.tick, ..TipJacobian::zeroed() };
+        let rows = |columns: &[[f64; 6]], out: &mut [f64]| {
+            for (at, entry) in out.iter_mut().enumerate() {
+                *entry = columns[at % columns.len()][at / columns.len()];
+            }
+        };
+        rows(&own.per_tension, &mut message.per_tension);
+        rows(&per_base, &mut message.per_base);
+        rows(&own.compliance, &mut message.compliance);
+        message
     }
 
     fn write_tube(&mut self) {

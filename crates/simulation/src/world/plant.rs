@@ -1,6 +1,8 @@
 //! Implements the hub's [`Plant`] for the simulation.
 
-use messages::{Approach, ArmEntry, Breach, Latched, PastStop, Plant, Refusal, SensorReading, State};
+use messages::{
+    Approach, ArmEntry, Breach, Latched, PastStop, Plant, Refusal, SensorReading, State, TipJacobian,
+};
 
 use super::{Simulation, SimulationError};
 
@@ -25,6 +27,10 @@ impl Plant for Simulation<'_> {
 
     fn readings(&self) -> &[SensorReading] {
         self.readings()
+    }
+
+    fn tip_jacobian(&self) -> Option<TipJacobian> {
+        self.publishes_tip_jacobian.then(|| self.tip_jacobian())
     }
 
     fn refusals(&self) -> &[Refusal] {

@@ -50,6 +50,7 @@ mod sudden_pulls;
 mod swings;
 mod tendons;
 mod thin_bone;
+mod tip_jacobian;
 mod truth;
 mod widening;
 mod world;

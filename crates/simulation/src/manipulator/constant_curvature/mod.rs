@@ -19,10 +19,12 @@ use super::helix;
 use super::model::{ManipulatorModel, Rung, own_parts};
 use super::parameters::{ManipulatorParameters, TendonRoute};
 use super::row::StopLaw;
+use super::spatial::algebra::{dot, shift_along, turn_about};
 use super::state::{BaseMotion, StepInput, StepReport};
 use super::tendon::{Channels, friction_w};
+use super::tip_jacobian::{FewFreedoms, LinkMotion, Support, stiffness, supports};
 use super::{CONTACTS_PER_SPHERE, MAX_LINKS, MAX_SHAFT_SPHERES, MAX_TENDONS};
-use arc::Arc;
+use arc::{Arc, AxisPoint};
 
 /// Maximum contacts per step; excess contacts are rejected and counted.
 const MAX_CONTACTS: usize = CONTACTS_PER_SPHERE * (MAX_SHAFT_SPHERES + MAX_LINKS + 1);
@@ -203,6 +205,35 @@ impl ManipulatorModel for ConstantCurvature {
 
     fn tendon_friction_w(&self) -> f64 {
         friction_w(&self.tendon_tensions_n(), &self.lost, &[self.velocity()[3]])
+    }
+
+    fn tip_motion(&self) -> LinkMotion {
+        let (q, parameters) = (self.position(), &self.common.parameters);
+        let on_point = |z_m: f64| {
+            let AxisPoint { point: [x, z], first: [along_x, along_z], share, .. } = self.arc.place(z_m, q[3]);
+            let point = Vector3::new(q[0] + x, q[1], q[2] + z);
+            let bend = turn_about(&point, &(Vector3::y() * share));
+            [
+                shift_along(&Vector3::x()),
+                shift_along(&Vector3::y()),
+                shift_along(&Vector3::z()),
+                [0.0, bend[1], 0.0, bend[3] + along_x, 0.0, bend[5] + along_z],
+            ]
+        };
+        let mut few = FewFreedoms::<4>::new();
+        let (added, pull) = self.tendons_on_bend();
+        let stop = self.stop.stiffness_at(self.common.state.stop_torque_nm[0]);
+        for k in 0..3 {
+            few.operator[k][k] = self.stiffness[k];
+        }
+        few.operator[3][3] = stiffness(self.stiffness[3], added, stop);
+        few.axis = on_point(parameters.burr_centre_m());
+        few.add_pull(&[0.0, 0.0, 0.0, 1.0], &pull);
+        for Support { force, sphere, .. } in supports(&self.common) {
+            let on = on_point(self.sphere_z_m[sphere]).map(|axis| dot(&axis, &force));
+            few.add_support(&on, &force, parameters.contact.stiffness_n_per_m);
+        }
+        few.tip_motion()
     }
 
     fn mass_moment_kg_m(&self) -> Vector3<f64> {

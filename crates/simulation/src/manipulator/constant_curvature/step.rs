@@ -110,6 +110,21 @@ impl ConstantCurvature {
         sum
     }
 
+    /// Returns the tendons' stiffness of the bend at constant tensions and sliding states, N m/rad, and the
+    /// torque on it per unit of each tension, m.
+    pub(super) fn tendons_on_bend(&self) -> (f64, [f64; MAX_TENDONS]) {
+        let (bend, state) = (self.position()[BEND], &self.common.state);
+        let (mut stiffness, mut pull) = (0.0, [0.0; MAX_TENDONS]);
+        for t in 0..self.channels.count {
+            let (slope, mu) = (self.channels.offset_m[t][0], self.channels.cable[t].friction_coefficient);
+            let (tension, sliding) = (state.report.tendon_tension_n[t], state.tendon[t].sliding);
+            let x = if tension > 0.0 { mu * sliding * bend.abs() } else { 0.0 };
+            pull[t] = mean_share(x) * slope;
+            stiffness -= tension * mean_share_slope(x) * mu * slope * sliding * sign(bend);
+        }
+        (stiffness, pull)
+    }
+
     /// Returns the generalised loads, and the moment of all loads about the base origin.
     fn loads(&self, frame: &Frame) -> (Vector4<f64>, Vector3<f64>) {
         let (q, v) = (self.position(), self.velocity());

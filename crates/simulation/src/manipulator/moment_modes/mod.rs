@@ -30,8 +30,10 @@ use super::geometry::Layout;
 use super::helix;
 use super::model::{ManipulatorModel, Rung, own_parts};
 use super::parameters::{ManipulatorParameters, TendonRoute};
+use super::spatial::algebra::{dot, shift_along, turn_about};
 use super::state::{BaseMotion, StepInput, StepReport};
 use super::tendon::{Channels, friction_w};
+use super::tip_jacobian::{FewFreedoms, LinkMotion, Pulls, add_scaled, supports};
 use super::{MAX_CONTACTS, MAX_JOINTS};
 use basis::Basis;
 use operator::Dynamics;
@@ -251,6 +253,39 @@ impl<const N: usize> ManipulatorModel for MomentModes<N> {
 
     fn tendon_friction_w(&self) -> f64 {
         friction_w(&self.tendon_tensions_n(), &self.tendons.lost, self.joint_velocities_rad_per_s())
+    }
+
+    fn tip_motion(&self) -> LinkMotion {
+        let Self { common, links, basis, shape, .. } = self;
+        let (mut pulls, parameters) = (Pulls::of(&self.tendons.channels, &common.state), &common.parameters);
+        let mut few = FewFreedoms::new();
+        for k in 0..N {
+            let mount = parameters.mount_stiffness_n_per_m.get(k);
+            few.operator[k][k] = *mount.unwrap_or(&1.0);
+        }
+        let mut supports = supports(common).peekable();
+        for (axis, unit) in few.axis.iter_mut().zip([Vector3::x(), Vector3::y(), Vector3::z()]) {
+            *axis = shift_along(&unit);
+        }
+        for link in 0..=links.joints {
+            if let Some(i) = link.checked_sub(1) {
+                let (row, q) = (&basis.of_flexure[i], self.bend[0][i]);
+                let (added, pull) = pulls.planar(i, q, [shape.half_sin[i], shape.half_cos[i]]);
+                let is_stopped = (q - self.rest[i]).abs() > parameters.joint_limit_rad;
+                let stop = if is_stopped { parameters.joint_stop_stiffness_nm_per_rad } else { 0.0 };
+                few.add_spring(row, added.max(-self.stiffness[i]) + stop);
+                let turn = turn_about(&Vector3::new(shape.x[link], 0.0, shape.z[link]), &Vector3::y());
+                for k in MOUNT..N {
+                    add_scaled(&mut few.axis[k], row[k], &turn);
+                }
+                few.add_pull(row, &pull);
+            }
+            while let Some(support) = supports.next_if(|support| support.link == link) {
+                let on = few.axis.each_ref().map(|axis| dot(axis, &support.force));
+                few.add_support(&on, &support.force, parameters.contact.stiffness_n_per_m);
+            }
+        }
+        few.tip_motion()
     }
 
     fn mass_moment_kg_m(&self) -> Vector3<f64> {

@@ -9,9 +9,9 @@ pub(in crate::manipulator) type Spatial = [f64; 6];
 /// A symmetric 6 x 6 operator from motions to forces or back.
 pub(in crate::manipulator) type Operator = [[f64; 6]; 6];
 
-pub(super) const ZERO: Spatial = [0.0; 6];
+pub(in crate::manipulator) const ZERO: Spatial = [0.0; 6];
 
-pub(super) fn dot(a: &Spatial, b: &Spatial) -> f64 {
+pub(in crate::manipulator) fn dot(a: &Spatial, b: &Spatial) -> f64 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3] + a[4] * b[4] + a[5] * b[5]
 }
 
@@ -54,17 +54,21 @@ pub(super) fn lower(a: &Spatial) -> Vector3<f64> {
 }
 
 /// Returns the unit rotation about `axis` through `p`.
-pub(super) fn turn_about(p: &Vector3<f64>, axis: &Vector3<f64>) -> Spatial {
+pub(in crate::manipulator) fn turn_about(p: &Vector3<f64>, axis: &Vector3<f64>) -> Spatial {
     join(*axis, p.cross(axis))
 }
 
 /// Returns the unit translation along `axis`.
-pub(super) fn shift_along(axis: &Vector3<f64>) -> Spatial {
+pub(in crate::manipulator) fn shift_along(axis: &Vector3<f64>) -> Spatial {
     join(Vector3::zeros(), *axis)
 }
 
 /// Returns a force at `p` plus a moment.
-pub(super) fn force_at(p: &Vector3<f64>, moment: &Vector3<f64>, force: &Vector3<f64>) -> Spatial {
+pub(in crate::manipulator) fn force_at(
+    p: &Vector3<f64>,
+    moment: &Vector3<f64>,
+    force: &Vector3<f64>,
+) -> Spatial {
     join(moment + p.cross(force), *force)
 }
 

@@ -10,7 +10,7 @@
 //! All stiffnesses are the bending stiffness of a flexure times the ratios of
 //! [`crate::manipulator::StiffnessRatios`], the same in both.
 
-mod algebra;
+pub(super) mod algebra;
 mod articulated;
 mod energy;
 mod layout;
@@ -27,9 +27,10 @@ use super::error::ManipulatorError;
 use super::model::{ManipulatorModel, Rung, own_parts};
 use super::parameters::ManipulatorParameters;
 use super::pressed::PressedStops;
-use super::state::{BaseMotion, StepInput, StepReport};
+use super::state::{BaseMotion, ManipulatorState, StepInput, StepReport};
 use super::tendon::friction_w;
-use super::{CONTACTS_PER_SPHERE, MAX_LINKS, MAX_SHAFT_SPHERES};
+use super::tip_jacobian::{LinkMotion, Pulls, stiffness, supports};
+use super::{CONTACTS_PER_SPHERE, MAX_LINKS, MAX_SHAFT_SPHERES, MAX_TENDONS};
 use articulated::Articulated;
 use layout::{Configuration, MOUNT, SpatialLayout};
 use loads::Loads;
@@ -208,6 +209,29 @@ impl<const D: usize> ManipulatorModel for SpatialChain<D> {
 
     fn tendon_friction_w(&self) -> f64 {
         friction_w(&self.tendon_tensions_n(), &self.tendon.lost, &self.common.state.velocity)
+    }
+
+    fn tip_motion(&self) -> LinkMotion {
+        let Self { common, layout, configuration, tendon, .. } = self;
+        let ManipulatorState { position, stop_torque_nm, .. } = &common.state;
+        let (law, mut pulls) = (common.parameters.stop_law(), Pulls::of(&tendon.channels, &common.state));
+        let (mut motion, mut supports) = (LinkMotion::of_base(), supports(common).peekable());
+        for k in 0..MOUNT {
+            motion.cross(&configuration.axis[k], self.stiffness[k], &[0.0; MAX_TENDONS]);
+        }
+        for link in 0..=layout.joints {
+            if link > 0 {
+                let (added, pull) = tendon.on_flexure(layout, link - 1, position, &mut pulls);
+                for (k, (added, pull)) in layout.freedoms_of(link).zip(added.iter().zip(&pull)) {
+                    let k_total = stiffness(self.stiffness[k], *added, law.stiffness_at(stop_torque_nm[k]));
+                    motion.cross(&configuration.axis[k], k_total, pull);
+                }
+            }
+            while let Some(support) = supports.next_if(|support| support.link == link) {
+                motion.support(&support.force, common.parameters.contact.stiffness_n_per_m);
+            }
+        }
+        motion
     }
 
     fn mass_moment_kg_m(&self) -> Vector3<f64> {

@@ -14,6 +14,7 @@ use crate::manipulator::helix::{Chord, Crossing, crossings};
 use crate::manipulator::parameters::{ManipulatorParameters, TendonParameters};
 use crate::manipulator::state::TendonCommand;
 use crate::manipulator::tendon::{Channels, TendonMemory, base_tension};
+use crate::manipulator::tip_jacobian::Pulls;
 
 /// Generalised forces of all tendons in one configuration, and their derivatives.
 #[derive(Debug, Clone)]
@@ -188,6 +189,44 @@ impl TendonLoad {
                 }
             }
         }
+    }
+
+    /// Returns the stiffness of the coordinates of flexure `joint` from its tendons, and the generalised force
+    /// on them per unit of each tension. Called from base to tip.
+    pub fn on_flexure<const D: usize>(
+        &self,
+        layout: &SpatialLayout<D>,
+        joint: usize,
+        q: &[f64],
+        pulls: &mut Pulls<'_>,
+    ) -> ([f64; D], [[f64; MAX_TENDONS]; D]) {
+        let (mut stiffness, mut pull) = ([0.0; D], [[0.0; MAX_TENDONS]; D]);
+        let (bend, first) = (SpatialLayout::<D>::BEND, layout.bend(joint) - SpatialLayout::<D>::BEND);
+        for t in (0..self.channels.count).filter(|t| self.channels.flexures(*t).contains(&joint)) {
+            let chord = self.chord::<D>(t, joint, &q[first..first + D]);
+            let (take_up, mut slope, mut curvature) = match &chord {
+                Some(chord) => (TakeUp::of_chord::<D>(chord), chord.slope, chord.curvature),
+                None => {
+                    let channel = self.channels.offset_m[t];
+                    (TakeUp::of(&self.channels.cable[t], layout, channel, joint, q), [0.0; 6], [0.0; 6])
+                }
+            };
+            for k in 0..D.min(2) {
+                (slope[bend + k], curvature[bend + k]) = (take_up.slope[k], take_up.curvature[k]);
+            }
+            if D == 6 && chord.is_none() {
+                slope[bend - 1] = -1.0;
+            }
+            let [share, local_n, winding] = pulls.next(t, take_up.turn_rad);
+            for k in 0..D {
+                stiffness[k] -= local_n * curvature[k];
+                pull[k][t] = share * slope[k];
+            }
+            for k in 0..D.min(2) {
+                stiffness[bend + k] += winding * take_up.turn_slope[k] * slope[bend + k];
+            }
+        }
+        (stiffness, pull)
     }
 
     /// Returns the chord of tendon `t` across flexure `joint`, at its coordinates `q`; `None` if it runs
