@@ -168,10 +168,14 @@ fn copy(bytes: &[u8], target: &mut [MaybeUninit<u8>]) {
     if bytes.len() >= TWO_THREADS_BYTES {
         let (first, second) = bytes.split_at(bytes.len() / 2);
         let (first_target, second_target) = target.split_at_mut(first.len());
-        std::thread::scope(|scope| {
-            scope.spawn(|| copy_here(first, first_target));
+        let is_shared = std::thread::scope(|scope| {
+            let other = std::thread::Builder::new().spawn_scoped(scope, || copy_here(first, first_target));
             copy_here(second, second_target);
+            other.is_ok()
         });
+        if !is_shared {
+            copy_here(first, first_target);
+        }
     } else {
         copy_here(bytes, target);
     }

@@ -106,7 +106,8 @@ impl ServerArguments {
 pub fn run(arguments: &ViewArguments) -> Result<(), Failure> {
     // Nothing can be lost, so a viewer that is still reading a log or building its volume just exits.
     let end = EndRequest::answered(|_| {
-        std::thread::spawn(|| {
+        // Without a thread there is no limit.
+        let _ = std::thread::Builder::new().spawn(|| {
             std::thread::sleep(LEAVE_LIMIT);
             std::process::exit(EXIT_INTERRUPTED.into());
         });

@@ -45,21 +45,27 @@ impl StartedRun {
         let (line, lines) = mpsc::channel();
         let (word, words) = mpsc::channel();
         let (out, err) = (child.stdout.take(), child.stderr.take());
-        std::thread::spawn(move || {
+        let read_out = move || {
             let is_wanted = |value: &Value| value["phase"] == "announced" || value["phase"] == "ended";
             // Read to the end, so that the run never blocks on a full pipe.
             each_line(out, |text| {
                 let value = serde_json::from_str(text).ok().filter(is_wanted);
                 value.into_iter().for_each(|value| drop(line.send(value)));
             });
-        });
-        std::thread::spawn(move || {
+        };
+        let read_err = move || {
             each_line(err, |text| {
                 tell!("{text}");
                 // The receiver is not read once the run has started.
                 let _ = word.send(text.to_owned());
             });
-        });
+        };
+        let thread = || std::thread::Builder::new().name("run output".to_owned());
+        if let Err(cause) = thread().spawn(read_out).and_then(|_| thread().spawn(read_err)) {
+            // Unread, it would wait for room in its pipes; its parts end with it.
+            let _ = child.kill().and_then(|()| child.wait());
+            return Err(refused(cause));
+        }
         say!("running      {}", scene.display());
         Ok(StartedRun { child, lines, words, session: None, folder: None })
     }

@@ -1,6 +1,7 @@
 //! State that a run inherits from its parent: signals, timers, umask, priority, cores, low limits,
 //! non-blocking streams.
 
+use std::fs::File;
 use std::io::Read;
 use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
@@ -12,7 +13,9 @@ use rustix::process::Signal;
 use test_support::limited::Limited;
 use test_support::name_space::NameSpace;
 
-use crate::common::program::{Place, Run, assert_nothing_left, segments_of, signal, wait_for};
+use crate::common::program::{
+    Guarded, Place, Run, assert_nothing_left, only_entry, segments_of, signal, wait_for,
+};
 use crate::common::scenes;
 
 const PROGRAM: &str = env!("CARGO_BIN_EXE_trabecula");
@@ -179,6 +182,42 @@ fn a_replay_with_too_few_processes_ends_with_a_message() {
     let output = command.limited_output().unwrap();
     let said = String::from_utf8_lossy(&output.stderr);
     assert!(!said.contains("panicked") && output.status.code() != Some(101), "{:?} {said}", output.status);
+}
+
+/// Regression: the viewer panicked when one of its threads could not be started.
+#[test]
+fn a_viewer_with_too_few_processes_ends_with_a_message() {
+    let place = Place::new();
+    open_to_all(&place.path(""));
+    let text = scenes::drill_unseen("lockstep", 0.02);
+    assert_eq!(started_by(&["env"], &place, &text).end().code, Some(0));
+    let (scene, run) = (place.scene(&text), only_entry(&place.path("out")));
+    let log = run.join("run.mcap");
+    [place.path("out"), run, log.clone(), scene.clone()].iter().for_each(|path| open_to_all(path));
+    let words = place.path("words.txt");
+    for shown in [log, scene] {
+        let mut refused = 0;
+        for most in 1..=8 {
+            let more = ["view", "--no-open", "--port", "0"];
+            let Some(mut command) = with_processes(most, &place, &more) else { return };
+            let output = File::create(&words).unwrap();
+            command.arg(&shown).stdin(Stdio::null()).stderr(output.try_clone().unwrap()).stdout(output);
+            let mut viewer = Guarded(command.spawn().unwrap());
+            let said = || std::fs::read_to_string(&words).unwrap();
+            let ended = wait_for("the page's address or the viewer's end", || {
+                let ended = viewer.0.try_wait().unwrap();
+                (ended.is_some() || said().contains("#token=")).then_some(ended)
+            });
+            let said = said();
+            assert!(!said.contains("panicked"), "{most} processes: {said}");
+            if let Some(status) = ended {
+                assert_eq!(status.code(), Some(1), "{most} processes: {said}");
+                assert!(said.contains("Resource temporarily unavailable"), "{most} processes: {said}");
+                refused += 1;
+            }
+        }
+        assert!(refused > 1, "{refused} limits were too low for {}", shown.display());
+    }
 }
 
 /// Regression: a timer that the parent had set killed the launcher, and so the run. Blocked, so that it cannot

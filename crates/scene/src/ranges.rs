@@ -42,6 +42,10 @@ fn check_value(kind: &Kind, value: &Value, path: &str, checker: &Checker) -> Res
             checker.range(path, *value as f64, *range)
         }
         (Kind::Text(Some(pattern)), Value::String(text)) => check_text(pattern, text, path, checker),
+        // Joined to the scene's folder, it would be that folder.
+        (Kind::Path, Value::String(text)) if text.is_empty() => {
+            Err(checker.invalid(path, "is \"\"; expected the path of a file"))
+        }
         (Kind::List(of, _, most), Value::Array(values)) => {
             if let Some(most) = most {
                 let count = Range { lowest: 0.0, highest: *most as f64, or_zero: false };
@@ -167,6 +171,18 @@ mod tests {
         assert_eq!(refused(&body("a_b")), None);
         let said = refused(&body("a-b")).unwrap().to_string();
         assert_eq!(said, "a.toml: `body.name` is \"a-b\"; expected 1 to 64 letters, digits, `_`");
+    }
+
+    /// Regression: `volume.path = ""` was refused as the scene's folder, without the scene's name.
+    #[test]
+    fn an_empty_path_is_refused_with_its_key() {
+        for (table, key) in [("[volume]", "volume.path"), ("[[arm.mesh]]", "arm.mesh.file")] {
+            let name = key.rsplit('.').next().unwrap();
+            let scene = |path: &str| toml::from_str(&format!("{table}\n{name} = \"{path}\"")).unwrap();
+            assert_eq!(refused(&scene("a.nrrd")), None);
+            let said = refused(&scene("")).unwrap().to_string();
+            assert_eq!(said, format!("a.toml: `{key}` is \"\"; expected the path of a file"));
+        }
     }
 
     #[test]

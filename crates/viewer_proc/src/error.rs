@@ -28,7 +28,7 @@ pub enum ViewerError {
     #[error("cannot create the control token from /dev/urandom: {0}")]
     Token(std::io::Error),
     /// The runtime or a thread cannot be started.
-    #[error("the server cannot be started: {0}")]
+    #[error("the viewer cannot start a thread or its server: {0}")]
     Runtime(std::io::Error),
     /// No session to view.
     #[error("{0}; or give one with --session")]

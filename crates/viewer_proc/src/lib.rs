@@ -48,6 +48,7 @@ pub mod server;
 pub mod services;
 pub mod slice;
 pub mod surface;
+mod threads;
 
 pub use error::ViewerError;
 pub use info::{ArmMeshes, ToolShape};

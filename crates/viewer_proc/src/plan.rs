@@ -30,6 +30,7 @@ use crate::services::{Places, PlanRequest, Reply, Request};
 use crate::slice::{NO_VOLUME, Slicer};
 use crate::surface::Voxel;
 use crate::surface::bone::{Bone, volume_box};
+use crate::threads;
 
 /// Time between two polls.
 const POLL_PERIOD: Duration = Duration::from_millis(8);
@@ -110,7 +111,7 @@ enum PlannerMessage {
 /// returns that run's session.
 ///
 /// # Errors
-/// The server cannot be started.
+/// The server or a thread cannot be started.
 pub fn view(
     path: &Path,
     (first, looks, volume): (ScenePreview, ArmMeshes, Option<&Volume>),
@@ -131,16 +132,18 @@ pub fn view(
     first.findings.iter().for_each(|text| shown.board.notice("warning", text));
     shown.take(&first);
     looks.publish(&shown.board);
-    ready();
     let (asked, asking) = mpsc::sync_channel(PLAN_QUEUE);
     let (tell, told) = mpsc::channel();
     let stop = Arc::clone(&over);
     std::thread::scope(|scope| {
-        let serving = scope.spawn(|| server.serve());
-        scope.spawn(move || plan(&mut planner, &asking, &tell, &stop));
-        let session = shown.serve(&called, &asked, &told, end);
+        let serving = threads::start_in(scope, "server", || server.serve())?;
+        let planning = threads::start_in(scope, "plan", move || plan(&mut planner, &asking, &tell, &stop));
+        let session = planning.map(|_| {
+            ready();
+            shown.serve(&called, &asked, &told, end)
+        });
         over.store(true, Ordering::Relaxed);
-        serving.join().unwrap_or(Ok(())).map(|()| session)
+        serving.join().unwrap_or(Ok(())).and(session)
     })
 }
 

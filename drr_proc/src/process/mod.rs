@@ -51,6 +51,9 @@ pub enum DrrProcessError {
     /// Messages with removed voxels were lost, so frames would show bone that is gone.
     #[error(transparent)]
     RemovedLost(#[from] RemovalLoss),
+    /// The rendering thread cannot be started.
+    #[error("the rendering thread cannot be started: {0}")]
+    Worker(std::io::Error),
     /// The rendering thread died.
     #[error("the rendering thread ended early")]
     WorkerGone,

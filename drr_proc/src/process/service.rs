@@ -58,7 +58,7 @@ pub(super) fn serve(
     let (jobs, job_queue) = sync_channel::<Job>(QUEUE);
     let (outcomes, outcome_queue) = sync_channel::<Outcome>(QUEUE + 2);
     std::thread::scope(|scope| {
-        scope.spawn(move || {
+        let render = move || {
             for job in job_queue {
                 let began_ns = now_ns();
                 let outcome = render_job(&mut renderer, view, &job)
@@ -68,7 +68,9 @@ pub(super) fn serve(
                     break;
                 }
             }
-        });
+        };
+        let thread = std::thread::Builder::new().name("render".to_owned());
+        thread.spawn_scoped(scope, render).map_err(DrrProcessError::Worker)?;
         Service::new(scene, ports, *c_arm, arm, jobs, outcome_queue).run(end)
     })
 }

@@ -29,7 +29,8 @@ pub(crate) fn identify(py: Python<'_>, study: PathBuf, task: &str) -> PyResult<S
     };
     py.detach(|| {
         std::thread::scope(|scope| {
-            let working = scope.spawn(work);
+            let thread = std::thread::Builder::new().name("identify".to_owned());
+            let working = thread.spawn_scoped(scope, work)?;
             while !working.is_finished() {
                 std::thread::sleep(LOOK_EVERY);
                 if let Err(interrupt) = Python::attach(|py| py.check_signals()) {

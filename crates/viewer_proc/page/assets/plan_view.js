@@ -29,7 +29,7 @@ export function addPlannedTool(list, info) {
   const predicted = info?.plan?.predicted;
   if (predicted) {
     addTool(predicted.tool_end, PREDICTED);
-    for (let i = 1; i < predicted.path_m.length; i++) list.cylinder(predicted.path_m[i - 1], predicted.path_m[i], LINE_M, PREDICTED);
+    list.path(predicted.path_m, LINE_M, PREDICTED);
   }
   if (info?.plan) for (const hole of info.scene?.predrill ?? []) list.cylinder(hole.from_m, hole.to_m, hole.radius_m, HOLE);
 }

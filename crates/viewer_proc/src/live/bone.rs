@@ -20,8 +20,10 @@ use zerocopy::FromBytes;
 use super::followed_log::recorded_in;
 use crate::board::Board;
 use crate::calls::Calls;
+use crate::error::ViewerError;
 use crate::slice::Slicer;
 use crate::surface::bone::Bone;
+use crate::threads;
 
 /// Time between two polls of the removals; the queue holds half a second of them at 1 kHz.
 const POLL_PERIOD: Duration = Duration::from_millis(4);
@@ -44,12 +46,16 @@ pub(super) struct BoneThread {
 
 impl BoneThread {
     /// Starts the thread and calls `known` with the volume's grid once it has arrived.
-    pub(super) fn start(self, known: impl FnOnce(&VoxelGrid) + Send + 'static) {
-        std::thread::spawn(move || {
+    ///
+    /// # Errors
+    /// The thread cannot be started.
+    pub(super) fn start(self, known: impl FnOnce(&VoxelGrid) + Send + 'static) -> Result<(), ViewerError> {
+        threads::start("bone", move || {
             if let Err(error) = self.run(known) {
                 self.board.notice("warning", &format!("the bone is not shown: {error}"));
             }
-        });
+        })
+        .map(drop)
     }
 
     fn run(&self, known: impl FnOnce(&VoxelGrid)) -> Result<(), BoneError> {

@@ -13,8 +13,10 @@ use trabecula_client::{Client, ClientError, Connection};
 use super::frame_requests::{FrameRequests, ask_frame, turns_the_c_arm};
 use crate::board::Board;
 use crate::calls::Call;
+use crate::error::ViewerError;
 use crate::info::{CONTROLLER, unit};
 use crate::services::{CArm, Drive, Reply, Request};
+use crate::threads;
 
 /// Dead-man timeout: without a request for this long the insertion stops, because the client that held the
 /// key is gone.
@@ -38,12 +40,21 @@ pub(super) struct Driver {
 impl Driver {
     /// Starts the thread if the scene names the controller. A tick waits for an optional controller only
     /// after its first command, so the thread joins on first use.
-    pub(super) fn start(session: &Path, scene: &Scene, over: Arc<AtomicBool>, board: Arc<Board>) -> Driver {
-        let frames =
-            (!turns_the_c_arm(scene)).then(|| FrameRequests::start(session, scene, Arc::clone(&over)));
+    ///
+    /// # Errors
+    /// The thread, or that of frame requests, cannot be started.
+    pub(super) fn start(
+        session: &Path,
+        scene: &Scene,
+        over: Arc<AtomicBool>,
+        board: Arc<Board>,
+    ) -> Result<Driver, ViewerError> {
+        let frames = (!turns_the_c_arm(scene))
+            .then(|| FrameRequests::start(session, scene, Arc::clone(&over)))
+            .transpose()?;
         let controller = scene.controller.iter().find(|controller| controller.name == CONTROLLER);
         let Some(controller) = controller.filter(|controller| controller.external) else {
-            return Driver { calls: None, frames };
+            return Ok(Driver { calls: None, frames });
         };
         let (calls, called) = mpsc::channel();
         let thread = DriveThread {
@@ -56,8 +67,8 @@ impl Driver {
             inputs: Inputs::default(),
             heard: Instant::now(),
         };
-        std::thread::spawn(move || thread.run(&called, &over, &board));
-        Driver { calls: Some(calls), frames }
+        threads::start("drive", move || thread.run(&called, &over, &board))?;
+        Ok(Driver { calls: Some(calls), frames })
     }
 
     /// Forwards a `/drive` or `/frame` call.

@@ -11,8 +11,10 @@ use trabecula_client::{Client, ClientError, Connection};
 
 use super::drive::c_arm_pose;
 use crate::calls::Call;
+use crate::error::ViewerError;
 use crate::info::CONTROLLER;
 use crate::services::{CArm, Reply, Request};
+use crate::threads;
 
 /// Timeout for joining the session.
 const JOIN_LIMIT: Duration = Duration::from_secs(2);
@@ -43,7 +45,14 @@ pub(super) struct FrameRequests(mpsc::Sender<Call>);
 
 impl FrameRequests {
     /// Starts the thread, which ends when the viewer does.
-    pub(super) fn start(session: &Path, scene: &Scene, over: Arc<AtomicBool>) -> FrameRequests {
+    ///
+    /// # Errors
+    /// The thread cannot be started.
+    pub(super) fn start(
+        session: &Path,
+        scene: &Scene,
+        over: Arc<AtomicBool>,
+    ) -> Result<FrameRequests, ViewerError> {
         let (calls, called) = mpsc::channel();
         let connection = Connection {
             session: Some(session.display().to_string()),
@@ -51,8 +60,8 @@ impl FrameRequests {
             ..Connection::observer()
         };
         let drr = scene.drr.clone();
-        std::thread::spawn(move || serve(&connection, drr.as_ref(), &called, &over));
-        FrameRequests(calls)
+        threads::start("frame requests", move || serve(&connection, drr.as_ref(), &called, &over))?;
+        Ok(FrameRequests(calls))
     }
 
     /// Forwards a `/frame` call.

@@ -29,6 +29,7 @@ use crate::server::{ListeningPort, Server};
 use crate::services::Request;
 use crate::slice::NO_VOLUME;
 use crate::surface::bone::volume_box;
+use crate::threads;
 use bone::BoneThread;
 use control::Control;
 use drive::Driver;
@@ -51,7 +52,7 @@ const HUB_DIED: &str = "the hub has died: its launcher and the run are gone";
 /// ended regularly, was recorded, and a client is still connected.
 ///
 /// # Errors
-/// The session cannot be joined.
+/// The session cannot be joined, or a thread cannot be started.
 pub fn view(
     folder: &Path,
     door: &ListeningPort,
@@ -88,15 +89,15 @@ pub fn view(
         let (board, scene) = (Arc::clone(&board), scene.clone());
         thread.start(move |grid| {
             board.publish_json(INFO, &info(&scene, &origin, &tool, Some(&volume_box(grid))));
-        });
+        })?;
         Some(slices)
     } else {
         None
     };
     let control = Control::open(&session)?;
-    let driver = Driver::start(folder, &scene, Arc::clone(&over), Arc::clone(&board));
+    let driver = Driver::start(folder, &scene, Arc::clone(&over), Arc::clone(&board))?;
+    let serving = threads::start("server", move || server.serve())?;
     ready();
-    let serving = std::thread::spawn(move || server.serve());
     let mut live = Live { board, subscriptions, control, driver, slices, called, log, dt_ns: scene.dt_ns() };
     let watched = live.watch(&session, end).map(|ended| live.whole_log(ended, end));
     // Leaves time for the last messages to reach the clients.

@@ -32,6 +32,7 @@ use crate::left::IdleTimer;
 use crate::live::CALL_QUEUE;
 use crate::scene_update::Drawer;
 use crate::server::{ListeningPort, Server};
+use crate::threads;
 use background::{BackgroundResult, Reader, divergence};
 use file::LogFile;
 use playback::{LogPlayback, Logs, Scenery, ShownLog};
@@ -98,7 +99,7 @@ fn timing_of(run: &Path) -> PathBuf {
 /// Shows logs until the process is asked to end.
 ///
 /// # Errors
-/// A log cannot be played.
+/// A log cannot be played, or a thread cannot be started.
 pub fn view(
     options: &LogOptions,
     door: &ListeningPort,
@@ -137,17 +138,22 @@ pub fn view(
     };
     let mut playback = LogPlayback::new(board, logs, header.dt_ns, scenery, finding);
     let left = options.until_left.then(IdleTimer::default);
-    ready();
     std::thread::scope(|scope| {
-        let serving = scope.spawn(|| server.serve());
-        readers.iter().for_each(|reader| drop(scope.spawn(|| reader.run())));
-        let volume = help.volume;
-        scope.spawn(|| find_volume(&scene, &header, volume, &found));
-        scope.spawn(|| find_divergence(both, &found, &over));
-        let shown = playback.run(&called, end, &over, left);
+        let serving = threads::start_in(scope, "server", || server.serve())?;
+        let show = || {
+            for reader in &readers {
+                threads::start_in(scope, "log", || reader.run())?;
+            }
+            let volume = help.volume;
+            threads::start_in(scope, "volume", || find_volume(&scene, &header, volume, &found))?;
+            threads::start_in(scope, "comparison", || find_divergence(both, &found, &over))?;
+            ready();
+            playback.run(&called, end, &over, left)
+        };
+        let shown = show();
         over.store(true, Ordering::Relaxed);
         let served = serving.join().unwrap_or(Ok(()));
-        shown.map_err(ViewerError::from).and(served)
+        shown.and(served)
     })
 }
 

@@ -23,12 +23,14 @@ use super::series::{Lane, LogSeries, SeriesRequest};
 use crate::board::Board;
 use crate::calls::{Call, CallSender, Calls, call_queue};
 use crate::channels::{COMPARE, FRAME_STATE, INFO, PLAYBACK, SECOND, SECOND_TOPICS, VIEW_STATE};
+use crate::error::ViewerError;
 use crate::info::VolumeBox;
 use crate::left::IdleTimer;
 use crate::scene_update::Drawer;
 use crate::services::{Reply, Request};
 use crate::slice::{NO_VOLUME, Slicer};
 use crate::surface::bone::volume_box;
+use crate::threads;
 
 /// Time between two polls.
 const POLL_PERIOD: Duration = Duration::from_millis(8);
@@ -156,14 +158,14 @@ impl LogPlayback {
         end: &EndRequest,
         over: &AtomicBool,
         left: Option<IdleTimer>,
-    ) -> Result<(), PlayError> {
+    ) -> Result<(), ViewerError> {
         let (asked, asking) = call_queue(SERIES_QUEUE);
         let logs = Arc::clone(&self.logs);
         std::thread::scope(|scope| {
-            scope.spawn(move || answer_series(&logs, &asking, over));
+            threads::start_in(scope, "series", move || answer_series(&logs, &asking, over))?;
             let shown = self.play(called, &asked, end, left);
             over.store(true, Ordering::Relaxed);
-            shown
+            Ok(shown?)
         })
     }
 
