@@ -41,6 +41,11 @@ const PUSH_OUT_J: f64 = 1.0e-4;
 /// Residual, relative to the tolerance, beyond which a solve starts again from the free motion: the last
 /// tick's impulses can lead it far away, from where each step is short.
 const LOST_SHARE: f64 = 1.0e3;
+/// Factor by which the stops are softer where a solve starts again, and by which they harden after each
+/// iteration to the tolerance: from the free motion, each hard stop would end a step after a tiny fraction,
+/// and hundreds were needed. Powers of two, so that no compliance is rounded.
+const SOFTEST: f64 = 4096.0;
+const HARDENING: f64 = 8.0;
 
 /// Outcome of a solve.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -78,17 +83,24 @@ impl<const N: usize, O: Operator<N>> pulp::WithSimd for Problem<'_, N, O> {
 
 impl<const N: usize, O: Operator<N>> Problem<'_, N, O> {
     /// Iterates until every row satisfies its law within the tolerance, or the iteration limit is reached; in
-    /// that case, iterates again from the free motion. Leaves the impulses in the rows.
+    /// that case, iterates again from the free motion, with soft stops that harden. Leaves the impulses in the
+    /// rows.
     #[inline(always)]
     fn solve<S: pulp::Simd>(&mut self, simd: S) -> Outcome {
         self.start(simd);
-        let (mut iterations, mut is_dropped, mut is_slowed) = (0, false, false);
+        let (mut iterations, mut softness) = (0, 1.0);
+        let (mut is_dropped, mut is_slowed) = (false, false);
         loop {
             let outcome = self.iterate(simd, iterations == 0);
             iterations += outcome.iterations;
             if !is_dropped && outcome.residual > LOST_SHARE * self.parameters.tolerance_m_per_s {
                 self.drop_impulses();
                 is_dropped = true;
+                softness = if self.stop.is_empty() { 1.0 } else { SOFTEST };
+                self.soften_stops(softness);
+            } else if softness > 1.0 {
+                softness /= HARDENING;
+                self.soften_stops(1.0 / HARDENING);
             } else if is_slowed || !self.slow_push_out() {
                 self.settle();
                 return Outcome { iterations, ..outcome };
@@ -96,6 +108,12 @@ impl<const N: usize, O: Operator<N>> Problem<'_, N, O> {
                 is_slowed = true;
             }
         }
+    }
+
+    /// Multiplies the compliance of every stop.
+    #[inline(always)]
+    fn soften_stops(&mut self, factor: f64) {
+        self.stop.iter_mut().for_each(|row| row.stop.compliance *= factor);
     }
 
     /// Slows the push-out of overlap if it does more than [`PUSH_OUT_J`]; returns whether it does.
