@@ -421,8 +421,8 @@ fn winding_tunnel_rests_in_equilibrium() {
     }
 }
 
-/// The contacts' springs hold what pushing out does, at most 0.1 mJ a step; at the full speed, 50 um a step, a
-/// wall on each side would put 1.25 mJ into each spring.
+/// The contacts' springs hold what pushing out does, at most 0.1 mJ a step; at the full speed, 50 um a step,
+/// a wall on each side would put 1.25 mJ into each spring.
 #[test]
 fn walls_that_overlap_a_jammed_tool_do_no_work_on_it() {
     let mut m = tool(|p| p.contact.friction_coefficient = 0.0);

@@ -83,8 +83,8 @@ impl<const N: usize, O: Operator<N>> pulp::WithSimd for Problem<'_, N, O> {
 
 impl<const N: usize, O: Operator<N>> Problem<'_, N, O> {
     /// Iterates until every row satisfies its law within the tolerance, or the iteration limit is reached; in
-    /// that case, iterates again from the free motion, with soft stops that harden. Leaves the impulses in the
-    /// rows.
+    /// that case, iterates again from the free motion, with soft stops that harden. Leaves the impulses in
+    /// the rows.
     #[inline(always)]
     fn solve<S: pulp::Simd>(&mut self, simd: S) -> Outcome {
         self.start(simd);
