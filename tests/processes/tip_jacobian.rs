@@ -47,7 +47,7 @@ fn a_client_sees_the_tip_jacobian_of_each_state_and_a_replay_computes_it() {
         let (_, jacobian) = seen.iter().find(|(state, _)| state.tick == tick).unwrap();
         assert_eq!(jacobian.as_ref().unwrap().as_bytes(), replayed.as_bytes(), "tick {tick}");
     }
-    // It changes no tick, and without the key there is none.
+    // It changes no tick, and needs the key.
     let (unseen, bare) = driven(&without, &format!("{scene}{}", scenes::keyframes(0.1)));
     assert!(unseen.iter().all(|(_, jacobian)| jacobian.is_none()));
     assert_eq!(read(&folder).marker.unwrap().hash, read(&bare).marker.unwrap().hash);

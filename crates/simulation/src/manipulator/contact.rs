@@ -21,7 +21,7 @@ use nalgebra::{UnitQuaternion, Vector3};
 
 use super::geometry::{SphereKind, SphereLayout};
 use super::parameters::ContactParameters;
-use super::row::{StopLaw, tangents, target};
+use super::row::{StopLaw, push_out, tangents, target};
 use super::state::{ContactResult, StepReport};
 use crate::contact_plane::ContactPlane;
 use laws::{ContactRow, StopRow};
@@ -188,7 +188,7 @@ impl<const N: usize, O: Operator<N>> ContactSolver<N, O> {
             row.drive = direction.map(|d| d.dot(&base_velocity));
             row.friction = step.parameters.friction_of(spheres[sphere].kind, step.burr_turns);
             row.compliance = step.compliance();
-            (row.target, row.impulse) = last.start(step, plane, &[t0, t1]);
+            ([row.target, row.push], row.impulse) = last.start(step, plane, &[t0, t1]);
             row.strength = plane.strength_n * step.dt;
             row.recedes = plane.give.m_per_n > 0.0;
             if row.recedes {
@@ -297,14 +297,14 @@ pub(super) struct LastContacts<'s> {
 }
 
 impl LastContacts<'_> {
-    /// Returns the target velocity and warm-start impulse of a contact (normal, and along the tangents, base
-    /// axes).
+    /// Returns the target velocity of a contact, the part of it that pushes out overlap, and the warm-start
+    /// impulse (normal, and along the tangents, base axes).
     pub fn start(
         &mut self,
         step: &ContactStep,
         plane: &ContactPlane,
         tangents: &[Vector3<f64>; 2],
-    ) -> (f64, [f64; 3]) {
+    ) -> ([f64; 2], [f64; 3]) {
         let (mut last, mut impulse) = (0.0, [0.0; 3]);
         if let Some(old) = self.continued_by(plane) {
             let friction = step.drive.rotation.inverse_transform_vector(&old.friction_force_n);
@@ -314,7 +314,7 @@ impl LastContacts<'_> {
         let parameters = step.parameters;
         let explained = last / parameters.stiffness_n_per_m;
         let fastest = parameters.push_out_speed_m_per_s.min(PUSH_OUT_M / step.dt);
-        (target(plane.gap_m, explained, fastest, step.dt), impulse)
+        ([target, push_out].map(|of| of(plane.gap_m, explained, fastest, step.dt)), impulse)
     }
 
     /// Returns the last tick's result that this contact inherits. Each result is used once.

@@ -52,6 +52,7 @@ impl StopLaw {
                     is_hard,
                     compliance: 1.0 / (stiffness * dt * dt),
                     target: target(gap, last / stiffness, STOP_RETURN_RAD_PER_S, dt),
+                    push: push_out(gap, last / stiffness, STOP_RETURN_RAD_PER_S, dt),
                     impulse: last * dt,
                 }
             },
@@ -131,6 +132,8 @@ pub(super) struct Stop {
     pub compliance: f64,
     /// Lower bound for rate toward the free range + compliance * impulse, rad/s.
     pub target: f64,
+    /// Part of the target that pushes out overlap, rad/s.
+    pub push: f64,
     /// Impulse, N m s.
     pub impulse: f64,
 }
@@ -139,6 +142,11 @@ pub(super) struct Stop {
 /// explained by the last force remains; the rest is pushed out at `fastest` at most.
 pub(super) fn target(gap: f64, explained: f64, fastest: f64, dt: f64) -> f64 {
     if gap >= 0.0 { -gap / dt } else { explained / dt + ((-gap - explained) / dt).min(fastest) }
+}
+
+/// Returns the part of [`target`] that pushes out overlap, at least 0.
+pub(super) fn push_out(gap: f64, explained: f64, fastest: f64, dt: f64) -> f64 {
+    if gap >= 0.0 { 0.0 } else { ((-gap - explained) / dt).min(fastest).max(0.0) }
 }
 
 /// Returns two unit tangents, the first in the bending plane unless the normal is nearly perpendicular to it.

@@ -420,3 +420,27 @@ fn winding_tunnel_rests_in_equilibrium() {
         assert!(worst < 2e-6 && off < 1e-3, "{worst} {off}");
     }
 }
+
+/// The contacts' springs hold what pushing out does, at most 0.1 mJ a step; at the full speed, 50 um a step,
+/// a wall on each side would put 1.25 mJ into each spring.
+#[test]
+fn walls_that_overlap_a_jammed_tool_do_no_work_on_it() {
+    let mut m = tool(|p| p.contact.friction_coefficient = 0.0);
+    let burr = m.proxy_spheres().iter().position(|sphere| sphere.kind == SphereKind::Burr).unwrap();
+    let from_m = m.proxy_spheres()[burr].centre_m;
+    let mut before_j = 0.0;
+    for _ in 0..20 {
+        let moved_m = m.proxy_spheres()[burr].centre_m.x - from_m.x;
+        let planes = [-1.0, 1.0].map(|side| {
+            let normal = Unit::new_unchecked(Vector3::x() * side);
+            ContactPlane::hard(burr, from_m, normal, -0.2e-3 + side * moved_m)
+        });
+        step(&mut m, rest(), TendonCommand::Force([0.0; 2]), &planes);
+        let stiffness = m.parameters().contact.stiffness_n_per_m;
+        let springs =
+            m.contact_results().iter().map(|result| 0.5 * result.normal_force_n.powi(2) / stiffness);
+        let stored_j: f64 = springs.sum();
+        assert!(stored_j - before_j < 0.1e-3, "{} mJ", (stored_j - before_j) * 1e3);
+        before_j = stored_j;
+    }
+}

@@ -18,6 +18,8 @@ pub(in crate::manipulator) struct ContactRow<const N: usize> {
     pub compliance: f64,
     /// Lower bound for normal speed + compliance * impulse, m/s, while the obstacle does not yield.
     pub target: f64,
+    /// Part of the target that pushes out overlap, m/s.
+    pub push: f64,
     /// Normal impulse at which the obstacle yields, N s.
     pub strength: f64,
     /// Whether the obstacle recedes within the step: see [`super::patch`].
@@ -113,6 +115,7 @@ impl<const N: usize> ContactRow<N> {
             friction: 0.0,
             compliance: 0.0,
             target: 0.0,
+            push: 0.0,
             strength: f64::INFINITY,
             recedes: false,
             drive: [0.0; 3],

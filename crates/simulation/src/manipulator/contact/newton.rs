@@ -34,9 +34,18 @@ const SEARCH_SHARE: f64 = 0.01;
 /// Maximum evaluations of a search.
 const SEARCH_EVALUATIONS: usize = 20;
 
+/// Maximum work of pushing out overlap per step, J. A tool that is jammed between walls resists with hundreds
+/// of newtons: without this limit, the walls would do work on it out of nothing.
+const PUSH_OUT_J: f64 = 1.0e-4;
+
 /// Residual, relative to the tolerance, beyond which a solve starts again from the free motion: the last
 /// tick's impulses can lead it far away, from where each step is short.
 const LOST_SHARE: f64 = 1.0e3;
+/// Factor by which the stops are softer where a solve starts again, and by which they harden after each
+/// iteration to the tolerance: from the free motion, each hard stop would end a step after a tiny fraction,
+/// and hundreds were needed. Powers of two, so that no compliance is rounded.
+const SOFTEST: f64 = 4096.0;
+const HARDENING: f64 = 8.0;
 
 /// Outcome of a solve.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -74,18 +83,52 @@ impl<const N: usize, O: Operator<N>> pulp::WithSimd for Problem<'_, N, O> {
 
 impl<const N: usize, O: Operator<N>> Problem<'_, N, O> {
     /// Iterates until every row satisfies its law within the tolerance, or the iteration limit is reached; in
-    /// that case, iterates again from the free motion. Leaves the impulses in the rows.
+    /// that case, iterates again from the free motion, with soft stops that harden. Leaves the impulses in
+    /// the rows.
     #[inline(always)]
     fn solve<S: pulp::Simd>(&mut self, simd: S) -> Outcome {
         self.start(simd);
-        let mut outcome = self.iterate(simd, true);
-        if outcome.residual > LOST_SHARE * self.parameters.tolerance_m_per_s {
-            self.drop_impulses();
-            let again = self.iterate(simd, false);
-            outcome = Outcome { iterations: outcome.iterations + again.iterations, ..again };
+        let (mut iterations, mut softness) = (0, 1.0);
+        let (mut is_dropped, mut is_slowed) = (false, false);
+        loop {
+            let outcome = self.iterate(simd, iterations == 0);
+            iterations += outcome.iterations;
+            if !is_dropped && outcome.residual > LOST_SHARE * self.parameters.tolerance_m_per_s {
+                self.drop_impulses();
+                is_dropped = true;
+                softness = if self.stop.is_empty() { 1.0 } else { SOFTEST };
+                self.soften_stops(softness);
+            } else if softness > 1.0 {
+                softness /= HARDENING;
+                self.soften_stops(1.0 / HARDENING);
+            } else if is_slowed || !self.slow_push_out() {
+                self.settle();
+                return Outcome { iterations, ..outcome };
+            } else {
+                is_slowed = true;
+            }
         }
-        self.settle();
-        outcome
+    }
+
+    /// Multiplies the compliance of every stop.
+    #[inline(always)]
+    fn soften_stops(&mut self, factor: f64) {
+        self.stop.iter_mut().for_each(|row| row.stop.compliance *= factor);
+    }
+
+    /// Slows the push-out of overlap if it does more than [`PUSH_OUT_J`]; returns whether it does.
+    #[inline(always)]
+    fn slow_push_out(&mut self) -> bool {
+        let contacts_j: f64 = self.row.iter().map(|row| row.impulse[0] * row.push).sum();
+        let stops_j: f64 = self.stop.iter().map(|row| row.stop.impulse * row.stop.push).sum();
+        let work_j = contacts_j + stops_j;
+        if work_j <= PUSH_OUT_J {
+            return false;
+        }
+        let slower = 1.0 - PUSH_OUT_J / work_j;
+        self.row.iter_mut().for_each(|row| row.target -= slower * row.push);
+        self.stop.iter_mut().for_each(|row| row.stop.target -= slower * row.stop.push);
+        true
     }
 
     /// Iterates from the present impulses; `warm` if they are the last tick's.
