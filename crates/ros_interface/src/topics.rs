@@ -127,7 +127,7 @@ topics! {
     ArmMeasuredCv "/<arm>/measured_cv" "geometry_msgs/TwistStamped" State
         "velocity of the tool's base along the axes of `world`, from the joints' velocities";
     ArmJacobian "/<arm>/jacobian" "std_msgs/Float64MultiArray" State
-        "6 rows by the arm's joints: linear, then angular velocity of the tool's base in `world` per joint rate";
+        "twist of the tool's base in `world` per joint rate";
     ArmMeasuredCf "/<arm>/measured_cf" "geometry_msgs/WrenchStamped" State
         "wrench of the tool on the flange, in the frame of the tool's base";
     OperatingState "/<arm>/operating_state" "crtk_msgs/OperatingState" Latched
@@ -145,11 +145,10 @@ topics! {
          outer tube";
     BurrForce "/<cm>/burr/force" "std_msgs/Float64" State "normal force between burr and bone in N";
     TipJacobian "/<cm>/jacobian" "std_msgs/Float64MultiArray" State
-        "6 rows: linear, then angular velocity of the tip in `world` per rate of each tendon's tension, then per \
-         linear and angular velocity of the tool's base; only with `manipulator.tip_jacobian`";
-    TipCompliance "/<cm>/compliance" "std_msgs/Float64MultiArray" State
-        "6 rows by 6: displacement of the tip in `world` per force, then torque on it; only with \
+        "twist of the tip in `world` per rate of each tension, then per twist of the base; needs \
          `manipulator.tip_jacobian`";
+    TipCompliance "/<cm>/compliance" "std_msgs/Float64MultiArray" State
+        "displacement of the tip in `world` per wrench on it; needs `manipulator.tip_jacobian`";
     RemovedVoxels "/removed_voxels" "std_msgs/UInt64" State
         "voxels removed since the start or the last reset";
     CArmImage "/c_arm/image_raw" "sensor_msgs/Image" Image
