@@ -229,7 +229,14 @@ fn compare(friction: f64, coupled: bool, obstacles: Obstacles) -> (f64, usize) {
                 let compliance = 1.0 / (100.0 * dt * dt);
                 StopRow::new(
                     freedom,
-                    Stop { sign: -1.0, is_hard: false, compliance, target: 0.3 * draw.next(), impulse: 0.0 },
+                    Stop {
+                        sign: -1.0,
+                        is_hard: false,
+                        compliance,
+                        target: 0.3 * draw.next(),
+                        push: 0.0,
+                        impulse: 0.0,
+                    },
                 )
             })
             .to_vec();
