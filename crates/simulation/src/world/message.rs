@@ -95,8 +95,8 @@ impl Simulation<'_> {
         for k in 0..3 {
             let moved = Vector3::ith(k, 1.0).cross(&lever_m);
             for (j, moved) in moved.iter().enumerate() {
-                for row in 0..6 {
-                    per_base[3 + k][row] += moved * own.per_base[j][row];
+                for (entry, linear) in per_base[3 + k].iter_mut().zip(&own.per_base[j]) {
+                    *entry += moved * linear;
                 }
             }
         }
