@@ -89,9 +89,9 @@ fn errors(m: &AnyManipulator, load: &Load) -> [f64; 3] {
     let tendons = m.tendon_count();
     let all = |columns: &[[f64; 6]], of: &dyn Fn(usize) -> [f64; 6]| {
         // Forces and torques, or translations and rotations, have columns of their own scale.
-        let half = columns.len() / 2;
-        let parts = if columns.len() == 6 { vec![0..half, half..6] } else { vec![0..columns.len()] };
-        parts.into_iter().fold(0.0f64, |worst, part| {
+        let kind = if columns.len() == 6 { 3 } else { columns.len() };
+        (0..columns.len()).step_by(kind).fold(0.0f64, |worst, from| {
+            let part = from..from + kind;
             let scale = scale(&columns[part.clone()]);
             part.fold(worst, |worst, k| worst.max(error(&columns[k], &of(k), &scale)))
         })
