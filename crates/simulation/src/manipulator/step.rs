@@ -15,7 +15,7 @@ use super::loads::{Frame, Loads};
 use super::parameters::Integrator;
 use super::pressing::{self, MAX_FREEDOMS, MOUNT};
 use super::state::{StepInput, StepReport};
-use super::tendon::{ActingFriction, TendonLoad, turns};
+use super::tendon::turns;
 use super::{MAX_JOINTS, Manipulator, ManipulatorModel};
 
 /// 1 - 1/sqrt 2, the choice that makes ROS2 L-stable.
@@ -66,7 +66,6 @@ impl Manipulator {
     pub(super) fn take_step(&mut self, dt_s: f64, input: &StepInput) -> Result<StepReport, ManipulatorError> {
         let (drive, frame) = self.common.begin(dt_s, input)?;
         let before = self.velocities();
-        self.tendon.acting = ActingFriction::FULL;
         let rosenbrock = self.rosenbrock(dt_s, input, &frame);
         let mut report = StepReport::none();
         let after = match rosenbrock {
@@ -172,8 +171,7 @@ impl Manipulator {
             let turned = self.turns(&expected, &after);
             let passed = stops == Stops::Near && self.passes_stop(dt, &q, &after);
             let released = self.pressed.release(dt, &after.joint, &self.common.state.stop_torque_nm);
-            let ends = !(turned || released || passed) || (round >= MAX_ROUNDS && !passed);
-            if ends && !self.friction_returns(dt, &after) {
+            if !(turned || released || passed) || (round >= MAX_ROUNDS && !passed) {
                 break after;
             }
             if passed {
@@ -186,7 +184,6 @@ impl Manipulator {
             d = self.factored_with_tendons((&q, &expected), dt, input, Stage::Start);
             round += 1;
         };
-        self.tendon.acting.scale(&mut self.tendon.lost);
         let law = self.common.parameters.stop_law();
         for i in 0..self.layout.joints {
             after.joint[i] = law.held(dt, q.joint[i] - self.rest[i], after.joint[i]);
@@ -208,12 +205,6 @@ impl Manipulator {
 
     fn turns(&self, before: &Generalised, after: &Generalised) -> bool {
         turns(&self.tendon.slides_on, &self.tendon.slope, [&before.joint, &after.joint])
-    }
-
-    /// Reduces the friction that drives the tool; returns true if there is any.
-    fn friction_returns(&mut self, dt: f64, after: &Generalised) -> bool {
-        let TendonLoad { acting, tension_n, lost, slope, .. } = &mut self.tendon;
-        acting.reduce(dt, tension_n, (lost, slope), &after.joint)
     }
 
     /// Returns the velocities after the step without contacts.
@@ -337,13 +328,8 @@ impl Manipulator {
         if !accurate || self.near_stop(&next) || !self.contacts_clear(&next, input) {
             return Err(if error.is_finite() { error } else { f64::MAX });
         }
-        let after = v.plus(1.5 * dt, &kv1).plus(0.5 * dt, &kv2);
-        if self.friction_returns(dt, &after) {
-            self.tendon.acting = ActingFriction::FULL;
-            return Err(0.0);
-        }
         next.copy_to(&mut self.common.state.position);
-        Ok((after, error))
+        Ok((v.plus(1.5 * dt, &kv1).plus(0.5 * dt, &kv2), error))
     }
 
     /// Returns the tendons, factored operator and loads of one stage at `q`, `v` in the start or trial

@@ -152,8 +152,6 @@ pub(super) struct TendonLoad {
     pub gradient: [Generalised; MAX_TENDONS],
     /// Part of the slope of each tendon with friction whose share of the tension friction takes.
     pub lost: [[f64; MAX_JOINTS]; MAX_TENDONS],
-    /// Fractions of the friction that act in this step.
-    pub acting: ActingFriction,
     /// True for each tendon whose gradient is not zero.
     pub coupled: [bool; MAX_TENDONS],
     /// True if the step assumes that this tendon's friction does not change: it was sliding at the given
@@ -172,7 +170,6 @@ impl TendonLoad {
             slope: [Generalised::ZERO; MAX_TENDONS],
             gradient: [Generalised::ZERO; MAX_TENDONS],
             lost: [[0.0; MAX_JOINTS]; MAX_TENDONS],
-            acting: ActingFriction::FULL,
             coupled: [false; MAX_TENDONS],
             slides_on: [false; MAX_TENDONS],
             tension_n: [0.0; MAX_TENDONS],
@@ -217,12 +214,11 @@ impl TendonLoad {
             let mut wrap = 0.0;
             for i in self.channels.flexures(t) {
                 wrap += 0.5 * q[i].abs();
-                let full = if frictional {
+                let share = if frictional {
                     libm::exp(-parameters.friction_coefficient * sliding * wrap)
                 } else {
                     1.0
                 };
-                let share = self.acting.passed(t, full);
                 let local = tension * share;
                 let slope = self.slope[t].joint[i];
                 self.torque[i] += local * slope;
@@ -231,9 +227,8 @@ impl TendonLoad {
                 self.stiffness[i] -= local * curvature;
                 self.gradient[t].joint[i] = elastic * share * slope;
                 if frictional {
-                    self.lost[t][i] = (1.0 - full) * slope;
-                    let friction =
-                        tension * full * parameters.friction_coefficient * slope * self.acting.share(t);
+                    self.lost[t][i] = (1.0 - share) * slope;
+                    let friction = local * parameters.friction_coefficient * slope;
                     self.stiffness[i] += 0.5 * friction * sliding * sign(q[i]);
                     if !saturated {
                         self.gradient[t].joint[i] += friction * wrap / parameters.presliding_m;
@@ -281,103 +276,6 @@ pub(super) fn turns<S: AsRef<[f64]>>(
         .iter()
         .zip(slope)
         .any(|(slides_on, slope)| *slides_on && rate(slope, before) * rate(slope, after) < 0.0)
-}
-
-/// Energy that friction may return in a step without consequences, J: well below what a tick may create
-/// without a report.
-const RETURNED_J: f64 = 1.0e-5;
-
-/// How much of a tendon's friction acts in a step.
-#[derive(Debug, Clone, Copy, PartialEq)]
-enum Acting {
-    /// All of it.
-    Full,
-    /// None; under full friction, the rate of loss over the tension is the negative one given, m/s.
-    Without(f64),
-    /// This fraction.
-    Share(f64),
-}
-
-impl Acting {
-    fn share(self) -> f64 {
-        match self {
-            Acting::Full => 1.0,
-            Acting::Without(_) => 0.0,
-            Acting::Share(share) => share,
-        }
-    }
-}
-
-/// The friction of each tendon that acts in a step.
-///
-/// The one sliding state of a tendon is that of its whole length. Where flexures bend against each other, the
-/// tendon slides through some holes against that state, and its friction there would drive the tool. In such
-/// a step only as much of it acts as stops this motion: Coulomb's law along it.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct ActingFriction([Acting; MAX_TENDONS]);
-
-impl ActingFriction {
-    pub const FULL: Self = Self([Acting::Full; MAX_TENDONS]);
-
-    /// Returns the fraction of the friction of tendon `t` that acts.
-    pub fn share(&self, t: usize) -> f64 {
-        self.0[t].share()
-    }
-
-    /// Returns the share of the tension of tendon `t` that passes where all friction would leave `full`.
-    pub fn passed(&self, t: usize, full: f64) -> f64 {
-        if self.0[t] == Acting::Full { full } else { 1.0 + self.share(t) * (full - 1.0) }
-    }
-
-    /// Reduces the friction that drives the tool at the velocities `rate` after a step; returns whether any
-    /// was reduced and the step must be repeated. `lost` is what full friction takes of each `slope`. What
-    /// presliding has stored may return.
-    pub fn reduce(
-        &mut self,
-        dt: f64,
-        tension_n: &[f64; MAX_TENDONS],
-        (lost, slope): (&[impl AsRef<[f64]>; MAX_TENDONS], &[impl AsRef<[f64]>; MAX_TENDONS]),
-        rate: &[f64],
-    ) -> bool {
-        let along = |list: &[f64]| list.iter().zip(rate).map(|(x, rate)| x * rate).sum::<f64>();
-        let mut any = false;
-        for (t, acting) in self.0.iter_mut().enumerate() {
-            let (impulse_n_s, lost, slope) = (tension_n[t] * dt, lost[t].as_ref(), slope[t].as_ref());
-            if impulse_n_s <= 0.0 {
-                continue;
-            }
-            let next = match *acting {
-                Acting::Full => {
-                    let lost_m_per_s = along(lost);
-                    if lost_m_per_s * impulse_n_s >= -RETURNED_J {
-                        continue;
-                    }
-                    let pairs = || lost.iter().zip(slope);
-                    let mean = pairs().map(|(lost, slope)| lost * sign(*slope)).sum::<f64>()
-                        / pairs().map(|(_, slope)| slope.abs()).sum::<f64>();
-                    let stored_m_per_s = (mean * along(slope)).min(0.0);
-                    let is_stored = (lost_m_per_s - stored_m_per_s) * impulse_n_s >= -RETURNED_J;
-                    if is_stored { Acting::Full } else { Acting::Without(lost_m_per_s) }
-                }
-                Acting::Without(returned_m_per_s) => {
-                    let free_m_per_s = along(lost).max(0.0);
-                    Acting::Share(free_m_per_s / (free_m_per_s - returned_m_per_s))
-                }
-                Acting::Share(share) if share * along(lost) * impulse_n_s < -RETURNED_J => Acting::Share(0.0),
-                Acting::Share(share) => Acting::Share(share),
-            };
-            any |= next.share() != acting.share();
-            *acting = next;
-        }
-        any
-    }
-
-    /// Scales what full friction takes to what acts.
-    pub fn scale<S: AsMut<[f64]>>(&self, lost: &mut [S; MAX_TENDONS]) {
-        for (t, lost) in lost.iter_mut().enumerate().filter(|(t, _)| self.0[*t] != Acting::Full) {
-            lost.as_mut().iter_mut().for_each(|lost| *lost *= self.share(t));
-        }
-    }
 }
 
 /// Returns the power that friction takes from tendons with these tensions, W: of each the tension times

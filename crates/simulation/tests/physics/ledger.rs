@@ -391,19 +391,6 @@ fn pulled_in_turn(dt_ms: f64, keys: &str, tensions_n: &[[f64; 2]]) -> f64 {
     residual
 }
 
-/// Two antagonists bend the flexures against each other, where a tendon slides through some holes against the
-/// sliding state of its whole length.
-#[test]
-fn the_friction_of_a_tendon_does_not_drive_the_tool() {
-    for model in ["planar", "spatial", "full"] {
-        let keys = |friction: f64, more: &str| {
-            format!("model = \"{model}\"\ntendon_friction = {friction:?}\nnotch_past_axis_mm = 0.6\n{more}")
-        };
-        pulled_in_turn(4.6, &keys(1.0, "links = 16\nmass_scale = 0.166"), &[[40.0, 17.0], [58.0, 1.2]]);
-        pulled_in_turn(5.0, &keys(0.9, ""), &[[42.0, 60.0], [60.0, 0.0], [29.0, 41.0], [48.0, 60.0]]);
-    }
-}
-
 /// Soft flexures between hard stops: the solver started from the free motion, did not converge, and the held
 /// flexures had velocities of another motion.
 #[test]

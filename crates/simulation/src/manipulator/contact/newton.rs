@@ -83,29 +83,32 @@ impl<const N: usize, O: Operator<N>> pulp::WithSimd for Problem<'_, N, O> {
 
 impl<const N: usize, O: Operator<N>> Problem<'_, N, O> {
     /// Iterates until every row satisfies its law within the tolerance, or the iteration limit is reached; in
-    /// that case, iterates again from the free motion, with soft stops that harden. Leaves the impulses in
-    /// the rows.
+    /// that case, iterates again from the free motion, with soft stops that harden, at most as often. Leaves
+    /// the impulses in the rows.
     #[inline(always)]
     fn solve<S: pulp::Simd>(&mut self, simd: S) -> Outcome {
         self.start(simd);
+        let most = self.parameters.max_iterations;
         let (mut iterations, mut softness) = (0, 1.0);
         let (mut is_dropped, mut is_slowed) = (false, false);
         loop {
-            let outcome = self.iterate(simd, iterations == 0);
+            let outcome = self.iterate(simd, iterations == 0, most.min(2 * most - iterations));
             iterations += outcome.iterations;
-            if !is_dropped && outcome.residual > LOST_SHARE * self.parameters.tolerance_m_per_s {
+            let may_go_on = iterations < 2 * most;
+            if may_go_on && !is_dropped && outcome.residual > LOST_SHARE * self.parameters.tolerance_m_per_s {
                 self.drop_impulses();
                 is_dropped = true;
                 softness = if self.stop.is_empty() { 1.0 } else { SOFTEST };
                 self.soften_stops(softness);
-            } else if softness > 1.0 {
+            } else if may_go_on && softness > 1.0 {
                 softness /= HARDENING;
                 self.soften_stops(1.0 / HARDENING);
-            } else if is_slowed || !self.slow_push_out() {
+            } else if may_go_on && !is_slowed && self.slow_push_out() {
+                is_slowed = true;
+            } else {
+                self.soften_stops(1.0 / softness);
                 self.settle();
                 return Outcome { iterations, ..outcome };
-            } else {
-                is_slowed = true;
             }
         }
     }
@@ -131,13 +134,11 @@ impl<const N: usize, O: Operator<N>> Problem<'_, N, O> {
         true
     }
 
-    /// Iterates from the present impulses; `warm` if they are the last tick's.
+    /// Iterates from the present impulses, at most `most` times; `warm` if they are the last tick's.
     #[inline(always)]
-    fn iterate<S: pulp::Simd>(&mut self, simd: S, warm: bool) -> Outcome {
+    fn iterate<S: pulp::Simd>(&mut self, simd: S, warm: bool, most: usize) -> Outcome {
         let mut outcome = Outcome { iterations: 0, residual: f64::INFINITY };
-        while outcome.residual > self.parameters.tolerance_m_per_s
-            && outcome.iterations < self.parameters.max_iterations
-        {
+        while outcome.residual > self.parameters.tolerance_m_per_s && outcome.iterations < most {
             let first = warm && outcome.iterations == 0;
             outcome.iterations += 1;
             self.newton_step(simd, first);

@@ -6,7 +6,7 @@ use super::SpatialChain;
 use super::algebra::{Spatial, ZERO, add_scaled, force_at};
 use super::energy::{FRAME_SHARE, LoadWork, tendon_share};
 use super::layout::SpatialLayout;
-use super::tendon::{Motion, TendonLoad};
+use super::tendon::Motion;
 use crate::manipulator::ManipulatorModel;
 use crate::manipulator::contact::{BaseDrive, ContactPlacement};
 use crate::manipulator::error::ManipulatorError;
@@ -15,7 +15,7 @@ use crate::manipulator::loads::Frame;
 use crate::manipulator::parameters::Integrator;
 use crate::manipulator::state::{StepInput, StepReport};
 use crate::manipulator::step::{FREE_SHARE, GAMMA, MAX_ROUNDS, Stage, Stops};
-use crate::manipulator::tendon::{ActingFriction, turns};
+use crate::manipulator::tendon::turns;
 
 /// Work vectors of a step, one entry per degree of freedom.
 #[derive(Debug, Clone, Default)]
@@ -81,12 +81,6 @@ fn fill(out: &mut [f64], f: impl Fn(usize) -> f64) {
     }
 }
 
-/// Reduces the friction that drives the tool; returns true if there is any.
-fn friction_returns(tendon: &mut TendonLoad, dt: f64, after: &[f64]) -> bool {
-    let TendonLoad { acting, tension_n, lost, slope, .. } = tendon;
-    acting.reduce(dt, tension_n, (lost, slope), after)
-}
-
 impl<const D: usize> SpatialChain<D> {
     /// See [`ManipulatorModel::step`].
     pub(super) fn take_step(&mut self, dt_s: f64, input: &StepInput) -> Result<StepReport, ManipulatorError> {
@@ -94,7 +88,6 @@ impl<const D: usize> SpatialChain<D> {
         // Moved out and back so that the step does not allocate.
         let mut work = core::mem::take(&mut self.work);
         work.before.copy_from_slice(&self.common.state.velocity);
-        self.tendon.acting = ActingFriction::FULL;
         let mut report = StepReport::none();
         match self.rosenbrock(dt_s, input, &frame, &mut work) {
             Ok(error) => {
@@ -197,8 +190,7 @@ impl<const D: usize> SpatialChain<D> {
                 !self.explicit && turns(&self.tendon.slides_on, &self.tendon.slope, [expected, after]);
             let passed = !self.explicit && stops == Stops::Near && self.passes_stop(dt, after);
             let released = self.pressed.release(dt, after, &self.common.state.stop_torque_nm);
-            let ends = !(turned || released || passed) || (round >= MAX_ROUNDS && !passed);
-            if ends && (self.explicit || !friction_returns(&mut self.tendon, dt, after)) {
+            if !(turned || released || passed) || (round >= MAX_ROUNDS && !passed) {
                 break;
             }
             if passed {
@@ -214,7 +206,6 @@ impl<const D: usize> SpatialChain<D> {
             self.common.state.position = q;
             round += 1;
         }
-        self.tendon.acting.scale(&mut self.tendon.lost);
         if !self.explicit {
             let law = self.common.parameters.stop_law();
             for k in self.layout.stopped() {
@@ -405,10 +396,6 @@ impl<const D: usize> SpatialChain<D> {
             let kq2 = v2[i] - 2.0 * kq1[i] + h * kv2[i];
             next[i] = q[i] + 1.5 * dt * kq1[i] + 0.5 * dt * kq2;
             after[i] = before[i] + 1.5 * dt * kv1[i] + 0.5 * dt * kv2[i];
-        }
-        if friction_returns(&mut self.tendon, dt, after) {
-            self.tendon.acting = ActingFriction::FULL;
-            return None;
         }
         for joint in 0..self.layout.joints {
             let bend = self.layout.bend(joint);

@@ -13,7 +13,7 @@ use crate::manipulator::coupling::TendonTerms;
 use crate::manipulator::helix::{Chord, Crossing, crossings};
 use crate::manipulator::parameters::{ManipulatorParameters, TendonParameters};
 use crate::manipulator::state::TendonCommand;
-use crate::manipulator::tendon::{ActingFriction, Channels, TendonMemory, base_tension};
+use crate::manipulator::tendon::{Channels, TendonMemory, base_tension};
 use crate::manipulator::tip_jacobian::Pulls;
 
 /// Generalised forces of all tendons in one configuration, and their derivatives.
@@ -32,8 +32,6 @@ pub(super) struct TendonLoad {
     pub gradient: [Vec<f64>; MAX_TENDONS],
     /// Part of the slope of each tendon with friction whose share of the tension friction takes.
     pub lost: [Vec<f64>; MAX_TENDONS],
-    /// Fractions of the friction that act in this step.
-    pub acting: ActingFriction,
     /// True for each tendon whose gradient is not zero.
     pub coupled: [bool; MAX_TENDONS],
     /// Tension at the proximal end, N.
@@ -113,7 +111,6 @@ impl TendonLoad {
             slope: core::array::from_fn(|_| blank()),
             gradient: core::array::from_fn(|_| blank()),
             lost: core::array::from_fn(|_| blank()),
-            acting: ActingFriction::FULL,
             coupled: [false; MAX_TENDONS],
             tension_n: [0.0; MAX_TENDONS],
             slides_on: [false; MAX_TENDONS],
@@ -166,19 +163,17 @@ impl TendonLoad {
                 };
                 wrap += 0.5 * take_up.turn_rad;
                 let mu = if frictional { p.friction_coefficient } else { 0.0 };
-                let full = if frictional { libm::exp(-mu * sliding * wrap) } else { 1.0 };
-                let share = self.acting.passed(t, full);
+                let share = if frictional { libm::exp(-mu * sliding * wrap) } else { 1.0 };
                 let local = tension * share;
-                let bound = tension * full * self.acting.share(t);
-                let winding = 0.5 * bound * mu * sliding;
-                let friction = if saturated { 0.0 } else { bound * mu * wrap / p.presliding_m };
+                let winding = 0.5 * local * mu * sliding;
+                let friction = if saturated { 0.0 } else { local * mu * wrap / p.presliding_m };
                 wrap += 0.5 * take_up.turn_rad;
                 for k in first..first + D {
                     let slope = self.slope[t][k];
                     self.torque[k] += local * slope;
                     self.gradient[t][k] = (elastic * share + friction) * slope;
                     if frictional {
-                        self.lost[t][k] = (1.0 - full) * slope;
+                        self.lost[t][k] = (1.0 - share) * slope;
                     }
                 }
                 for k in 0..D.min(2) {
