@@ -41,12 +41,6 @@ const PUSH_OUT_J: f64 = 1.0e-4;
 /// Residual, relative to the tolerance, beyond which a solve starts again from the free motion: the last
 /// tick's impulses can lead it far away, from where each step is short.
 const LOST_SHARE: f64 = 1.0e3;
-/// Factor by which the stops are softer where a solve starts again, and by which they harden after each
-/// iteration to the tolerance: from the free motion, each hard stop would end a step after a tiny fraction,
-/// and hundreds were needed. Powers of two, so that no compliance is rounded.
-const SOFTEST: f64 = 4096.0;
-const HARDENING: f64 = 8.0;
-
 /// Outcome of a solve.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(in crate::manipulator) struct Outcome {
@@ -83,40 +77,24 @@ impl<const N: usize, O: Operator<N>> pulp::WithSimd for Problem<'_, N, O> {
 
 impl<const N: usize, O: Operator<N>> Problem<'_, N, O> {
     /// Iterates until every row satisfies its law within the tolerance, or the iteration limit is reached; in
-    /// that case, iterates again from the free motion, with soft stops that harden, at most as often. Leaves
-    /// the impulses in the rows.
+    /// that case, iterates again from the free motion. Iterates on if pushing out overlap does too much work,
+    /// in all at most twice the limit. Leaves the impulses in the rows.
     #[inline(always)]
     fn solve<S: pulp::Simd>(&mut self, simd: S) -> Outcome {
         self.start(simd);
         let most = self.parameters.max_iterations;
-        let (mut iterations, mut softness) = (0, 1.0);
-        let (mut is_dropped, mut is_slowed) = (false, false);
-        loop {
-            let outcome = self.iterate(simd, iterations == 0, most.min(2 * most - iterations));
-            iterations += outcome.iterations;
-            let may_go_on = iterations < 2 * most;
-            if may_go_on && !is_dropped && outcome.residual > LOST_SHARE * self.parameters.tolerance_m_per_s {
-                self.drop_impulses();
-                is_dropped = true;
-                softness = if self.stop.is_empty() { 1.0 } else { SOFTEST };
-                self.soften_stops(softness);
-            } else if may_go_on && softness > 1.0 {
-                softness /= HARDENING;
-                self.soften_stops(1.0 / HARDENING);
-            } else if may_go_on && !is_slowed && self.slow_push_out() {
-                is_slowed = true;
-            } else {
-                self.soften_stops(1.0 / softness);
-                self.settle();
-                return Outcome { iterations, ..outcome };
-            }
+        let mut outcome = self.iterate(simd, true, most);
+        if outcome.residual > LOST_SHARE * self.parameters.tolerance_m_per_s {
+            self.drop_impulses();
+            let again = self.iterate(simd, false, most);
+            outcome = Outcome { iterations: outcome.iterations + again.iterations, ..again };
         }
-    }
-
-    /// Multiplies the compliance of every stop.
-    #[inline(always)]
-    fn soften_stops(&mut self, factor: f64) {
-        self.stop.iter_mut().for_each(|row| row.stop.compliance *= factor);
+        if outcome.iterations < 2 * most && self.slow_push_out() {
+            let on = self.iterate(simd, false, most.min(2 * most - outcome.iterations));
+            outcome = Outcome { iterations: outcome.iterations + on.iterations, ..on };
+        }
+        self.settle();
+        outcome
     }
 
     /// Slows the push-out of overlap if it does more than [`PUSH_OUT_J`]; returns whether it does.
