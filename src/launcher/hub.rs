@@ -149,6 +149,7 @@ pub fn session_plan(scene: &Scene, ct: Option<&Ct>, recording: Recording) -> Ses
         volume_bytes: ct.map_or(0, |ct| VolumeMessage::DESCRIPTION.size + ct.volume.hu.len() * 2),
         frame_bytes: scene.drr.as_ref().map_or(0, |drr| services::frame_bytes(drr.columns, drr.rows)),
         sensors: scene.has_readings(),
+        tip_jacobian: scene.has_tip_jacobian(),
         recorder: recording == Recording::On,
         wait: wait_for_each_other(scene),
         policy: scene.run.policy,

@@ -214,6 +214,7 @@ mod tests {
             volume_bytes,
             frame_bytes,
             sensors: false,
+            tip_jacobian: false,
             recorder: true,
             wait: Wait::Event,
             policy: Policy::Other,

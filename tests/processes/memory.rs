@@ -183,6 +183,7 @@ fn a_session_takes_the_shared_memory_that_was_computed() {
         volume_bytes: 2 * 40 * 40 * 60,
         frame_bytes: frame_bytes(64, 64),
         sensors: false,
+        tip_jacobian: false,
         recorder: true,
         wait: Wait::Event,
         policy: Policy::Other,

@@ -37,6 +37,7 @@ fn plan() -> SessionPlan {
         volume_bytes: 0,
         frame_bytes: 0,
         sensors: false,
+        tip_jacobian: false,
         recorder: true,
         wait: Wait::Hybrid,
         policy: Policy::Other,

@@ -48,6 +48,8 @@ pub struct SessionPlan {
     pub frame_bytes: usize,
     /// Whether the scene has sensors.
     pub sensors: bool,
+    /// Whether the scene asks for the tip's Jacobian.
+    pub tip_jacobian: bool,
     /// Whether a recorder takes part; if so, the physics waits for it.
     pub recorder: bool,
     /// How physics and controllers wait for each other.
@@ -176,6 +178,7 @@ impl SessionPlan {
                 name if name == services::VOLUME.name => self.volume_bytes,
                 name if name == services::FRAME.name => self.frame_bytes,
                 name if name == services::SENSOR.name && !self.sensors => 0,
+                name if name == services::TIP_JACOBIAN.name && !self.tip_jacobian => 0,
                 _ => service.max_bytes,
             };
             if max_bytes > 0 {

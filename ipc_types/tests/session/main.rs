@@ -20,6 +20,7 @@ fn plan(controllers: &[&str]) -> SessionPlan {
         volume_bytes: 4096,
         frame_bytes: 1024,
         sensors: false,
+        tip_jacobian: false,
         recorder: true,
         wait: Wait::Hybrid,
         policy: Policy::Other,

@@ -146,6 +146,7 @@ pub fn measure_on(
         volume_bytes: 0,
         frame_bytes: 0,
         sensors: false,
+        tip_jacobian: false,
         recorder: false,
         wait: scene::Wait::Hybrid,
         policy: scene::Policy::Other,

@@ -248,6 +248,7 @@ mod tests {
             volume_bytes: 4096,
             frame_bytes: 0,
             sensors: false,
+            tip_jacobian: false,
             recorder: false,
             wait: Wait::Hybrid,
             policy: Policy::Other,

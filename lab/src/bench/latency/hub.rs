@@ -48,6 +48,7 @@ pub(super) fn measure(
         volume_bytes: 0,
         frame_bytes: 0,
         sensors: false,
+        tip_jacobian: false,
         recorder: false,
         wait: scene::Wait::Hybrid,
         policy: scene::Policy::Other,
