@@ -19,7 +19,7 @@ from ._errors import ArgumentError, Ended, Error, ReadOnlyError
 from ._generated import *  # noqa: F403  messages and constants
 from ._generated import VERSION as __version__
 from ._geometry import pixel_to_world, pose_matrix, rotation_matrix, world_to_pixel
-from ._results import Ct, Image, Info, Reading, Removal, SessionEvent, TipJacobian
+from ._results import Ct, Image, Info, Jacobian, Reading, Removal, SessionEvent
 from ._run import run
 from ._view import Elements, View
 
@@ -32,11 +32,11 @@ __all__ = [
     "Error",
     "Image",
     "Info",
+    "Jacobian",
     "ReadOnlyError",
     "Reading",
     "Removal",
     "SessionEvent",
-    "TipJacobian",
     "View",
     "pixel_to_world",
     "pose_matrix",

@@ -17,7 +17,7 @@ from ._calls import Memory, check, connected, slices, text_of, whole
 from ._calls import library as _library
 from ._errors import ArgumentError, Ended, Error
 from ._geometry import numbers
-from ._results import Ct, Image, Info, Reading, Removal, SessionEvent, TipJacobian, as_array
+from ._results import Ct, Image, Info, Jacobian, Reading, Removal, SessionEvent, as_array
 from ._view import Values, View
 
 _byref = ctypes.byref
@@ -457,7 +457,7 @@ class Client:
             check(status)
             readings.append(Reading.of(self._view(g.SensorReading, address.value)))
 
-    def tip_jacobian(self) -> Optional[TipJacobian]:
+    def tip_jacobian(self) -> Optional[Jacobian]:
         """Returns a copy of the newest Jacobian of the tip, or None if the scene does not set
         `manipulator.tip_jacobian`. That of a state is available when the state is.
         """
@@ -466,7 +466,7 @@ class Client:
         if status == g.TIMEOUT:
             return None
         check(status)
-        return TipJacobian.of(self._view(g.TipJacobian, address.value))
+        return Jacobian.of(self._view(g.TipJacobian, address.value))
 
     def next_removed(self) -> Optional[Removal]:
         """Returns the oldest message about removed voxels not yet taken, or None; queued from the first call

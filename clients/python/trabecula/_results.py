@@ -138,7 +138,7 @@ class Reading(NamedTuple):
         )
 
 
-class TipJacobian(NamedTuple):
+class Jacobian(NamedTuple):
     """Jacobian and compliance of the tip, copied; rows are linear, then angular, world axes."""
 
     #: `State.tick` of the state.
@@ -151,10 +151,10 @@ class TipJacobian(NamedTuple):
     compliance: npt.NDArray[np.float64]
 
     @staticmethod
-    def of(message: g.TipJacobian) -> TipJacobian:
+    def of(message: g.TipJacobian) -> Jacobian:
         """Copies a message."""
         fields = (message.per_tension, message.per_base, message.compliance)
-        return TipJacobian(message.tick, *(np.array(field).reshape(6, -1) for field in fields))
+        return Jacobian(message.tick, *(np.array(field).reshape(6, -1) for field in fields))
 
 
 class SessionEvent(NamedTuple):

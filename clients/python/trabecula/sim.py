@@ -32,7 +32,7 @@ from ._errors import ArgumentError
 from ._native import native
 from ._labels import Labels, Mask
 from ._linear import LinearModel, signals
-from ._results import Ct, Image, Reading, TipJacobian
+from ._results import Ct, Image, Jacobian, Reading
 from ._run import settings
 
 __all__ = ["Batch", "Labels", "LinearModel", "Mask", "Sim", "Snapshot", "identify"]
@@ -209,9 +209,9 @@ class Sim:
         size = g.SensorReading.dtype.itemsize
         return [Reading.of(g.SensorReading(data[at : at + size])) for at in range(0, len(data), size)]
 
-    def tip_jacobian(self) -> TipJacobian:
+    def tip_jacobian(self) -> Jacobian:
         """Returns Jacobian and compliance of the tip at the current state."""
-        return TipJacobian.of(g.TipJacobian(self._native.tip_jacobian()))
+        return Jacobian.of(g.TipJacobian(self._native.tip_jacobian()))
 
     def step(self, command: Commands = None, ticks: int = 1) -> g.State:
         """Runs ticks and returns the state after the last one.

@@ -217,7 +217,9 @@ mod tests {
         let long = |field: &&Field| field.array_length.is_some_and(|length| length > 9);
         for message in nested_first() {
             let name = message.short_name();
-            for field in message.fields.iter().filter(long).filter(|field| field.name != "sha256") {
+            // A hash and matrices are always whole.
+            let is_whole = |field: &&Field| field.name == "sha256" || name == "TipJacobian";
+            for field in message.fields.iter().filter(long).filter(|field| !is_whole(field)) {
                 assert!(
                     USED_LENGTHS.iter().any(|(of, array, _)| (*of, *array) == (name, field.name)),
                     "{name}.{}",
