@@ -59,7 +59,7 @@ fn a_capacity_that_is_reached_is_an_event_a_warning_and_a_count() {
     assert!(said.len() == 1 && said[0].0 == 0 && said[0].1.contains(words), "{said:?}");
 
     assert!(said[0].1.starts_with("contact capacity reached: "), "{said:?}");
-    // The walls overlap the tool at the start; pushing it out creates no energy, of which a warning would say.
+    // The walls overlap the tool at the start. Pushing it out creates no energy: no later warning says so.
     let last = ended.out.lines().find(|line| line.starts_with("last warning")).unwrap_or_default();
     assert!(last.contains(words), "{}", ended.out);
     let events = ended.out.lines().find(|line| line.starts_with("events")).unwrap_or_default();

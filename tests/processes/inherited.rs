@@ -220,8 +220,8 @@ fn a_viewer_with_too_few_processes_ends_with_a_message() {
     }
 }
 
-/// Regression: a timer that the parent had set killed the launcher, and so the run. Blocked, so that it cannot
-/// end the parent before `exec`: the launcher finds a pending signal and a timer that goes on.
+/// Regression: a timer that the parent had set killed the launcher, and so the run. Its signal is blocked, so
+/// that it cannot end the parent before `exec`: the launcher finds a pending signal and a running timer.
 #[test]
 fn a_timer_of_the_parent_does_not_end_a_run() {
     for (timer, its_signal) in [("REAL", "SIGALRM"), ("VIRTUAL", "SIGVTALRM"), ("PROF", "SIGPROF")] {

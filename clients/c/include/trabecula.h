@@ -1267,7 +1267,7 @@ int32_t trb_next_removed(trb_client client, trb_removed_view *view);
  * next call of trb_next_reading that returns TRB_OK, or trb_disconnect. */
 int32_t trb_next_reading(trb_client client, const trb_sensor_reading **reading);
 
-/* Returns the newest Jacobian of the tip; TRB_TIMEOUT if there is none, because the scene does not set
+/* Returns the newest Jacobian of the tip; TRB_TIMEOUT if the scene does not set
  * `manipulator.tip_jacobian`. That of a state is available when the state is. `*jacobian` points into
  * shared memory and stays valid and unchanged until this client's next call of
  * trb_newest_tip_jacobian, or trb_disconnect. */

@@ -169,8 +169,8 @@ public:
         const trb_sensor_reading *reading = nullptr;
         return came(trb_next_reading(client_, &reading)) ? reading : nullptr;
     }
-    // Returns the newest Jacobian of the tip, or null if the scene does not set `manipulator.tip_jacobian`; that
-    // of a state is available when the state is. Valid until the next call.
+    // Returns the newest Jacobian of the tip, or null if the scene does not set `manipulator.tip_jacobian`;
+    // that of a state is available when the state is. Valid until the next call.
     const trb_tip_jacobian *tip_jacobian() {
         const trb_tip_jacobian *jacobian = nullptr;
         return came(trb_newest_tip_jacobian(client_, &jacobian)) ? jacobian : nullptr;

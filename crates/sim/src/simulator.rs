@@ -164,7 +164,8 @@ impl Sim {
         }
     }
 
-    /// Returns Jacobian and compliance of the tip at the present state, whatever `manipulator.tip_jacobian` is.
+    /// Returns Jacobian and compliance of the tip at the present state, also without
+    /// `manipulator.tip_jacobian`.
     pub fn tip_jacobian(&self) -> TipJacobian {
         self.run.plant().tip_jacobian()
     }

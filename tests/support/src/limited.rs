@@ -127,8 +127,8 @@ impl Drop for Watchdog {
     }
 }
 
-/// Ends the test program if the test that made this has not ended within half an hour: cargo's test runner has
-/// no limit of its own, and waits for a hung test without naming it.
+/// Ends the test program if the test that made this has not ended within half an hour: cargo's test runner
+/// has no limit of its own, and waits for a hung test without naming it.
 #[derive(Debug)]
 pub struct TestLimit(Sender<()>);
 

@@ -87,8 +87,8 @@ impl Client {
         Ok(None)
     }
 
-    /// Returns the newest Jacobian of the tip, if the scene sets `manipulator.tip_jacobian`; that of a state is
-    /// available when the state is. It stays in shared memory until a newer one is returned.
+    /// Returns the newest Jacobian of the tip, if the scene sets `manipulator.tip_jacobian`; that of a state
+    /// is available when the state is. It stays in shared memory until a newer one is returned.
     ///
     /// # Errors
     /// [`ClientError::Forked`]; or a transport error.

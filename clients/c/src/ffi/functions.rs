@@ -383,10 +383,10 @@ functions! {
         })
     }
 
-    /// Returns the newest Jacobian of the tip; TRB_TIMEOUT if there is none, because the scene does not set
+    /// Returns the newest Jacobian of the tip; TRB_TIMEOUT if the scene does not set
     /// `manipulator.tip_jacobian`. That of a state is available when the state is. `*jacobian` points into
-    /// shared memory and stays valid and unchanged until this client's next call of trb_newest_tip_jacobian, or
-    /// trb_disconnect.
+    /// shared memory and stays valid and unchanged until this client's next call of
+    /// trb_newest_tip_jacobian, or trb_disconnect.
     fn trb_newest_tip_jacobian(client: u64, jacobian: *mut *const TipJacobian) -> i32 {
         outcome(|| {
             check_null(jacobian, "jacobian")?;

@@ -103,8 +103,8 @@ pub struct Manipulator {
     pub burr_stall_torque_nmm: Option<f64>,
     /// Time integration: `hybrid`, the standard, is second order in free motion.
     pub integrator: Option<Integrator>,
-    /// Whether each state is accompanied by the message `TipJacobian`: Jacobian and compliance of the tip, for
-    /// controllers (docs/control.md).
+    /// Whether each state is accompanied by the message `TipJacobian`: Jacobian and compliance of the tip,
+    /// for controllers (docs/control.md).
     #[schemars(extend("x-absent" = "false"))]
     pub tip_jacobian: Option<bool>,
 }

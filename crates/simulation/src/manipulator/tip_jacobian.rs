@@ -1,22 +1,23 @@
 //! Tip Jacobian and tip compliance at the present state.
 //!
-//! At rest the generalised forces of springs, tendons and contacts cancel. A small change of the tensions T, of
-//! the base's pose and of a wrench W on the tip then moves the freedoms by
+//! At rest the generalised forces of springs, tendons and contacts cancel. A small change of the tensions T,
+//! of the base's pose and of a wrench W on the tip then moves the freedoms by
 //!
 //! `dq = K⁻¹ (Bᵀ dT + Jᵀ dW)`, with `K = diag(k) + sum over contacts of k_c f fᵀ`
 //!
 //! k are the springs of flexures, mount and pressed stops with the tendons' part at constant tension, B the
-//! slopes of the tendons with the share of the tension that friction leaves, J the motion of the tip, and f the
-//! unit force of a contact along its normal. These are the terms of the step's implicit operator without
-//! masses. As there, the turning of loads with the tool (gravity, contact forces) is left out. K depends on the
-//! contacts that press and on the bone as it is; the friction of contacts and the sliding state of tendons do
-//! not change. As in the step, a flexure's wrap changes the friction in itself but not in more distal ones: at a
-//! friction of 0.2 and a bend of 50 degrees, the columns of a sliding tendon are 8 % too long.
+//! slopes of the tendons with the share of the tension that friction leaves, J the motion of the tip, and f
+//! the unit force of a contact along its normal. These are the terms of the step's implicit operator without
+//! masses. As there, the turning of loads with the tool (gravity, contact forces) is left out. K depends on
+//! the contacts that press and on the bone as it is; the friction of contacts and the sliding state of
+//! tendons do not change. As in the step, a flexure's wrap changes the friction in itself but not in more
+//! distal ones: at a friction of 0.2 and a bend of 50 degrees, the columns of a sliding tendon are 8 % too
+//! long.
 //!
-//! Of a chain no matrix is factored: from base to tip, every spring adds its flexibility to that of the link
-//! before it, and every contact takes away a part (Sherman and Morrison), so the cost is O(freedoms +
-//! contacts). Springs in series like this are the force-deflection rule for flexible manipulators; see Siciliano
-//! and Khatib (eds.), Springer Handbook of Robotics, 2nd ed., ch. 11.
+//! A chain needs no matrix factorization: from base to tip, every spring adds its flexibility to that of the
+//! link before it, and every contact takes away a part (Sherman and Morrison), so the cost is O(freedoms +
+//! contacts). Springs in series like this are the force-deflection rule for flexible manipulators; see
+//! Siciliano and Khatib (eds.), Springer Handbook of Robotics, 2nd ed., ch. 11.
 
 use nalgebra::{Isometry3, SMatrix, SVector, Vector3};
 
@@ -26,8 +27,8 @@ use super::spatial::algebra::{Spatial, ZERO, dot, force_at};
 use super::state::ManipulatorState;
 use super::tendon::{Channels, sign};
 
-/// Least stiffness of a freedom relative to that of its own spring: tendons of a tool that buckles cannot make
-/// it softer.
+/// Least stiffness of a freedom relative to that of its own spring: tendons of a tool that buckles cannot
+/// make it softer.
 const LEAST_STIFFNESS: f64 = 1e-6;
 
 /// Derivatives of the pose of the tip, world axes; columns of six are linear, then angular.
@@ -41,8 +42,8 @@ pub struct TipJacobian {
     pub compliance: [[f64; 6]; 6],
 }
 
-/// Motion of a link (angular, then linear), base axes at the base origin, per unit of each tension, component of the base's motion, and
-/// component of a force on the link.
+/// Motion of a link (angular, then linear), base axes at the base origin, per unit of each tension, component
+/// of the base's motion, and component of a force on the link.
 #[derive(Debug, Clone)]
 pub struct LinkMotion {
     per_tension: [Spatial; MAX_TENDONS],
@@ -269,8 +270,8 @@ impl<'t> Pulls<'t> {
         [share, share * tension_n, 0.5 * mu * self.sliding[t] * share * tension_n]
     }
 
-    /// Returns the tendons' stiffness of planar flexure `i`, bent by `q` rad, and the torque on it per unit of
-    /// each tension: the formulas of [`super::tendon`].
+    /// Returns the tendons' stiffness of planar flexure `i`, bent by `q` rad, and the torque on it per unit
+    /// of each tension: the formulas of [`super::tendon`].
     pub fn planar(&mut self, i: usize, q: f64, [half_sin, half_cos]: [f64; 2]) -> (f64, [f64; MAX_TENDONS]) {
         let (mut stiffness, mut pull) = (0.0, [0.0; MAX_TENDONS]);
         for t in (0..self.channels.count).filter(|t| self.channels.flexures(*t).contains(&i)) {

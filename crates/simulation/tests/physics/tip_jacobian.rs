@@ -78,7 +78,7 @@ fn scale(columns: &[[f64; 6]]) -> [f64; 2] {
     let largest = |rows: core::ops::Range<usize>| {
         columns.iter().flat_map(|c| c[rows.clone()].to_vec()).fold(0.0, |m: f64, x| m.max(x.abs()))
     };
-    // Of a rotation by 1 rad, 1 mm is little; of a translation by 1 m, 1 rad.
+    // Compared with a rotation by 1 rad, 1 mm is small; compared with a translation by 1 m, 1 rad is.
     let (linear, angular) = (largest(0..3), largest(3..6));
     [linear.max(1e-3 * angular), angular.max(linear)]
 }
@@ -180,7 +180,7 @@ fn a_uniform_beam_is_the_cantilever_of_euler_and_bernoulli() {
         ];
         println!("{}: L^3/3EI {:.6e}, here {:.6e}", rung.name(), bend[0].1, bend[0].0);
         for (own, closed) in bend {
-            // Hinges at the centres of their cells: 1 / (4 n^2); one arc cannot take the shape of a cantilever.
+            // Hinges at the centres of their cells: 1 / (4 n^2). One arc cannot take a cantilever's shape.
             let allowed = if rung == Rung::ConstantCurvature { 0.26 } else { 3e-4 };
             assert!((own / closed - 1.0).abs() < allowed, "{}: {own} {closed}", rung.name());
         }

@@ -41,6 +41,7 @@ const PUSH_OUT_J: f64 = 1.0e-4;
 /// Residual, relative to the tolerance, beyond which a solve starts again from the free motion: the last
 /// tick's impulses can lead it far away, from where each step is short.
 const LOST_SHARE: f64 = 1.0e3;
+
 /// Outcome of a solve.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(in crate::manipulator) struct Outcome {

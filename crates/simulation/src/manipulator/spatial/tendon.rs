@@ -191,8 +191,8 @@ impl TendonLoad {
         }
     }
 
-    /// Returns the stiffness of the coordinates of flexure `joint` from its tendons, and the generalised force
-    /// on them per unit of each tension. Called from base to tip.
+    /// Returns the stiffness of the coordinates of flexure `joint` from its tendons, and the generalised
+    /// force on them per unit of each tension. Called from base to tip.
     pub fn on_flexure<const D: usize>(
         &self,
         layout: &SpatialLayout<D>,
