@@ -56,24 +56,14 @@ impl View {
         id
     }
 
-    /// Returns the answer to a call; keeps the messages of subscriptions for [`View::next`].
-    fn next_answer(&mut self) -> Vec<u8> {
-        let end = Instant::now() + LIMIT;
-        loop {
-            assert!(Instant::now() < end, "no answer within {LIMIT:?}");
-            if let Message::Binary(bytes) = self.socket.read().unwrap() {
-                match bytes[0] {
-                    1 => self.keep(&bytes),
-                    3 => return bytes.to_vec(),
-                    _ => {}
-                }
-            }
+    /// Reads a message; returns it if it answers a call, and keeps those of subscriptions for [`View::next`].
+    fn read_answer(&mut self) -> Option<Vec<u8>> {
+        let Message::Binary(bytes) = self.socket.read().unwrap() else { return None };
+        if bytes[0] == 1 {
+            let subscription = u32::from_le_bytes(bytes[1..5].try_into().unwrap());
+            self.earlier.push_back((subscription, bytes[13..].to_vec()));
         }
-    }
-
-    fn keep(&mut self, bytes: &[u8]) {
-        let subscription = u32::from_le_bytes(bytes[1..5].try_into().unwrap());
-        self.earlier.push_back((subscription, bytes[13..].to_vec()));
+        (bytes[0] == 3).then(|| bytes.to_vec())
     }
 
     /// Returns the next message of a subscription. None is lost: it may arrive before the answer to the call
@@ -86,11 +76,7 @@ impl View {
                 return message;
             }
             assert!(Instant::now() < end, "no message within {LIMIT:?}");
-            if let Message::Binary(bytes) = self.socket.read().unwrap()
-                && bytes[0] == 1
-            {
-                self.keep(&bytes);
-            }
+            self.read_answer();
         }
     }
 
@@ -124,7 +110,13 @@ impl View {
         bytes.extend_from_slice(b"json");
         bytes.extend_from_slice(body.to_string().as_bytes());
         self.socket.send(Message::binary(bytes)).unwrap();
-        let bytes = self.next_answer();
+        let end = Instant::now() + LIMIT;
+        let bytes = loop {
+            assert!(Instant::now() < end, "no answer within {LIMIT:?}");
+            if let Some(bytes) = self.read_answer() {
+                break bytes;
+            }
+        };
         let end = 13 + u32::from_le_bytes(bytes[9..13].try_into().unwrap()) as usize;
         (String::from_utf8(bytes[13..end].to_vec()).unwrap(), bytes[end..].to_vec())
     }

@@ -31,11 +31,15 @@ pub trait Outputs {
     /// As [`Outputs::send_latched`].
     fn send_reading(&mut self, reading: &SensorReading) -> Result<(), Self::Error>;
 
-    /// Sends the tip's Jacobian at the next state sent, which no log needs.
+    /// Sends the tip's Jacobian at the next state sent. No log needs it, and it is computed only if it is
+    /// sent.
     ///
     /// # Errors
     /// As [`Outputs::send_latched`].
-    fn send_tip_jacobian(&mut self, _jacobian: &TipJacobian) -> Result<(), Self::Error> {
+    fn send_tip_jacobian(
+        &mut self,
+        _jacobian: impl FnOnce() -> Option<TipJacobian>,
+    ) -> Result<(), Self::Error> {
         Ok(())
     }
 

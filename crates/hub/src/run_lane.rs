@@ -150,9 +150,7 @@ impl RunLane {
     /// reader of the state finds them.
     fn send_with_readings<P: Plant, O: Outputs>(&self, plant: &P, out: &mut O) -> Result<(), O::Error> {
         plant.readings().iter().try_for_each(|reading| out.send_reading(reading))?;
-        if let Some(jacobian) = plant.tip_jacobian() {
-            out.send_tip_jacobian(&jacobian)?;
-        }
+        out.send_tip_jacobian(|| plant.tip_jacobian())?;
         out.send_state(plant.state())
     }
 

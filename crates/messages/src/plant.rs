@@ -31,7 +31,7 @@ pub trait Plant {
         &[]
     }
 
-    /// Returns the tip's Jacobian at the present state, if the scene asks for it.
+    /// Returns the tip's Jacobian at the present state, of a system that has one.
     fn tip_jacobian(&self) -> Option<TipJacobian> {
         None
     }

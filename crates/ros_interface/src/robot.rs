@@ -1,7 +1,7 @@
 //! Arm and tool as a tree of frames, and the arm's velocity.
 
 use messages::{MAX_ARM_JOINTS, Pose, State};
-use nalgebra::{Isometry3, Quaternion, SVector, Translation3, UnitQuaternion, Vector3, Vector6};
+use nalgebra::{Isometry3, Quaternion, SMatrix, SVector, Translation3, UnitQuaternion, Vector3, Vector6};
 use scene::{Scene, ToolOuterTube};
 use simulation::arm::{ArmGeometry, ArmParameters};
 use simulation::pose;
@@ -191,24 +191,22 @@ impl Robot {
     /// according to the arm's Jacobian, transferred to the base. `None` for a gantry, of which a state has no
     /// velocity.
     pub fn base_velocity(&self, state: &State) -> Option<[[f64; 3]; 2]> {
-        if self.flange_floats() {
-            return None;
-        }
-        let jacobian = self.geometry.frames(&state.arm_joint_position_rad).jacobian();
         let rates = SVector::from(state.arm_joint_velocity_rad_per_s);
-        Some(self.at_base(state, &(jacobian * rates)))
+        Some(self.at_base(state, &(self.flange_jacobian(state)? * rates)))
     }
 
     /// Returns the Jacobian of the tool's base by the arm's joints, with the rows of [`Self::base_velocity`].
     pub fn base_jacobian(&self, state: &State) -> Option<[Vec<f64>; 6]> {
-        if self.flange_floats() {
-            return None;
-        }
-        let jacobian = self.geometry.frames(&state.arm_joint_position_rad).jacobian();
+        let jacobian = self.flange_jacobian(state)?;
         let columns = 0..self.arm_joints().len();
         let columns: Vec<_> =
             columns.map(|joint| self.at_base(state, &jacobian.column(joint).into_owned())).collect();
         Some(core::array::from_fn(|row| columns.iter().map(|column| column[row / 3][row % 3]).collect()))
+    }
+
+    /// Returns the Jacobian of the flange in the axes of the arm's base; `None` for a gantry.
+    fn flange_jacobian(&self, state: &State) -> Option<SMatrix<f64, 6, MAX_ARM_JOINTS>> {
+        (!self.flange_floats()).then(|| self.geometry.frames(&state.arm_joint_position_rad).jacobian())
     }
 
     /// Transfers a twist of the flange in the axes of the arm's base to the tool's base, world axes.

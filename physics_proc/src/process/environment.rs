@@ -150,8 +150,9 @@ impl Outputs for SharedMemory<'_> {
         self.readings.as_ref().map_or(Ok(()), |publisher| publisher.send(reading))
     }
 
-    fn send_tip_jacobian(&mut self, jacobian: &TipJacobian) -> Result<(), PortError> {
-        self.tip_jacobian.as_ref().map_or(Ok(()), |publisher| publisher.send(jacobian))
+    fn send_tip_jacobian(&mut self, jacobian: impl FnOnce() -> Option<TipJacobian>) -> Result<(), PortError> {
+        let Some(publisher) = &self.tip_jacobian else { return Ok(()) };
+        jacobian().map_or(Ok(()), |jacobian| publisher.send(&jacobian))
     }
 
     fn send_state(&mut self, state: &State) -> Result<(), PortError> {

@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::sync::{LazyLock, Mutex, PoisonError};
 use std::time::{Duration, Instant};
-use test_support::limited::{COMMAND_LIMIT, Limited, TestLimit, Watchdog};
+use test_support::limited::{COMMAND_LIMIT, Limited, Watchdog};
 
 use ipc_types::process::descendants;
 use ipc_types::session::{SessionId, places};
@@ -134,11 +134,11 @@ pub fn only_entry(folder: &Path) -> PathBuf {
 
 /// A test's own folder, and the test's limit.
 #[derive(Debug)]
-pub struct Place(TempDir, TestLimit);
+pub struct Place(TempDir, Watchdog);
 
 impl Place {
     pub fn new() -> Place {
-        Place(tempfile::tempdir().unwrap(), TestLimit::new())
+        Place(tempfile::tempdir().unwrap(), Watchdog::over_test())
     }
 
     pub fn path(&self, name: &str) -> PathBuf {

@@ -102,18 +102,42 @@ fn poll(child: &mut Child, limit: Duration) -> Option<ExitStatus> {
     }
 }
 
-/// Kills a program when a limit is exceeded, so that reading its output line by line cannot block for longer.
+/// Acts when a limit is exceeded, unless it is dropped before.
 #[derive(Debug)]
 pub struct Watchdog(Sender<()>);
 
+/// Longer than the longest test on a loaded machine, those of the Python package: a quarter of an hour.
+const TEST_LIMIT: Duration = Duration::from_secs(1800);
+
 impl Watchdog {
-    /// Watches until dropped; drop it before waiting for the child.
+    /// Kills a program, so that reading its output line by line cannot block for longer; drop it before
+    /// waiting for the child.
     pub fn over(child: &Child, limit: Duration) -> Watchdog {
         let pid = Pid::from_child(child);
+        Watchdog::after(limit, move || {
+            let _ = kill_process(pid, Signal::KILL);
+        })
+    }
+
+    /// Ends the test program and names this thread's test if it has not ended within half an hour: cargo's
+    /// test runner has no limit of its own, and waits for a hung test without naming it.
+    pub fn over_test() -> Watchdog {
+        Watchdog::of_test(TEST_LIMIT, |name| {
+            eprintln!("the test `{name}` did not end within {TEST_LIMIT:?}");
+            std::process::exit(101);
+        })
+    }
+
+    fn of_test(limit: Duration, exceeded: impl FnOnce(&str) + Send + 'static) -> Watchdog {
+        let name = std::thread::current().name().unwrap_or("without a name").to_owned();
+        Watchdog::after(limit, move || exceeded(&name))
+    }
+
+    fn after(limit: Duration, exceeded: impl FnOnce() + Send + 'static) -> Watchdog {
         let (sender, receiver) = channel();
         std::thread::spawn(move || {
             if receiver.recv_timeout(limit) == Err(RecvTimeoutError::Timeout) {
-                let _ = kill_process(pid, Signal::KILL);
+                exceeded();
             }
         });
         Watchdog(sender)
@@ -121,48 +145,6 @@ impl Watchdog {
 }
 
 impl Drop for Watchdog {
-    fn drop(&mut self) {
-        // The thread may have ended.
-        let _ = self.0.send(());
-    }
-}
-
-/// Ends the test program if the test that made this has not ended within half an hour: cargo's test runner
-/// has no limit of its own, and waits for a hung test without naming it.
-#[derive(Debug)]
-pub struct TestLimit(Sender<()>);
-
-/// Longer than the longest test on a loaded machine, those of the Python package: a quarter of an hour.
-const TEST_LIMIT: Duration = Duration::from_secs(1800);
-
-impl TestLimit {
-    /// A limit for the test of this thread, until dropped.
-    pub fn new() -> TestLimit {
-        TestLimit::of(TEST_LIMIT, |name| {
-            eprintln!("the test `{name}` did not end within {TEST_LIMIT:?}");
-            std::process::exit(101);
-        })
-    }
-
-    fn of(limit: Duration, exceeded: impl FnOnce(&str) + Send + 'static) -> TestLimit {
-        let name = std::thread::current().name().unwrap_or("without a name").to_owned();
-        let (sender, receiver) = channel();
-        std::thread::spawn(move || {
-            if receiver.recv_timeout(limit) == Err(RecvTimeoutError::Timeout) {
-                exceeded(&name);
-            }
-        });
-        TestLimit(sender)
-    }
-}
-
-impl Default for TestLimit {
-    fn default() -> TestLimit {
-        TestLimit::new()
-    }
-}
-
-impl Drop for TestLimit {
     fn drop(&mut self) {
         // The thread may have ended.
         let _ = self.0.send(());
@@ -243,7 +225,7 @@ mod tests {
     fn a_test_that_hangs_is_named() {
         let (sender, receiver) = channel();
         let limit =
-            TestLimit::of(Duration::from_millis(20), move |name| sender.send(name.to_owned()).unwrap());
+            Watchdog::of_test(Duration::from_millis(20), move |name| sender.send(name.to_owned()).unwrap());
         assert!(receiver.recv_timeout(COMMAND_LIMIT).unwrap().ends_with("a_test_that_hangs_is_named"));
         drop(limit);
     }

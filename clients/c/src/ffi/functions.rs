@@ -47,6 +47,22 @@ fn check_null<T>(pointer: *mut T, name: &'static str) -> Result<(), Failure> {
     if pointer.is_null() { Err(Failure::Null(name)) } else { Ok(()) }
 }
 
+/// Writes the address of what `find` returns from a client; [`NOTHING_YET`] if that is nothing.
+///
+/// # Safety
+/// `out` is null, or can be written.
+unsafe fn put_found<T>(
+    client: u64,
+    (out, name): (*mut *const T, &'static str),
+    find: impl for<'c> FnOnce(&'c mut Client) -> Result<Option<&'c T>, ClientError>,
+) -> Result<(), Failure> {
+    check_null(out, name)?;
+    let found =
+        table::with(client, |open| find(&mut open.client)?.map(core::ptr::from_ref).ok_or(NOTHING_YET))?;
+    // SAFETY: not null, and valid for writing by this function's own contract.
+    unsafe { put(out, name, found) }
+}
+
 functions! {
     /// Version of the library. The text stays valid for the life of the process.
     fn trb_version() -> *const c_char {
@@ -153,15 +169,8 @@ functions! {
     /// will arrive. `*state` points into shared memory and stays valid and unchanged until this client's next
     /// call of trb_poll_state, trb_wait_state, trb_next_state or trb_disconnect that returns TRB_OK.
     fn trb_poll_state(client: u64, state: *mut *const State) -> i32 {
-        outcome(|| {
-            check_null(state, "state")?;
-            let newest = table::with(client, |open| {
-                let newest = open.client.poll_state()?;
-                newest.map(core::ptr::from_ref).ok_or(NOTHING_YET)
-            })?;
-            // SAFETY: not null; the caller promises that it can be written.
-            unsafe { put(state, "state", newest) }
-        })
+        // SAFETY: the caller promises that `state` is null or can be written.
+        outcome(|| unsafe { put_found(client, (state, "state"), Client::poll_state) })
     }
 
     /// Waits for the newest state: yields for 20 microseconds, then sleeps until woken (an observer polls
@@ -372,15 +381,8 @@ functions! {
     /// state is. `*reading` points into shared memory and stays valid and unchanged until this client's next
     /// call of trb_next_reading that returns TRB_OK, or trb_disconnect.
     fn trb_next_reading(client: u64, reading: *mut *const SensorReading) -> i32 {
-        outcome(|| {
-            check_null(reading, "reading")?;
-            let oldest = table::with(client, |open| {
-                let oldest = open.client.next_reading()?;
-                oldest.map(core::ptr::from_ref).ok_or(NOTHING_YET)
-            })?;
-            // SAFETY: not null; the caller promises that it can be written.
-            unsafe { put(reading, "reading", oldest) }
-        })
+        // SAFETY: the caller promises that `reading` is null or can be written.
+        outcome(|| unsafe { put_found(client, (reading, "reading"), Client::next_reading) })
     }
 
     /// Returns the newest Jacobian of the tip; TRB_TIMEOUT if the scene does not set
@@ -388,14 +390,7 @@ functions! {
     /// shared memory and stays valid and unchanged until this client's next call of
     /// trb_newest_tip_jacobian, or trb_disconnect.
     fn trb_newest_tip_jacobian(client: u64, jacobian: *mut *const TipJacobian) -> i32 {
-        outcome(|| {
-            check_null(jacobian, "jacobian")?;
-            let newest = table::with(client, |open| {
-                let newest = open.client.tip_jacobian()?;
-                newest.map(core::ptr::from_ref).ok_or(NOTHING_YET)
-            })?;
-            // SAFETY: not null; the caller promises that it can be written.
-            unsafe { put(jacobian, "jacobian", newest) }
-        })
+        // SAFETY: the caller promises that `jacobian` is null or can be written.
+        outcome(|| unsafe { put_found(client, (jacobian, "jacobian"), Client::tip_jacobian) })
     }
 }

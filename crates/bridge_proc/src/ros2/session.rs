@@ -135,15 +135,14 @@ impl Ros2Session {
             node.publish(outgoing::of_state(robot, state));
             self.sent = Some((state.tick, Instant::now()));
         }
-        if is_new && let Ok(Some(jacobian)) = self.client.tip_jacobian() {
-            node.publish(outgoing::of_tip_jacobian(robot, jacobian));
-        }
-        let Some(state) = self.client.state() else { return };
         let operating = outgoing::operating_state(phase, self.commander.is_disabled(), state);
         let told = (operating, outgoing::is_busy(state));
         if self.told != Some(told) {
             self.told = Some(told);
             node.publish(outgoing::of_operating_state(told.0, told.1, state));
+        }
+        if is_new && let Ok(Some(jacobian)) = self.client.tip_jacobian() {
+            node.publish(outgoing::of_tip_jacobian(robot, jacobian));
         }
         let mut newest = Vec::new();
         // Older queued frames are of no use to a subscriber.

@@ -9,7 +9,7 @@
 //! either stops the sliding or lies on the circle mu P_n and opposes the remaining sliding. The rows are
 //! solved together by Newton's method (`newton`) on the chain's own recursion (`chain`).
 
-mod chain;
+pub(in crate::manipulator) mod chain;
 mod dense;
 mod laws;
 mod newton;

@@ -141,12 +141,17 @@ pub(super) struct Stop {
 /// Returns the target velocity of a unilateral row: the whole gap may close within the step. Overlap
 /// explained by the last force remains; the rest is pushed out at `fastest` at most.
 pub(super) fn target(gap: f64, explained: f64, fastest: f64, dt: f64) -> f64 {
-    if gap >= 0.0 { -gap / dt } else { explained / dt + ((-gap - explained) / dt).min(fastest) }
+    if gap >= 0.0 { -gap / dt } else { explained / dt + unexplained(gap, explained, fastest, dt) }
 }
 
 /// Returns the part of [`target`] that pushes out overlap, at least 0.
 pub(super) fn push_out(gap: f64, explained: f64, fastest: f64, dt: f64) -> f64 {
-    if gap >= 0.0 { 0.0 } else { ((-gap - explained) / dt).min(fastest).max(0.0) }
+    if gap >= 0.0 { 0.0 } else { unexplained(gap, explained, fastest, dt).max(0.0) }
+}
+
+/// Returns the speed at which the part of an overlap recedes that the last impulse does not explain.
+fn unexplained(gap: f64, explained: f64, fastest: f64, dt: f64) -> f64 {
+    ((-gap - explained) / dt).min(fastest)
 }
 
 /// Returns two unit tangents, the first in the bending plane unless the normal is nearly perpendicular to it.

@@ -222,8 +222,8 @@ impl TendonLoad {
                 let local = tension * share;
                 let slope = self.slope[t].joint[i];
                 self.torque[i] += local * slope;
-                let curvature = 0.25 * parameters.gap_m * configuration.half_cos[i]
-                    - 0.5 * self.channels.offset_m[t][0] * configuration.half_sin[i];
+                let half = [configuration.half_sin[i], configuration.half_cos[i]];
+                let [_, curvature] = planar_slopes(self.channels.offset_m[t][0], parameters.gap_m, half);
                 self.stiffness[i] -= local * curvature;
                 self.gradient[t].joint[i] = elastic * share * slope;
                 if frictional {
@@ -244,8 +244,8 @@ impl TendonLoad {
         let gap_m = self.channels.cable[t].gap_m;
         let mut slope_rate = 0.0;
         for i in self.channels.flexures(t) {
-            let slope = self.channels.offset_m[t][0] * configuration.half_cos[i]
-                + 0.5 * gap_m * configuration.half_sin[i];
+            let half = [configuration.half_sin[i], configuration.half_cos[i]];
+            let [slope, _] = planar_slopes(self.channels.offset_m[t][0], gap_m, half);
             self.slope[t].joint[i] = slope;
             slope_rate += slope * rate[i];
         }
@@ -262,6 +262,13 @@ impl TendonLoad {
         }
         sum - self.channels.rest_m[t]
     }
+}
+
+/// Returns the first and second derivative of a tendon's take-up by the angle of a planar flexure, m/rad and
+/// m/rad^2, at sine and cosine of half the angle.
+#[inline(always)]
+pub(super) fn planar_slopes(offset_m: f64, gap_m: f64, [half_sin, half_cos]: [f64; 2]) -> [f64; 2] {
+    [offset_m * half_cos + 0.5 * gap_m * half_sin, 0.25 * gap_m * half_cos - 0.5 * offset_m * half_sin]
 }
 
 /// Returns true if velocities `after` reverse a tendon that was assumed to keep sliding as with `before`;

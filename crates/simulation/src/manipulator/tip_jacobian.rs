@@ -23,9 +23,10 @@ use nalgebra::{Isometry3, SMatrix, SVector, Vector3};
 
 use super::MAX_TENDONS;
 use super::common::Common;
+use super::contact::chain::add_scaled;
 use super::spatial::algebra::{Spatial, ZERO, dot, force_at};
 use super::state::ManipulatorState;
-use super::tendon::{Channels, sign};
+use super::tendon::{Channels, planar_slopes, sign};
 
 /// Least stiffness of a freedom relative to that of its own spring: tendons of a tool that buckles cannot
 /// make it softer.
@@ -54,14 +55,6 @@ pub struct LinkMotion {
 #[inline(always)]
 fn cross([a, b, c]: &[f64; 3], [x, y, z]: &[f64; 3]) -> [f64; 3] {
     [b * z - c * y, c * x - a * z, a * y - b * x]
-}
-
-/// Adds scale b to a.
-#[inline(always)]
-pub(super) fn add_scaled<const N: usize>(a: &mut [f64; N], scale: f64, b: &[f64; N]) {
-    for k in 0..N {
-        a[k] += scale * b[k];
-    }
 }
 
 const UNIT: [Spatial; 6] = {
@@ -272,12 +265,11 @@ impl<'t> Pulls<'t> {
 
     /// Returns the tendons' stiffness of planar flexure `i`, bent by `q` rad, and the torque on it per unit
     /// of each tension: the formulas of [`super::tendon`].
-    pub fn planar(&mut self, i: usize, q: f64, [half_sin, half_cos]: [f64; 2]) -> (f64, [f64; MAX_TENDONS]) {
+    pub fn planar(&mut self, i: usize, q: f64, half: [f64; 2]) -> (f64, [f64; MAX_TENDONS]) {
         let (mut stiffness, mut pull) = (0.0, [0.0; MAX_TENDONS]);
         for t in (0..self.channels.count).filter(|t| self.channels.flexures(*t).contains(&i)) {
             let (offset_m, gap_m) = (self.channels.offset_m[t][0], self.channels.cable[t].gap_m);
-            let slope = offset_m * half_cos + 0.5 * gap_m * half_sin;
-            let curvature = 0.25 * gap_m * half_cos - 0.5 * offset_m * half_sin;
+            let [slope, curvature] = planar_slopes(offset_m, gap_m, half);
             let [share, local_n, winding] = self.next(t, q.abs());
             stiffness += winding * slope * sign(q) - local_n * curvature;
             pull[t] = share * slope;

@@ -181,8 +181,6 @@ pub struct Simulation<'v> {
     /// Contacts that exceeded the capacity in the last tick.
     left_out_contacts: usize,
     sensors: SensorArray,
-    /// Whether a plant's user gets the tip's Jacobian with each state.
-    publishes_tip_jacobian: bool,
     state: State,
     predrilled: Vec<u32>,
     refusals: Vec<Refusal>,

@@ -30,7 +30,7 @@ impl Plant for Simulation<'_> {
     }
 
     fn tip_jacobian(&self) -> Option<TipJacobian> {
-        self.publishes_tip_jacobian.then(|| self.tip_jacobian())
+        Some(self.tip_jacobian())
     }
 
     fn refusals(&self) -> &[Refusal] {

@@ -95,7 +95,6 @@ pub(super) fn build<'v>(
         bone_is_frozen: false,
         left_out_contacts: 0,
         sensors: sensors::SensorArray::new(scene),
-        publishes_tip_jacobian: scene.has_tip_jacobian(),
         state: State::zeroed(),
         predrilled,
         refusals: Vec::with_capacity(3 * messages::MAX_CONTROLLERS + 3),

@@ -24,7 +24,7 @@ pub(super) fn dot<const N: usize>(a: &[f64; N], b: &[f64; N]) -> f64 {
 
 /// Adds scale b to a.
 #[inline(always)]
-pub(super) fn add_scaled<const N: usize>(a: &mut [f64; N], scale: f64, b: &[f64; N]) {
+pub(in crate::manipulator) fn add_scaled<const N: usize>(a: &mut [f64; N], scale: f64, b: &[f64; N]) {
     for i in 0..N {
         a[i] += scale * b[i];
     }

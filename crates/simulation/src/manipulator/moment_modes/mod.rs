@@ -24,6 +24,7 @@ mod tendons;
 use nalgebra::{Isometry3, Vector3};
 
 use super::common::{Common, StateSizes};
+use super::contact::chain::add_scaled;
 use super::contact::{ContactSolver, Dense, Factor};
 use super::error::{ManipulatorError, check};
 use super::geometry::Layout;
@@ -33,7 +34,7 @@ use super::parameters::{ManipulatorParameters, TendonRoute};
 use super::spatial::algebra::{dot, shift_along, turn_about};
 use super::state::{BaseMotion, StepInput, StepReport};
 use super::tendon::{Channels, friction_w};
-use super::tip_jacobian::{FewFreedoms, LinkMotion, Pulls, add_scaled, supports};
+use super::tip_jacobian::{FewFreedoms, LinkMotion, Pulls, supports};
 use super::{MAX_CONTACTS, MAX_JOINTS};
 use basis::Basis;
 use operator::Dynamics;

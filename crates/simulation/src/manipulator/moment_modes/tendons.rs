@@ -4,7 +4,7 @@
 use super::basis::Basis;
 use super::shape::{FlexureArray, Shape};
 use crate::manipulator::state::TendonCommand;
-use crate::manipulator::tendon::{Channels, TendonMemory, base_tension, sign};
+use crate::manipulator::tendon::{Channels, TendonMemory, base_tension, planar_slopes, sign};
 use crate::manipulator::{MAX_JOINTS, MAX_TENDONS};
 
 /// Sums over the flexures from which all take-ups are computed.
@@ -107,9 +107,8 @@ impl<const N: usize> Tendons<N> {
             let (offset_m, gap_m) = (self.channels.offset_m[t][0], cable.gap_m);
             let (mut slope, mut curvature) = ([0.0; MAX_JOINTS], [0.0; MAX_JOINTS]);
             for i in 0..MAX_JOINTS {
-                let (sin, cos) = (shape.half_sin[i], shape.half_cos[i]);
-                slope[i] = offset_m * cos + 0.5 * gap_m * sin;
-                curvature[i] = 0.25 * gap_m * cos - 0.5 * offset_m * sin;
+                [slope[i], curvature[i]] =
+                    planar_slopes(offset_m, gap_m, [shape.half_sin[i], shape.half_cos[i]]);
             }
             if !frictional {
                 for i in 0..MAX_JOINTS {

@@ -156,11 +156,7 @@ impl TendonLoad {
             for i in self.channels.flexures(t) {
                 let bend = layout.bend(i);
                 let first = bend - SpatialLayout::<D>::BEND;
-                let chord = self.chord::<D>(t, i, &motion.q[first..first + D]);
-                let take_up = match &chord {
-                    Some(chord) => TakeUp::of_chord::<D>(chord),
-                    None => TakeUp::of(p, layout, self.channels.offset_m[t], i, motion.q),
-                };
+                let (chord, take_up) = self.across(t, layout, i, motion.q);
                 wrap += 0.5 * take_up.turn_rad;
                 let mu = if frictional { p.friction_coefficient } else { 0.0 };
                 let share = if frictional { libm::exp(-mu * sliding * wrap) } else { 1.0 };
@@ -201,16 +197,11 @@ impl TendonLoad {
         pulls: &mut Pulls<'_>,
     ) -> ([f64; D], [[f64; MAX_TENDONS]; D]) {
         let (mut stiffness, mut pull) = ([0.0; D], [[0.0; MAX_TENDONS]; D]);
-        let (bend, first) = (SpatialLayout::<D>::BEND, layout.bend(joint) - SpatialLayout::<D>::BEND);
+        let bend = SpatialLayout::<D>::BEND;
         for t in (0..self.channels.count).filter(|t| self.channels.flexures(*t).contains(&joint)) {
-            let chord = self.chord::<D>(t, joint, &q[first..first + D]);
-            let (take_up, mut slope, mut curvature) = match &chord {
-                Some(chord) => (TakeUp::of_chord::<D>(chord), chord.slope, chord.curvature),
-                None => {
-                    let channel = self.channels.offset_m[t];
-                    (TakeUp::of(&self.channels.cable[t], layout, channel, joint, q), [0.0; 6], [0.0; 6])
-                }
-            };
+            let (chord, take_up) = self.across(t, layout, joint, q);
+            let (mut slope, mut curvature) =
+                chord.as_ref().map_or(([0.0; 6], [0.0; 6]), |chord| (chord.slope, chord.curvature));
             for k in 0..D.min(2) {
                 (slope[bend + k], curvature[bend + k]) = (take_up.slope[k], take_up.curvature[k]);
             }
@@ -227,6 +218,24 @@ impl TendonLoad {
             }
         }
         (stiffness, pull)
+    }
+
+    /// Returns how the angles of flexure `joint` take up tendon `t`, and its chord unless it runs parallel to
+    /// the axis.
+    fn across<const D: usize>(
+        &self,
+        t: usize,
+        layout: &SpatialLayout<D>,
+        joint: usize,
+        q: &[f64],
+    ) -> (Option<Chord>, TakeUp) {
+        let first = layout.bend(joint) - SpatialLayout::<D>::BEND;
+        let chord = self.chord::<D>(t, joint, &q[first..first + D]);
+        let take_up = match &chord {
+            Some(chord) => TakeUp::of_chord::<D>(chord),
+            None => TakeUp::of(&self.channels.cable[t], layout, self.channels.offset_m[t], joint, q),
+        };
+        (chord, take_up)
     }
 
     /// Returns the chord of tendon `t` across flexure `joint`, at its coordinates `q`; `None` if it runs
