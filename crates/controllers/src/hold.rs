@@ -28,7 +28,7 @@ impl Controller for HoldController {
                 Drives::Arm => command.arm_mode = ArmMode::Hold.code(),
                 Drives::Burr => command.burr_mode = BurrMode::Speed.code(),
                 Drives::Tube => command.tube_mode = TubeMode::Hold.code(),
-                Drives::CArm => {}
+                Drives::Body | Drives::CArm => {}
             }
         }
     }

@@ -3,8 +3,9 @@
 use thiserror::Error;
 
 use messages::{
-    ArmMode, BurrMode, Command, MAX_BURR_SPEED_RAD_PER_S, MAX_DEPLOYED_M, MAX_DEPTH_M, MAX_DISPLACEMENT_M,
-    MAX_POSITION_M, MAX_ROLL_RAD, MAX_SPEED_M_PER_S, MAX_TENSION_N, TendonMode, Tick, TubeMode, UnknownCode,
+    ArmMode, BodyMode, BurrMode, Command, MAX_BODY_FORCE_N, MAX_BODY_TORQUE_NM, MAX_BURR_SPEED_RAD_PER_S,
+    MAX_DEPLOYED_M, MAX_DEPTH_M, MAX_DISPLACEMENT_M, MAX_DISPLACEMENT_RATE_M_PER_S, MAX_POSITION_M,
+    MAX_ROLL_RAD, MAX_SPEED_M_PER_S, MAX_TENSION_N, Pose, TendonMode, Tick, TubeMode, UnknownCode,
 };
 use scene::Drives;
 
@@ -13,6 +14,8 @@ const MAX_JOINT_RATE_RAD_PER_S: f64 = core::f64::consts::TAU;
 /// Tolerance for the length of a quaternion, which is stored rounded: far above rounding and far below any
 /// real mistake.
 const QUATERNION_TOLERANCE: f64 = 1e-6;
+const BASE: [&str; 2] = ["t_world_base.position_m", "t_world_base.orientation_xyzw"];
+const BODY: [&str; 2] = ["t_world_body_goal.position_m", "t_world_body_goal.orientation_xyzw"];
 
 /// Why a command is refused. A refused command changes nothing.
 #[derive(Debug, Clone, PartialEq, Error)]
@@ -43,8 +46,10 @@ pub enum CommandRefusal {
     #[error(transparent)]
     UnknownMode(#[from] UnknownCode),
     /// The orientation is not a unit quaternion.
-    #[error("`t_world_base.orientation_xyzw` has length {length}, expected 1")]
+    #[error("`{field}` has length {length}, expected 1")]
     NotAUnitQuaternion {
+        /// Field.
+        field: &'static str,
         /// Its length.
         length: f64,
     },
@@ -135,6 +140,7 @@ struct Modes {
     arm: ArmMode,
     burr: BurrMode,
     tube: TubeMode,
+    body: BodyMode,
 }
 
 impl Modes {
@@ -144,6 +150,7 @@ impl Modes {
             arm: command.arm_mode()?,
             burr: command.burr_mode()?,
             tube: command.tube_mode()?,
+            body: command.body_mode()?,
         })
     }
 }
@@ -154,6 +161,7 @@ fn check_authority(modes: &Modes, drives: &[Drives]) -> Result<(), CommandRefusa
         (modes.arm != ArmMode::None, Drives::Arm, "arm_mode", "arm"),
         (modes.burr != BurrMode::None, Drives::Burr, "burr_mode", "burr"),
         (modes.tube != TubeMode::None, Drives::Tube, "tube_mode", "tube"),
+        (modes.body != BodyMode::None, Drives::Body, "body_mode", "bodies"),
     ];
     match asked.into_iter().find(|(is_asked, part, ..)| *is_asked && !drives.contains(part)) {
         Some((_, _, field, part)) => Err(CommandRefusal::NotItsPart { field, part }),
@@ -168,6 +176,10 @@ fn check_values(command: &Command, modes: &Modes) -> Result<(), CommandRefusal> 
             let limit = MAX_DISPLACEMENT_M;
             ranges("tendon_displacement_m", &command.tendon_displacement_m, -limit, limit)?;
         }
+        TendonMode::ServoJv => {
+            let limit = MAX_DISPLACEMENT_RATE_M_PER_S;
+            ranges("tendon_velocity_m_per_s", &command.tendon_velocity_m_per_s, -limit, limit)?;
+        }
         TendonMode::None => {}
     }
     match modes.arm {
@@ -178,10 +190,10 @@ fn check_values(command: &Command, modes: &Modes) -> Result<(), CommandRefusal> 
             let limit = MAX_JOINT_RATE_RAD_PER_S;
             ranges("arm_joint_velocity_rad_per_s", &command.arm_joint_velocity_rad_per_s, -limit, limit)?;
         }
-        ArmMode::ServoCp | ArmMode::MoveCp => check_pose(command)?,
+        ArmMode::ServoCp | ArmMode::MoveCp => check_pose(BASE, &command.t_world_base)?,
         ArmMode::Insert => check_insertion(command)?,
         ArmMode::Rcm => {
-            check_pose(command)?;
+            check_pose(BASE, &command.t_world_base)?;
             ranges("arm_pivot_m", &command.arm_pivot_m, -MAX_POSITION_M, MAX_POSITION_M)?;
         }
         ArmMode::None | ArmMode::Hold => {}
@@ -189,6 +201,15 @@ fn check_values(command: &Command, modes: &Modes) -> Result<(), CommandRefusal> 
     if modes.tube == TubeMode::MoveJp {
         range(|| "tube_deployed_m".to_owned(), command.tube_deployed_m, 0.0, MAX_DEPLOYED_M)?;
         range(|| "tube_roll_rad".to_owned(), command.tube_roll_rad, -MAX_ROLL_RAD, MAX_ROLL_RAD)?;
+    }
+    match modes.body {
+        BodyMode::ServoCf => {
+            let (wrench, force, torque) = (&command.body_wrench, MAX_BODY_FORCE_N, MAX_BODY_TORQUE_NM);
+            ranges("body_wrench.force_n", &wrench.force_n, -force, force)?;
+            ranges("body_wrench.torque_nm", &wrench.torque_nm, -torque, torque)?;
+        }
+        BodyMode::ServoCp => check_pose(BODY, &command.t_world_body_goal)?,
+        BodyMode::None => {}
     }
     range(|| "tube_speed_m_per_s".to_owned(), command.tube_speed_m_per_s, 0.0, MAX_SPEED_M_PER_S)?;
     range(|| "arm_speed_m_per_s".to_owned(), command.arm_speed_m_per_s, 0.0, MAX_SPEED_M_PER_S)?;
@@ -211,13 +232,14 @@ fn check_insertion(command: &Command) -> Result<(), CommandRefusal> {
     Err(CommandRefusal::NotPositive { field: "arm_speed_m_per_s", value, highest })
 }
 
-fn check_pose(command: &Command) -> Result<(), CommandRefusal> {
-    let pose = &command.t_world_base;
-    ranges("t_world_base.position_m", &pose.position_m, -MAX_POSITION_M, MAX_POSITION_M)?;
-    ranges("t_world_base.orientation_xyzw", &pose.orientation_xyzw, -1.1, 1.1)?;
+/// Checks a pose; `fields` are the names of its position and its orientation.
+fn check_pose(fields: [&'static str; 2], pose: &Pose) -> Result<(), CommandRefusal> {
+    let [position, field] = fields;
+    ranges(position, &pose.position_m, -MAX_POSITION_M, MAX_POSITION_M)?;
+    ranges(field, &pose.orientation_xyzw, -1.1, 1.1)?;
     let length = pose.orientation_xyzw.iter().map(|x| x * x).sum::<f64>().sqrt();
     if (length - 1.0).abs() > QUATERNION_TOLERANCE {
-        return Err(CommandRefusal::NotAUnitQuaternion { length });
+        return Err(CommandRefusal::NotAUnitQuaternion { field, length });
     }
     Ok(())
 }

@@ -165,6 +165,8 @@ codes! {
         ServoJp = TENDON_SERVO_JP, 2, "servo_jp";
         /// Displacement goals, reached with limited speed, acceleration and jerk.
         MoveJp = TENDON_MOVE_JP, 3, "move_jp";
+        /// Rates of the displacements, held until the next command; a tendon stops at the end of its range.
+        ServoJv = TENDON_SERVO_JV, 4, "servo_jv";
     }
 }
 
@@ -213,6 +215,18 @@ codes! {
         MoveJp = TUBE_MOVE_JP, 1, "move_jp";
         /// Stop within the drive's limits and stay there.
         Hold = TUBE_HOLD, 2, "hold";
+    }
+}
+
+codes! {
+    /// Values of [`Command::body_mode`]: how a rigid body of the scene is driven; CRTK verbs.
+    pub enum BodyMode of "body_mode" {
+        /// This command does not drive a body.
+        None = BODY_NONE, 0, "none";
+        /// A wrench on a free body, held until the next command.
+        ServoCf = BODY_SERVO_CF, 1, "servo_cf";
+        /// The pose of a driven body, reached within the tick and held until the next command.
+        ServoCp = BODY_SERVO_CP, 2, "servo_cp";
     }
 }
 
@@ -404,6 +418,7 @@ pub const CLIENT_CODES: &[CodeSet] = &[
     ArmProtectiveStop::SET,
     BurrMode::SET,
     TubeMode::SET,
+    BodyMode::SET,
     CommandSource::SET,
     ContactPart::SET,
     ControlAction::SET,
@@ -441,7 +456,9 @@ macro_rules! fields {
 }
 
 fields! {
-    Command { tendon_mode: TendonMode, arm_mode: ArmMode, burr_mode: BurrMode, tube_mode: TubeMode }
+    Command {
+        tendon_mode: TendonMode, arm_mode: ArmMode, burr_mode: BurrMode, tube_mode: TubeMode, body_mode: BodyMode
+    }
     LatchedCommand { source: CommandSource }
     AppliedCommand { source: CommandSource }
     Contact { part: ContactPart }
@@ -488,8 +505,8 @@ mod tests {
         }
         let unknown = ArmMode::try_from(9).unwrap_err();
         assert_eq!((unknown.field, unknown.number), ("arm_mode", 9));
-        let unknown = Command { tendon_mode: 4, ..Command::zeroed() }.tendon_mode().unwrap_err();
-        let want = "`tendon_mode` is 4, expected 0 none, 1 servo_jf, 2 servo_jp or 3 move_jp";
+        let unknown = Command { tendon_mode: 5, ..Command::zeroed() }.tendon_mode().unwrap_err();
+        let want = "`tendon_mode` is 5, expected 0 none, 1 servo_jf, 2 servo_jp, 3 move_jp or 4 servo_jv";
         assert_eq!(unknown.to_string(), want);
         assert_eq!(ControlAction::try_from(0).map_err(|unknown| unknown.number), Err(0));
     }
@@ -502,6 +519,7 @@ mod tests {
             (Command::DESCRIPTION, "arm_mode", ArmMode::CODES),
             (Command::DESCRIPTION, "burr_mode", BurrMode::CODES),
             (Command::DESCRIPTION, "tube_mode", TubeMode::CODES),
+            (Command::DESCRIPTION, "body_mode", BodyMode::CODES),
             (LatchedCommand::DESCRIPTION, "source", CommandSource::CODES),
             (AppliedCommand::DESCRIPTION, "source", CommandSource::CODES),
             (Contact::DESCRIPTION, "part", ContactPart::CODES),

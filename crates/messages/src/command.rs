@@ -1,10 +1,16 @@
-use super::{MAX_ARM_JOINTS, MAX_CONTROLLERS, MAX_TENDONS, Pose};
+use super::{MAX_ARM_JOINTS, MAX_CONTROLLERS, MAX_TENDONS, Pose, Wrench};
 use crate::message;
 
 /// Largest tension that a command may request.
 pub const MAX_TENSION_N: f64 = 60.0;
 /// Largest tendon displacement that a command may request, in either direction.
 pub const MAX_DISPLACEMENT_M: f64 = 0.02;
+/// Largest rate of a tendon's displacement, in either direction: that of a lead screw of moderate speed.
+pub const MAX_DISPLACEMENT_RATE_M_PER_S: f64 = 0.005;
+/// Largest force on a body that a command may request, along each axis.
+pub const MAX_BODY_FORCE_N: f64 = 10_000.0;
+/// Largest torque on a body that a command may request, about each axis.
+pub const MAX_BODY_TORQUE_NM: f64 = 1_000.0;
 /// Largest burr speed that a command may request: 60 000 rpm.
 pub const MAX_BURR_SPEED_RAD_PER_S: f64 = 6283.2;
 const _: () = assert!(MAX_BURR_SPEED_RAD_PER_S >= 60_000.0 / 60.0 * core::f64::consts::TAU);
@@ -20,14 +26,14 @@ pub const MAX_DEPLOYED_M: f64 = 0.5;
 pub const MAX_ROLL_RAD: f64 = core::f64::consts::TAU;
 
 message! {
-    /// A controller's command. Mode names follow CRTK. Mode 0 leaves tendons, arm, burr or tube at their
-    /// previous command; a controller may drive only what the scene's `drives` allows.
+    /// A controller's command. Mode names follow CRTK. Mode 0 leaves tendons, arm, burr, tube or body at
+    /// their previous command; a controller may drive only what the scene's `drives` allows.
     pub struct Command = "trabecula_msgs/msg/Command" {
         /// Sequence number of this controller's commands: 1, 2, 3 and so on.
         sequence: u64,
         /// `tick` of the state that this command answers.
         state_tick: u64,
-        /// 0 none, 1 servo_jf, 2 servo_jp, 3 move_jp.
+        /// 0 none, 1 servo_jf, 2 servo_jp, 3 move_jp, 4 servo_jv.
         tendon_mode: u32,
         /// 0 none, 1 servo_jp, 2 move_jp, 3 servo_cp, 4 move_cp, 5 hold, 6 servo_jv, 7 insert, 8 rcm.
         arm_mode: u32,
@@ -35,10 +41,16 @@ message! {
         burr_mode: u32,
         /// 0 none, 1 move_jp, 2 hold.
         tube_mode: u32,
+        /// 0 none, 1 servo_cf, 2 servo_cp.
+        body_mode: u32,
+        /// 0.
+        reserved: u32,
         /// Tensions for servo_jf, 0 or more.
         tendon_force_n: [f64; MAX_TENDONS],
         /// Displacements for servo_jp and move_jp; positive pulls.
         tendon_displacement_m: [f64; MAX_TENDONS],
+        /// Rates of the displacements for servo_jv; positive pulls.
+        tendon_velocity_m_per_s: [f64; MAX_TENDONS],
         /// Joint angles for the arm's servo_jp and move_jp.
         arm_joint_position_rad: [f64; MAX_ARM_JOINTS],
         /// Joint velocities for the arm's servo_jv.
@@ -62,6 +74,10 @@ message! {
         tube_roll_rad: f64,
         /// Speed limit of the tube's sliding; 0 selects the tool's limit.
         tube_speed_m_per_s: f64,
+        /// Wrench of servo_cf on the body, about its centre of mass.
+        body_wrench: Wrench,
+        /// Goal of servo_cp of the body: its pose at the end of the tick.
+        t_world_body_goal: Pose,
     }
 }
 

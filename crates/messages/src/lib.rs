@@ -89,7 +89,7 @@ pub const MAX_SENSOR_VALUES: usize = 32;
 pub const MAX_CONTROLLERS: usize = 4;
 
 /// Arrays that are only partly used, and the field with the used length: message, array, count.
-pub const USED_LENGTHS: [(&str, &str, &str); 13] = [
+pub const USED_LENGTHS: [(&str, &str, &str); 14] = [
     ("State", "joint_position_rad", "joint_count"),
     ("State", "joint_velocity_rad_per_s", "joint_count"),
     ("State", "t_world_link", "joint_count"),
@@ -101,6 +101,7 @@ pub const USED_LENGTHS: [(&str, &str, &str); 13] = [
     ("State", "contacts", "contact_count"),
     ("SensorReading", "value", "value_count"),
     ("State", "t_world_body", "body_count"),
+    ("State", "wrench_on_body", "body_count"),
     ("State", "applied", "controller_count"),
     ("Latched", "commands", "controller_count"),
 ];

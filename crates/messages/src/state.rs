@@ -162,6 +162,8 @@ message! {
         flange_wrench: Wrench,
         /// Pose of each rigid body, in the scene's order.
         t_world_body: [Pose; MAX_BODIES],
+        /// Wrench of the tool on each rigid body about its centre of mass, mean over the tick.
+        wrench_on_body: [Wrench; MAX_BODIES],
         /// Contacts that carry force, in the order of their spheres.
         contacts: [Contact; MAX_CONTACTS],
         /// The command of each controller that this tick applied.

@@ -159,8 +159,12 @@ const OF_THE_STATE: [&str; 8] = [
 /// Returns how many elements of a field, by its name, a state of this scene uses; `None` for a field that is
 /// no array or uses all of them.
 pub fn used_elements(field: &str, state: &State) -> Option<u32> {
-    // Arrays of a command have the names of those of a state, except for this one.
-    let field = if field == "tendon_force_n" { "tendon_tension_n" } else { field };
+    // Arrays of a command have the names of those of a state, except for these.
+    let field = match field {
+        "tendon_force_n" => "tendon_tension_n",
+        "tendon_velocity_m_per_s" => "tendon_displacement_m",
+        _ => field,
+    };
     match USED_LENGTHS.iter().find(|(of, name, _)| (*of, *name) == ("State", field))?.2 {
         "joint_count" => Some(state.joint_count),
         "tendon_count" => Some(state.tendon_count),
@@ -241,6 +245,8 @@ fn part(field: &str) -> Option<Drives> {
         ("t_world_base", Drives::Arm),
         ("burr_", Drives::Burr),
         ("tube_", Drives::Tube),
+        ("body_", Drives::Body),
+        ("t_world_body_goal", Drives::Body),
     ];
     of.into_iter().find(|(prefix, _)| field.starts_with(prefix)).map(|(_, part)| part)
 }

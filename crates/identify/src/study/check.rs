@@ -507,12 +507,14 @@ impl Checker<'_> {
             Some("servo_jf") => TendonMode::ServoJf.code(),
             Some("servo_jp") => TendonMode::ServoJp.code(),
             Some("move_jp") => TendonMode::MoveJp.code(),
+            Some("servo_jv") => TendonMode::ServoJv.code(),
             Some(other) => {
-                let expected = "\"servo_jf\", \"servo_jp\" or \"move_jp\"";
+                let expected = "\"servo_jf\", \"servo_jp\", \"move_jp\" or \"servo_jv\"";
                 return Err(self.value(format!("{key}.tendon_mode"), format!("`{other}`"), expected));
             }
             None if has("tendon_force_n") => TendonMode::ServoJf.code(),
             None if has("tendon_displacement_m") => TendonMode::ServoJp.code(),
+            None if has("tendon_velocity_m_per_s") => TendonMode::ServoJv.code(),
             None => 0,
         };
         const ARM: [(&str, ArmMode); 7] = [

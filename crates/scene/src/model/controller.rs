@@ -103,6 +103,8 @@ pub enum Drives {
     Burr,
     /// The tube that slides out of the tool's outer tube.
     Tube,
+    /// The rigid body that the controller's `body` names.
+    Body,
     /// The C-arm: only its driver can request frames from a pose of its own. If undriven, any controller can.
     CArm,
 }
@@ -115,6 +117,7 @@ impl Drives {
             Drives::Arm => "arm",
             Drives::Burr => "burr",
             Drives::Tube => "tube",
+            Drives::Body => "body",
             Drives::CArm => "c_arm",
         }
     }

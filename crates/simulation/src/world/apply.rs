@@ -63,6 +63,10 @@ impl Simulation<'_> {
                     .move_to(goal_m, now_m, self.dt_s)
                     .map_err(|cause| format!("tendon move_jp: {cause}"))?;
             }
+            Ok(TendonMode::ServoJv) => {
+                let now_m = self.manipulator.tendon_displacements_m();
+                self.tendon.servo_velocity(mine(&command.tendon_velocity_m_per_s), now_m, self.dt_s);
+            }
             Ok(TendonMode::None) => {}
             Err(unknown) => return Err(unknown.to_string()),
         }

@@ -173,7 +173,7 @@ impl Simulation<'_> {
         };
         let nearest = self.limit_tendons(&mut limits, is_force);
         let command = self.tendon.step(self.dt_s, &limits);
-        let is_slowed = self.tendon.is_force_under_way().is_some();
+        let is_slowed = self.tendon.is_slowed();
         let had_slowed =
             self.structure_watch.fixture.as_mut().map(|it| core::mem::replace(&mut it.has_slowed, is_slowed));
         if let (true, Some(false), Some(structure)) = (is_slowed, had_slowed, nearest) {

@@ -1,5 +1,7 @@
-//! Tendon actuators: tension control, displacement control, or jerk-limited motion to a displacement goal.
+//! Tendon actuators: tensions, displacements, rates of displacement, or jerk-limited motion to a displacement
+//! goal.
 
+use messages::{MAX_DISPLACEMENT_M, MAX_DISPLACEMENT_RATE_M_PER_S};
 use serde::{Deserialize, Serialize};
 
 use crate::arm::{AxisLimits, AxisState, Goal, Planner, Segment};
@@ -7,7 +9,7 @@ use crate::manipulator::{MAX_TENDONS, TendonCommand};
 
 /// Limits of `move_jp` in m/s, m/s² and m/s³: those of a lead screw of moderate speed.
 const LIMITS: AxisLimits<MAX_TENDONS> = AxisLimits {
-    velocity: [0.005; MAX_TENDONS],
+    velocity: [MAX_DISPLACEMENT_RATE_M_PER_S; MAX_TENDONS],
     acceleration: [0.05; MAX_TENDONS],
     jerk: [0.5; MAX_TENDONS],
 };
@@ -34,6 +36,15 @@ pub(super) enum TendonDriveState {
         now: [f64; MAX_TENDONS],
         /// Whether they are tensions.
         is_force: bool,
+    },
+    /// Moving at given rates.
+    Velocity {
+        /// Rates of the displacements, m/s.
+        rate: [f64; MAX_TENDONS],
+        /// Displacement setpoints, m.
+        now: [f64; MAX_TENDONS],
+        /// Whether a fixture slowed the last step.
+        is_slowed: bool,
     },
 }
 
@@ -91,6 +102,30 @@ impl TendonDrive {
         };
     }
 
+    /// Commands rates of the displacements; `now_m` are the present ones, from which tendons start that had no
+    /// displacement setpoints.
+    pub(super) fn servo_velocity(
+        &mut self,
+        m_per_s: [f64; MAX_TENDONS],
+        now_m: [f64; MAX_TENDONS],
+        dt_s: f64,
+    ) {
+        let now = self.displacement_setpoints(dt_s).map_or(now_m, |setpoints| setpoints.position);
+        self.state = TendonDriveState::Velocity { rate: m_per_s, now, is_slowed: false };
+    }
+
+    /// Returns the displacement setpoints with their motion; `None` if tensions are controlled.
+    fn displacement_setpoints(&mut self, dt_s: f64) -> Option<AxisState<MAX_TENDONS>> {
+        match self.state {
+            TendonDriveState::Move { ticks, .. } => Some(self.planner.sample(ticks as f64 * dt_s)),
+            TendonDriveState::Displacement(now) => Some(AxisState::at_rest(now)),
+            TendonDriveState::Velocity { rate, now, .. } => {
+                Some(AxisState { velocity: rate, ..AxisState::at_rest(now) })
+            }
+            TendonDriveState::Force(_) | TendonDriveState::Limited { .. } => None,
+        }
+    }
+
     /// Follows a goal from where the actuators are: from the setpoints of the same kind, else from the
     /// present tensions or displacements.
     fn limited(
@@ -112,7 +147,16 @@ impl TendonDrive {
     pub(super) fn is_force_under_way(&self) -> Option<bool> {
         match &self.state {
             TendonDriveState::Limited { goal, now, is_force } if goal != now => Some(*is_force),
+            TendonDriveState::Velocity { .. } if self.is_limited => Some(false),
             _ => None,
+        }
+    }
+
+    /// Returns whether a fixture's limits keep the actuators from where they should be.
+    pub(super) fn is_slowed(&self) -> bool {
+        match &self.state {
+            TendonDriveState::Velocity { is_slowed, .. } => *is_slowed,
+            _ => self.is_force_under_way().is_some(),
         }
     }
 
@@ -127,14 +171,12 @@ impl TendonDrive {
             self.servo_displacement(goal_m, now_m);
             return Ok(());
         }
-        let start = match self.state {
-            TendonDriveState::Move { segment, .. } if segment.goal == Goal::Independent(goal_m) => {
-                return Ok(());
-            }
-            TendonDriveState::Move { ticks, .. } => self.planner.sample(ticks as f64 * dt_s),
-            TendonDriveState::Displacement(displacement_m) => AxisState::at_rest(displacement_m),
-            TendonDriveState::Force(_) | TendonDriveState::Limited { .. } => AxisState::at_rest(now_m),
-        };
+        if matches!(self.state, TendonDriveState::Move { segment, .. }
+            if segment.goal == Goal::Independent(goal_m))
+        {
+            return Ok(());
+        }
+        let start = self.displacement_setpoints(dt_s).unwrap_or_else(|| AxisState::at_rest(now_m));
         let segment = Segment { start, goal: Goal::Independent(goal_m), limits: LIMITS };
         self.planner.plan(&segment)?;
         self.planner.commit();
@@ -155,6 +197,16 @@ impl TendonDrive {
                     true => TendonCommand::EachForce(*now),
                     false => TendonCommand::EachDisplacement(*now),
                 }
+            }
+            TendonDriveState::Velocity { rate, now, is_slowed } => {
+                *is_slowed = false;
+                for t in 0..MAX_TENDONS {
+                    let wanted = rate[t] * dt_s;
+                    let step = wanted.clamp(-limits.down[t] * dt_s, limits.up[t] * dt_s);
+                    *is_slowed |= step != wanted;
+                    now[t] = (now[t] + step).clamp(-MAX_DISPLACEMENT_M, MAX_DISPLACEMENT_M);
+                }
+                TendonCommand::EachDisplacement(*now)
             }
             TendonDriveState::Force(tension_n) => TendonCommand::EachForce(*tension_n),
             TendonDriveState::Displacement(displacement_m) => {
