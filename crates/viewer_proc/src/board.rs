@@ -4,7 +4,9 @@
 use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use delivery::viewer::{self, ChannelMessage, Limits, OutgoingMessage, RetainedMessages, SubscribedChannels};
+use delivery::viewer::{
+    self, ChannelMessage, Limits, OutgoingMessage, Policy, RetainedMessages, SubscribedChannels,
+};
 use ipc_types::clock::now_ns;
 use ipc_types::messages::TickTiming;
 use ipc_types::messages::layout::CDR_LITTLE_ENDIAN;
@@ -172,9 +174,7 @@ impl Board {
         keep: impl Fn(&mut RetainedMessages, &ChannelMessage),
     ) {
         let Some(id) = self.channels.id(topic) else { return };
-        let Some(channel) = self.channels.get(id) else { return };
-        let message =
-            ChannelMessage { channel: id, slot, time_ns, policy: channel.policy, payload: bytes.into() };
+        let message = ChannelMessage { channel: id, slot, time_ns, payload: bytes.into() };
         // Clients subscribe under the same lock, so each gets this message exactly once, kept or sent.
         let mut kept = lock(&self.kept);
         keep(&mut kept, &message);
@@ -219,13 +219,14 @@ impl Board {
     /// # Errors
     /// No such channel, duplicate subscription number, or too many subscriptions.
     pub fn subscribe(&self, client: &Client, wanted: Subscription) -> Result<(), String> {
-        let Subscription { id, channel_id } = wanted;
+        let Subscription { id, channel_id, newest } = wanted;
         let Some(channel) = self.channels.get(channel_id) else {
             return Err(format!("subscription {id}: there is no channel {channel_id}"));
         };
         {
             let kept = lock(&self.kept);
-            let subscribed = lock(&client.state).subscribe(id, channel_id, channel.policy, &kept);
+            let policy = if newest { Policy::Newest } else { channel.policy };
+            let subscribed = lock(&client.state).subscribe(id, channel_id, policy, &kept);
             subscribed.map_err(|refusal| refusal.to_string())?;
             client.bell.notify_one();
         }

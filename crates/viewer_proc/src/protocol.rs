@@ -70,6 +70,10 @@ pub struct Subscription {
     pub id: u32,
     /// The channel's number.
     pub channel_id: u32,
+    /// Whether the client wants only the newest messages of a stream, at most 30 times a second; not part of
+    /// the Foxglove protocol.
+    #[serde(default)]
+    pub newest: bool,
 }
 
 /// A client's service call.
@@ -187,8 +191,11 @@ mod tests {
 
     #[test]
     fn client_texts_are_read() {
-        let text = r#"{"op":"subscribe","subscriptions":[{"id":5,"channelId":2}]}"#;
-        let subscriptions = vec![Subscription { id: 5, channel_id: 2 }];
+        let text = r#"{"op":"subscribe","subscriptions":[{"id":5,"channelId":2},{"id":6,"channelId":3,"newest":true}]}"#;
+        let subscriptions = vec![
+            Subscription { id: 5, channel_id: 2, newest: false },
+            Subscription { id: 6, channel_id: 3, newest: true },
+        ];
         assert_eq!(
             serde_json::from_str::<ClientText>(text).unwrap(),
             ClientText::Subscribe { subscriptions }

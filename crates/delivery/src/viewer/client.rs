@@ -42,12 +42,18 @@ pub enum SubscribeRefusal {
     },
 }
 
+/// What a client subscribes to.
+#[derive(Debug, Clone, Copy)]
+struct ChannelSubscription {
+    channel: u32,
+    policy: Policy,
+}
+
 /// One client.
 #[derive(Debug)]
 pub struct Client {
     queue: Queue,
-    /// Channel by subscription.
-    subscriptions: BTreeMap<u32, u32>,
+    subscriptions: BTreeMap<u32, ChannelSubscription>,
     told_ns: u64,
     /// Start of the second in which its messages are counted.
     counted_from_ns: u64,
@@ -68,18 +74,19 @@ impl Client {
 
     /// Queues a message for each subscription to its channel; returns their number.
     pub fn offer(&mut self, message: &ChannelMessage) -> usize {
-        let wanting = self.subscriptions.iter().filter(|(_, channel)| **channel == message.channel);
+        let wanting = self.subscriptions.iter().filter(|(_, wanted)| wanted.channel == message.channel);
         let mut count = 0;
-        for (subscription, _) in wanting {
+        for (subscription, wanted) in wanting {
             let payload = Arc::clone(&message.payload);
             let outgoing = OutgoingMessage { subscription: *subscription, time_ns: message.time_ns, payload };
-            self.queue.push(outgoing, message.policy, message.slot);
+            self.queue.push(outgoing, wanted.policy, message.slot);
             count += 1;
         }
         count
     }
 
-    /// Adds a subscription, and queues what is kept of the channel.
+    /// Adds a subscription, and queues what is kept of the channel. Of a stream, a client may want only the
+    /// newest messages.
     ///
     /// # Errors
     /// [`SubscribeRefusal::TooMany`], [`SubscribeRefusal::Taken`].
@@ -96,7 +103,7 @@ impl Client {
         if self.subscriptions.contains_key(&subscription) {
             return Err(SubscribeRefusal::Taken { subscription });
         }
-        self.subscriptions.insert(subscription, channel);
+        self.subscriptions.insert(subscription, ChannelSubscription { channel, policy });
         for message in kept.of(channel) {
             let payload = Arc::clone(message.payload);
             let outgoing = OutgoingMessage { subscription, time_ns: message.time_ns, payload };
@@ -118,7 +125,7 @@ impl Client {
 
     /// Returns the channels that it subscribes to.
     pub fn channels(&self) -> impl Iterator<Item = u32> {
-        self.subscriptions.values().copied()
+        self.subscriptions.values().map(|wanted| wanted.channel)
     }
 
     /// Takes the next messages: of streams up to a number of bytes, then one of the others. Empty only if
@@ -161,13 +168,7 @@ mod tests {
     }
 
     fn state(byte: u8) -> ChannelMessage {
-        ChannelMessage {
-            channel: 1,
-            slot: 0,
-            time_ns: 0,
-            policy: Policy::Stream,
-            payload: vec![byte; 10].into(),
-        }
+        ChannelMessage { channel: 1, slot: 0, time_ns: 0, payload: vec![byte; 10].into() }
     }
 
     /// Regression: drops of the last half second before the end were never reported.
@@ -195,6 +196,16 @@ mod tests {
         more.for_each(|number| client.subscribe(number, 1, Policy::Stream, &kept).unwrap());
         let refused = client.subscribe(9999, 1, Policy::Stream, &kept).unwrap_err();
         assert_eq!(refused, SubscribeRefusal::TooMany { subscription: 9999 });
+    }
+
+    #[test]
+    fn a_client_that_wants_the_newest_of_a_stream_loses_the_others_unreported() {
+        let mut client = client();
+        client.subscribe(1, 1, Policy::Newest, &RetainedMessages::default()).unwrap();
+        (0..3).for_each(|byte| assert_eq!(client.offer(&state(byte)), 1));
+        let taken = client.take(usize::MAX);
+        assert_eq!(taken.iter().map(|message| message.payload[0]).collect::<Vec<_>>(), [2]);
+        assert_eq!(client.drops_to_tell(S), None);
     }
 
     #[test]

@@ -15,7 +15,7 @@
 //! let mut client = Client::new(Limits { stream_bytes: 100 }, 0);
 //! client.subscribe(7, 1, Policy::Stream, &kept).unwrap();
 //! for byte in 0..5 {
-//!     let message = ChannelMessage { channel: 1, slot: 0, time_ns: 0, policy: Policy::Stream, payload: vec![byte; 40].into() };
+//!     let message = ChannelMessage { channel: 1, slot: 0, time_ns: 0, payload: vec![byte; 40].into() };
 //!     kept.keep(&message);
 //!     client.offer(&message);
 //! }
@@ -57,8 +57,6 @@ pub struct ChannelMessage {
     pub slot: u32,
     /// Simulated time, ns.
     pub time_ns: u64,
-    /// Which messages of the channel a slow client misses.
-    pub policy: Policy,
     /// Payload.
     pub payload: Payload,
 }

@@ -105,39 +105,39 @@ impl Viewer {
     /// Processes its queues, and passes on what it finds.
     pub fn look(&mut self, now_ns: u64) {
         let states = std::mem::take(&mut self.states);
-        self.forward(STATES, Policy::Stream, states, now_ns);
+        self.forward(STATES, states, now_ns);
         // If several frames have arrived, it publishes the last.
         let newest_frame = self.frames.drain(..).next_back();
         if let Some(frame) = newest_frame {
-            self.publish(FRAMES, Policy::Newest, 0, frame, now_ns);
+            self.publish(FRAMES, 0, frame, now_ns);
         }
         let (block, what) = (self.random.u32(..BLOCKS), self.random.u8(..4));
         if what == 0 {
             self.number += 1;
-            self.publish(SURFACE, Policy::Newest, block, self.number, now_ns);
+            self.publish(SURFACE, block, self.number, now_ns);
         }
         if what == 1 {
             self.notices += 1;
-            self.publish(NOTICES, Policy::Stream, self.notices - 1, u64::from(self.notices), now_ns);
+            self.publish(NOTICES, self.notices - 1, u64::from(self.notices), now_ns);
         }
     }
 
-    fn forward(&mut self, channel: u32, policy: Policy, found: VecDeque<u64>, now_ns: u64) {
+    fn forward(&mut self, channel: u32, found: VecDeque<u64>, now_ns: u64) {
         let mut decimation = Decimation::new(self.wanted, channel);
         for number in found {
             if let Some(number) = decimation.next(number) {
-                self.publish(channel, policy, 0, number, now_ns);
+                self.publish(channel, 0, number, now_ns);
             }
         }
         if let Some(number) = decimation.last() {
-            self.publish(channel, policy, 0, number, now_ns);
+            self.publish(channel, 0, number, now_ns);
         }
     }
 
-    fn publish(&mut self, channel: u32, policy: Policy, slot: u32, number: u64, now_ns: u64) {
+    fn publish(&mut self, channel: u32, slot: u32, number: u64, now_ns: u64) {
         let mut payload = vec![0; self.plan.message_bytes];
         payload[..8].copy_from_slice(&number.to_le_bytes());
-        let message = ChannelMessage { channel, slot, time_ns: now_ns, policy, payload: payload.into() };
+        let message = ChannelMessage { channel, slot, time_ns: now_ns, payload: payload.into() };
         if channel == NOTICES {
             self.kept.keep_last(&message, NOTICES_KEPT);
         } else {

@@ -1,11 +1,15 @@
 // The Foxglove WebSocket protocol: channels, subscriptions and services of the viewer's server.
 
+import { SOFTWARE } from "/assets/software.js";
+
 const SUBPROTOCOLS = ["foxglove.sdk.v1", "foxglove.websocket.v1"];
 const MESSAGE_DATA = 1;
 const TIME = 2;
 const SERVICE_RESPONSE = 3;
 const SERVICE_REQUEST = 2;
 const RETRY_MS = 1500;
+/** Topics with a message per tick. A browser that renders in software gets only the newest, at most 30 times a second. */
+const EACH_TICK = /^\/(state|latched|timing\/tick|command\/.*)$/;
 /** Close reason when the same address will show something else next, and the delay before reconnecting. */
 export const GOES_ON = "the viewer goes on";
 const GOES_ON_MS = 50;
@@ -73,7 +77,8 @@ export class Connection extends EventTarget {
     const added = [...wanted.keys()].filter((id) => !this.subscriptions.has(id));
     this.subscriptions = wanted;
     if (gone.length > 0) this.#send({ op: "unsubscribe", subscriptionIds: gone });
-    if (added.length > 0) this.#send({ op: "subscribe", subscriptions: added.map((id) => ({ id, channelId: id })) });
+    const subscription = (id) => ({ id, channelId: id, newest: SOFTWARE && EACH_TICK.test(wanted.get(id).topic) });
+    if (added.length > 0) this.#send({ op: "subscribe", subscriptions: added.map(subscription) });
   }
 
   open() {

@@ -33,6 +33,8 @@ import { XRayOverlay } from "/assets/x_ray_overlay.js";
 
 /** Update period of the readouts, slow enough to be readable. */
 const TEXT_MS = 100;
+/** How long panels wait for a picture that is rendered in software. */
+const PANELS_WAIT_MS = 400;
 const READ_ONLY = "Read-only: to control the run, open the page with the address that the program printed (it ends in #token=…).";
 
 /** An element of `index.html`, of a kind known here. @param {string} id @returns {any} */
@@ -47,6 +49,8 @@ const dirty = { scene: true, slices: true, xRay: false, plots: true, profile: fa
 const page = { model, connection, notices, work: new Work(), asked: 0 };
 connection.took = (milliseconds) => page.work.message(milliseconds);
 let scheduled = false;
+/** When the page was last drawn. */
+let drawn = 0;
 let connected = false;
 /** Last notice from the viewer: once it has gone, probably the reason. @type {string | undefined} */
 let said;
@@ -302,6 +306,9 @@ function draw() {
   const began = performance.now();
   const { colours } = page.theme;
   const waits = dirty.scene && page.view?.busy;
+  // A processor that renders the scene renders the panels, too: they wait for each other.
+  if (waits && page.view.software && began - Math.max(page.view.begun, drawn) < PANELS_WAIT_MS) return changed("scene");
+  drawn = began;
   const idle = waits && !dirty.slices && !dirty.xRay && !dirty.plots;
   if (dirty.scene && page.view && !waits) drawScene(colours);
   if (dirty.slices) page.slices.draw();

@@ -37,6 +37,8 @@ const SILENT_LIMIT: Duration = Duration::from_secs(5);
 /// Timeout of a service call.
 const CALL_LIMIT: Duration = Duration::from_secs(10);
 const END_CHECK_PERIOD: Duration = Duration::from_millis(100);
+/// Time between two batches for a client that wants only the newest messages of streams.
+const NEWEST_PERIOD: Duration = Duration::from_millis(33);
 
 type Socket = WebSocketStream<TcpStream>;
 
@@ -173,7 +175,15 @@ async fn session(
     is_owner: bool,
 ) -> Result<(), End> {
     let (answers, mut answered) = mpsc::unbounded_channel();
-    let mut session = ClientSession { client, shared, answers, slices: 0, is_owner, has_requested: false };
+    let mut session = ClientSession {
+        client,
+        shared,
+        answers,
+        slices: 0,
+        is_owner,
+        has_requested: false,
+        wants_newest: false,
+    };
     let joined = Instant::now();
     say(socket, Message::text(protocol::server_info("trabecula", &shared.name))).await?;
     say(socket, Message::text(protocol::advertise(&shared.board.channels().advertisements()))).await?;
@@ -181,7 +191,11 @@ async fn session(
     loop {
         let more = session.send_waiting(socket).await?;
         // If there is more to send, only polls for client messages.
-        let pause = if more { Duration::ZERO } else { END_CHECK_PERIOD };
+        let pause = match session.wants_newest {
+            _ if more => Duration::ZERO,
+            true => NEWEST_PERIOD,
+            false => END_CHECK_PERIOD,
+        };
         tokio::select! {
             biased;
             message = socket.next() => match message {
@@ -192,7 +206,7 @@ async fn session(
                 say(socket, answer).await?;
                 session.slices -= usize::from(service == SLICE);
             },
-            () = client.bell.notified(), if !more => {}
+            () = client.bell.notified(), if !more && !session.wants_newest => {}
             () = tokio::time::sleep(pause) => {}
         }
         if !is_owner && !session.has_requested && joined.elapsed() > SILENT_LIMIT {
@@ -223,6 +237,8 @@ struct ClientSession<'a> {
     /// Whether the client has presented the token.
     is_owner: bool,
     has_requested: bool,
+    /// Whether it wants only the newest messages of a stream.
+    wants_newest: bool,
 }
 
 impl ClientSession<'_> {
@@ -271,10 +287,11 @@ impl ClientSession<'_> {
     async fn handle_text(&mut self, socket: &mut Socket, text: ClientText) -> Result<(), End> {
         let board = &self.shared.board;
         let refused: Vec<String> = match text {
-            ClientText::Subscribe { subscriptions } => subscriptions
-                .into_iter()
-                .filter_map(|wanted| board.subscribe(self.client, wanted).err())
-                .collect(),
+            ClientText::Subscribe { subscriptions } => {
+                self.wants_newest |= subscriptions.iter().any(|wanted| wanted.newest);
+                let subscribed = subscriptions.into_iter().map(|wanted| board.subscribe(self.client, wanted));
+                subscribed.filter_map(Result::err).collect()
+            }
             ClientText::Unsubscribe { subscription_ids } => subscription_ids
                 .into_iter()
                 .filter_map(|id| board.unsubscribe(self.client, id).err())

@@ -118,7 +118,7 @@ mod tests {
         let client = board.join();
         let subscribe = |id, topic| {
             let channel_id = board.channels().id(topic).unwrap();
-            board.subscribe(&client, Subscription { id, channel_id }).unwrap();
+            board.subscribe(&client, Subscription { id, channel_id, newest: false }).unwrap();
         };
         let taken = || std::iter::from_fn(|| client.take(usize::MAX).pop()).count();
         subscribe(1, COARSE_SURFACE);
