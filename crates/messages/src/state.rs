@@ -112,7 +112,7 @@ message! {
         /// Work of the burr's motor since the start: the energy spent on cutting, and the work of the side
         /// force of cutting on the tool.
         motor_work_j: f64,
-        /// Work of free bodies on the tool since the start.
+        /// Work of rigid bodies on the tool since the start.
         body_work_j: f64,
         /// Energy lost to the friction of contacts with bone, and of tendons in their channels, since the
         /// start.

@@ -157,6 +157,9 @@ impl Simulation<'_> {
         for (slot, transform) in self.state.t_world_body.iter_mut().zip(rigid.poses()) {
             *slot = pose(transform);
         }
+        for (slot, wrench) in self.state.wrench_on_body.iter_mut().zip(rigid.tool_wrenches()) {
+            *slot = Wrench { force_n: numbers(&wrench.force_n), torque_nm: numbers(&wrench.torque_nm) };
+        }
     }
 
     fn write_arm(&mut self) {
