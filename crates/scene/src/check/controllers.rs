@@ -95,7 +95,9 @@ fn check_body(controller: &Controller, scene: &Scene, checker: &Checker) -> Resu
     let invalid = |problem: String| Err(checker.invalid("controller.body", problem));
     let drives_one = controller.drives.contains(&Drives::Body);
     let name = match &controller.body {
-        None if drives_one => return invalid("is missing, but `drives` lists `body`; name a `[[body]]`".into()),
+        None if drives_one => {
+            return invalid("is missing, but `drives` lists `body`; name a `[[body]]`".into());
+        }
         None => return Ok(()),
         Some(_) if !drives_one => {
             return invalid("applies only to a controller whose `drives` lists `body`".into());

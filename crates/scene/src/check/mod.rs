@@ -10,8 +10,8 @@ use std::path::Path;
 use crate::declaration::{Range, SCENE};
 use crate::error::SceneError;
 use crate::model::{
-    Body, BodyMotion, BuiltInStructure, CArm, Controller, CutterShape, DrillingLaw, Drr, FARTHEST_MM, ManipulatorRung, Scene,
-    Structure, StructureAction, StructureRole, Tool, Volume,
+    Body, BodyMotion, BuiltInStructure, CArm, Controller, CutterShape, DrillingLaw, Drr, FARTHEST_MM,
+    ManipulatorRung, Scene, Structure, StructureAction, StructureRole, Tool, Volume,
 };
 use crate::ranges;
 
