@@ -1,4 +1,4 @@
-//! Couples the tool and the bodies within a tick by finding the common motion with the free ones.
+//! Couples the tool and the free bodies within a tick by finding their common motion.
 //!
 //! The tool steps against planes whose gaps account for the assumed motion of the bodies, and exerts
 //! impulses. Rapier then moves the bodies under these impulses. [`Descent`] iterates until the assumed motion
@@ -35,7 +35,7 @@ pub struct ToolDrive {
 /// Outcome of one tick's coupling.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct CouplingReport {
-    /// Contact planes on free and driven bodies.
+    /// Contact planes on free bodies.
     pub moving_planes: usize,
     /// Number of trial steps of tool and bodies.
     pub evaluations: usize,
@@ -49,7 +49,7 @@ impl CouplingReport {
     }
 }
 
-/// A contact plane on a free or a driven body.
+/// A contact plane on a free body.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct MovingPlane {
     /// Index in the list of planes.
@@ -98,28 +98,22 @@ impl RigidScene {
         Ok(report)
     }
 
-    /// Collects the planes on free and driven bodies. The motion of a driven one is known, and takes no part in
-    /// the descent; that of a free one is predicted from the last tick.
+    /// Collects the planes on free bodies, and predicts the motion of these bodies from the last tick.
     fn collect_moving(&mut self, planes: &[ContactPlane]) {
         self.moving.clear();
         for (own, &body_index) in self.plane_body.iter().enumerate() {
             let plane = self.first_plane + own;
             let Some(contact) = planes.get(plane) else { continue };
-            if self.bodies[body_index].kind != BodyMotion::Fixed {
+            if self.bodies[body_index].kind == BodyMotion::Free {
                 let still_gap_m = contact.gap_m;
                 self.moving.push(MovingPlane { plane, body: body_index, still_gap_m, pressed: false });
             }
         }
         let mut changed = false;
         for (k, body) in self.bodies.iter().enumerate() {
-            let is_free = body.kind == BodyMotion::Free;
-            let touched = is_free && self.moving.iter().any(|moving| moving.body == k);
+            let touched = self.moving.iter().any(|moving| moving.body == k);
             changed |= touched != (self.descent.inertia[k].mass_kg > 0.0);
-            self.descent.motion[k] = match body.kind {
-                BodyMotion::Driven => body.motion,
-                _ if touched => body.mean,
-                _ => Motion::zero(),
-            };
+            self.descent.motion[k] = if touched { body.mean } else { Motion::zero() };
             self.descent.residual[k] = Motion::zero();
             self.descent.inertia[k] = if touched { self.world.inertia(body.handle) } else { Inertia::none() };
         }
@@ -205,9 +199,6 @@ impl RigidScene {
         let mut largest = 0.0f64;
         for moving in &self.moving {
             let body = &self.bodies[moving.body];
-            if body.kind != BodyMotion::Free {
-                continue;
-            }
             let response = self.world.motion_to(&self.trial, body.handle, self.dt_s);
             let residual = response.plus(-1.0, &self.descent.motion[moving.body]);
             self.descent.residual[moving.body] = residual;

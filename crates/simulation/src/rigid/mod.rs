@@ -9,7 +9,7 @@
 //!    pushes it out the shortest way.
 //! 2. [`RigidScene::step`] steps manipulator and bodies together: the planes of a free body move with it
 //!    during the tick, and the body receives the tool's contact impulses, with opposite sign, at the contact
-//!    points before Rapier solves the bodies. The planes of a driven body move with its known velocity.
+//!    points before Rapier solves the bodies. A driven body's planes carry its known velocity.
 //!
 //! # The coupling and its error
 //!
@@ -27,9 +27,9 @@
 //!   of order a^2.
 //! - A body that approaches the tool faster than the tool's push-out speed (0.05 m/s beyond the gap) overlaps
 //!   it and is pushed out in the following ticks.
-//! - Tool friction on a moving body treats the surface as stationary, because a contact plane carries no
-//!   tangential velocity. It is bounded by the cone mu N, acts on the body in full, and is too large where
-//!   the surface moves along with the tool. The burr, with friction 0, is unaffected.
+//! - Tool friction on a free body treats the surface as stationary, because the iteration moves its planes
+//!   along their normals only. It is bounded by the cone mu N, acts on the body in full, and is too large
+//!   where the surface moves along with the tool. The burr, with friction 0, is unaffected.
 //!
 //! A scene without bodies has no [`RigidScene`]; one whose bodies are all fixed does not step Rapier. Rapier
 //! allocates in its steps, and so does copying its world during the iteration.

@@ -167,7 +167,11 @@ impl RigidScene {
                 let nearest = body.shape.nearest(&body.t_world_body, &sphere.centre_m);
                 let gap_m = nearest.distance_m - sphere.radius_m;
                 if gap_m <= margin_m {
-                    planes.push(ContactPlane::hard(sphere_index, nearest.point_m, nearest.normal, gap_m));
+                    let is_driven = body.kind == BodyMotion::Driven;
+                    let surface_m_per_s =
+                        is_driven.then(|| body.motion.at(&(nearest.point_m - body.centre_m)));
+                    let plane = ContactPlane::hard(sphere_index, nearest.point_m, nearest.normal, gap_m);
+                    planes.push(ContactPlane { surface_m_per_s, ..plane });
                     self.plane_body.push(index);
                 }
             }

@@ -301,6 +301,57 @@ fn a_plate_that_moves_by_a_sine_pushes_the_tip_with_the_force_that_it_gets() {
     assert_eq!(state.energy_created_j, 0.0);
 }
 
+/// A plate at 0.5 m/s, ten times as fast as overlap is pushed out, carries the tip along without overlap; one that
+/// slides by drags it sideways with the friction of the cone, until it turns back.
+#[test]
+fn a_fast_plate_carries_the_tip_along_and_a_sliding_one_drags_it() {
+    let text = SCENE.replace("friction = 0.0", "friction = 0.2");
+    for model in ["constant_curvature", "modal", "planar", "spatial", "full"] {
+        let text = text.replace("damping_ratio", &format!("model = \"{model}\"\ndamping_ratio"));
+        let scene = Scene::parse(&text, Path::new("driven.toml")).unwrap();
+        let mut simulation = Simulation::new(&scene, None).unwrap();
+        let mut overlap_m = 0.0_f64;
+        let mut run = |command: Command| {
+            let tick = simulation.state().tick;
+            let commands = [command, push([0.0; 3], 0.0)];
+            simulation.step(&latched(tick, CommandSource::Fresh, commands)).unwrap();
+            let contacts = &simulation.state().contacts[..simulation.state().contact_count as usize];
+            overlap_m = contacts.iter().fold(overlap_m, |most, contact| most.max(-contact.gap_m));
+            *simulation.state()
+        };
+        // By 2 mm toward the tool, of which 1.25 mm push it.
+        for k in 1..=4 {
+            run(place(-5e-4 * f64::from(k)));
+        }
+        let rest = (0..300).map(|_| run(place(-2e-3))).last().unwrap();
+        let pushed = rest.wrench_on_body[0].force_n;
+        let mut slide = |y_m: f64| {
+            let mut command = place(-2e-3);
+            command.t_world_body_goal.position_m[1] = y_m;
+            run(command)
+        };
+        let mut ratios = [0.0; 2];
+        for k in 1..=150 {
+            let state = slide(2e-5 * f64::from(k));
+            ratios[0] = state.wrench_on_body[0].force_n[1] / state.wrench_on_body[0].force_n[0];
+        }
+        for k in 1..=150 {
+            let state = slide(3e-3 - 2e-5 * f64::from(k));
+            ratios[1] = state.wrench_on_body[0].force_n[1] / state.wrench_on_body[0].force_n[0];
+        }
+        println!(
+            "{model}: pressed with {:.4} N, overlap up to {:.2} um, friction {:.4} and {:.4} of the force",
+            pushed[0],
+            overlap_m * 1e6,
+            ratios[0],
+            ratios[1]
+        );
+        assert!(pushed[0] > 0.1 && overlap_m < 2e-4, "{model}");
+        // The plate slides toward +y and back: the tool holds it back.
+        assert!((ratios[0] + 0.2).abs() < 0.02 && (ratios[1] - 0.2).abs() < 0.02, "{model}: {ratios:?}");
+    }
+}
+
 /// A wrench and a goal far away last until the next command, through snapshots, keyframes and mode 0. A
 /// reset ends both.
 #[test]
