@@ -275,11 +275,11 @@ fn a_plate_that_moves_by_a_sine_pushes_the_tip_with_the_force_that_it_gets() {
         assert_eq!(on_plate, force_n, "tick {tick}");
         assert!((torque_nm - Vector3::from(state.wrench_on_body[0].torque_nm)).norm() < 1e-12);
         assert_eq!(state.wrench_on_body[1], WrenchMessage::zeroed());
-        if on_plate.x > 0.3 {
+        if on_plate.x > 0.03 {
             let gap_m = at_m.x - 0.002 - (state.t_world_burr.position_m[0] + 3.25e-3);
             worst_gap_m = worst_gap_m.max(gap_m.abs());
             let flange_n = Vector3::from(state.flange_wrench.force_n);
-            worst_flange = worst_flange.max((flange_n.x + on_plate.x).abs() / on_plate.x.max(0.5));
+            worst_flange = worst_flange.max((flange_n.x + on_plate.x).abs() / on_plate.x);
             slip_m = slip_m.max(state.t_world_burr.position_m[1].abs());
         }
         most_n = most_n.max(on_plate.x);
@@ -292,7 +292,7 @@ fn a_plate_that_moves_by_a_sine_pushes_the_tip_with_the_force_that_it_gets() {
         worst_flange * 1e2,
         state.body_work_j / work_j,
     );
-    assert!(most_n > 0.5 && worst_gap_m < 10e-6 && worst_flange < 0.03 && slip_m < 1e-9);
+    assert!(most_n > 0.1 && worst_gap_m < 2e-6 && worst_flange < 0.01 && slip_m < 1e-9);
     // What the tool gives back is almost what it took.
     assert!((state.body_work_j - work_j).abs() < 0.02 * most_n * 0.0015, "{} J", state.body_work_j);
     let in_j = state.tendon_work_j + state.arm_work_j + state.gravity_work_j + state.body_work_j;
@@ -346,7 +346,7 @@ fn a_fast_plate_carries_the_tip_along_and_a_sliding_one_drags_it() {
             ratios[0],
             ratios[1]
         );
-        assert!(pushed[0] > 0.1 && overlap_m < 2e-4, "{model}");
+        assert!(pushed[0] > 0.03 && overlap_m < 5e-6, "{model}");
         // The plate slides toward +y and back: the tool holds it back.
         assert!((ratios[0] + 0.2).abs() < 0.02 && (ratios[1] - 0.2).abs() < 0.02, "{model}: {ratios:?}");
     }
