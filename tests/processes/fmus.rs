@@ -1,4 +1,5 @@
-//! Controllers that are FMUs: checked without running them, at their own steps, and replayed without them.
+//! Controllers and parts of the plant that are FMUs: checked without running them, at their own steps, and
+//! replayed without them.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -12,7 +13,7 @@ use trabecula_fmu::Archive;
 use crate::common::logs::{Whole, assert_replays, read};
 use crate::common::program::{Done, Place, Run, succeed, trabecula};
 
-/// An FMU of `clients/fmu/bench/gain.c`: u = gain (goal - y). Its library leaves a file when it is loaded.
+/// An FMU of `clients/fmu/bench/gain.c`. Its library leaves a file when it is loaded.
 fn gain(place: &Place, loaded: &Path) -> PathBuf {
     let sources = Path::new(env!("CARGO_MANIFEST_DIR")).join("clients/fmu/bench");
     let (library, mark) = (place.path("gain.so"), place.path("mark.c"));
@@ -122,6 +123,84 @@ fn fmus_step_at_their_own_rates_and_the_log_replays_without_them() {
         assert!(values.len() >= 18, "they follow what they read: {values:?}");
     }
     assert_eq!(log.ticks[0].latched.tick, Tick::START.0);
+}
+
+/// A table breathes against the tool, and a ball hangs on a spring with a damper.
+const PLANT: &str = r#"
+name = "plant"
+gravity_m_per_s2 = [0.0, 0.0, -9.81]
+[run]
+mode = "lockstep"
+duration_s = 0.2
+[tool]
+burr_start_mm = [0.0, 0.0, 0.0]
+direction = [0.0, 0.0, 1.0]
+bend_toward = [1.0, 0.0, 0.0]
+[[body]]
+name = "table"
+cuboid = { half_extents_mm = [2.0, 20.0, 20.0] }
+motion = "driven"
+position_mm = [6.0, 0.0, 0.0]
+[[body]]
+name = "ball"
+ball = { radius_mm = 5.0 }
+motion = "free"
+position_mm = [100.0, 0.0, 0.0]
+[[controller]]
+name = "breath"
+drives = ["body"]
+body = "table"
+fmu = "gain.fmu"
+outputs = { "t_world_body_goal.position_m[0]" = "w" }
+constants = { body_mode = 2, "t_world_body_goal.orientation_xyzw[3]" = 1.0 }
+parameters = { goal = 0.006, amplitude = -0.002, rate = 30.0 }
+[[controller]]
+name = "spring"
+drives = ["body"]
+body = "ball"
+fmu = "gain.fmu"
+inputs = { y = "t_world_body[1].position_m[2]" }
+outputs = { "body_wrench.force_n[2]" = "u" }
+constants = { body_mode = 1 }
+parameters = { goal = 0.005, gain = 10.0, damping = 0.05 }
+"#;
+
+#[test]
+fn fmus_move_a_table_and_hold_a_ball_and_the_log_replays_without_them() {
+    let place = Place::new();
+    let fmu = gain(&place, &place.path("loaded"));
+    let ended = place.complete(PLANT);
+    let again = Run::start(&place.path("scene.toml"), place.path("again"), &[]).end_well();
+    std::fs::remove_file(fmu).unwrap();
+    let log = read(&ended.folder);
+    assert_eq!(log.ticks.len() as u64, TICKS);
+    let hash = |log: &Whole| log.ticks.last().unwrap().state.hash;
+    assert_eq!(hash(&log), hash(&read(&again.folder)));
+    assert_replays(&ended.folder);
+    // The FMUs' equations, and a ball that Rapier moves in four substeps.
+    let dt_s = 1e-3;
+    let (mut breath_m, mut breath_m_per_s) = (0.0, -0.002 * 30.0);
+    let mass_kg = 1900.0 * 4.0 / 3.0 * std::f64::consts::PI * 0.005_f64.powi(3);
+    let (mut ball_m, mut ball_m_per_s, mut last_m) = (0.0, 0.0, 0.0);
+    let (mut worst_m, mut most_n) = (0.0_f64, 0.0_f64);
+    for (tick, TickRecord { latched, state, .. }) in log.ticks.iter().enumerate() {
+        breath_m_per_s -= 30.0 * 30.0 * breath_m * dt_s;
+        breath_m += breath_m_per_s * dt_s;
+        assert_eq!(state.t_world_body[0].position_m, [0.006 + breath_m, 0.0, 0.0], "tick {tick}");
+        let y = answered(&log, tick).t_world_body[1].position_m[2];
+        let rate = (y - last_m) / dt_s;
+        let force_n = 10.0 * (0.005 - y) - 0.05 * rate;
+        last_m = y;
+        assert_eq!(latched.commands[1].command.body_wrench.force_n[2], force_n, "tick {tick}");
+        for _ in 0..4 {
+            ball_m_per_s += (force_n / mass_kg - 9.81) * 0.25 * dt_s;
+            ball_m += ball_m_per_s * 0.25 * dt_s;
+        }
+        worst_m = worst_m.max((state.t_world_body[1].position_m[2] - ball_m).abs());
+        most_n = most_n.max(state.wrench_on_body[0].force_n[0]);
+    }
+    println!("the ball within {worst_m:.1e} m of its equations, the tool on the table up to {most_n:.3} N");
+    assert!(worst_m < 1e-9 && most_n > 0.05, "{worst_m:e} m, {most_n} N");
 }
 
 fn check(place: &Place, text: &str) -> Done {

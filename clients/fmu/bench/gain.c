@@ -1,4 +1,5 @@
-/* A controller as an FMU (FMI 3.0, co-simulation), with what its master calls: u = gain (goal - y). For the
+/* A controller, or a part of the plant, as an FMU (FMI 3.0, co-simulation), with what its master calls: a gain
+   or a spring with a damper, u = gain (goal - y) - damping dy/dt, and an oscillation w about the goal. For the
    tests, and for `trabecula-lab bench latency`. */
 
 #include <stdbool.h>
@@ -7,11 +8,19 @@
 #include <stdlib.h>
 
 enum { OK = 0, ERROR = 3 };
-enum { Y = 1, GOAL, GAIN, U, COUNT };
+enum { Y = 1, GOAL, GAIN, U, DAMPING, AMPLITUDE, RATE, W, COUNT };
 
 typedef struct {
     double value[COUNT];
+    /* The last y, whether there is one, and the oscillation's position and speed. */
+    double last;
+    bool has_last;
+    double at, speed;
 } Gain;
+
+static bool is_output(uint32_t reference) {
+    return reference == U || reference == W;
+}
 
 const char *fmi3GetVersion(void) {
     return "3.0";
@@ -39,7 +48,8 @@ int fmi3EnterInitializationMode(void *instance, bool has_tolerance, double toler
 }
 
 int fmi3ExitInitializationMode(void *instance) {
-    (void)instance;
+    Gain *gain = instance;
+    gain->speed = gain->value[AMPLITUDE] * gain->value[RATE];
     return OK;
 }
 
@@ -52,7 +62,7 @@ int fmi3SetFloat64(void *instance, const uint32_t *reference, size_t count, cons
                    size_t values) {
     Gain *gain = instance;
     for (size_t i = 0; i < count; i++) {
-        if (values != count || reference[i] < Y || reference[i] > GAIN)
+        if (values != count || reference[i] < Y || reference[i] >= COUNT || is_output(reference[i]))
             return ERROR;
         gain->value[reference[i]] = value[i];
     }
@@ -62,7 +72,7 @@ int fmi3SetFloat64(void *instance, const uint32_t *reference, size_t count, cons
 int fmi3GetFloat64(void *instance, const uint32_t *reference, size_t count, double *value, size_t values) {
     const Gain *gain = instance;
     for (size_t i = 0; i < count; i++) {
-        if (values != count || reference[i] < Y || reference[i] > U)
+        if (values != count || reference[i] < Y || reference[i] >= COUNT)
             return ERROR;
         value[i] = gain->value[reference[i]];
     }
@@ -75,6 +85,13 @@ int fmi3DoStep(void *instance, double at, double step, bool no_rollback, bool *e
     (void)no_rollback;
     *event = *terminate = *early = false;
     *last = at + step;
-    gain->value[U] = gain->value[GAIN] * (gain->value[GOAL] - gain->value[Y]);
+    const double *value = gain->value;
+    double rate = gain->has_last ? (value[Y] - gain->last) / step : 0.0;
+    gain->last = value[Y];
+    gain->has_last = true;
+    gain->value[U] = value[GAIN] * (value[GOAL] - value[Y]) - value[DAMPING] * rate;
+    gain->speed -= value[RATE] * value[RATE] * gain->at * step;
+    gain->at += gain->speed * step;
+    gain->value[W] = value[GOAL] + gain->at;
     return OK;
 }

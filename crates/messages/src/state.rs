@@ -82,6 +82,9 @@ message! {
         bend_rad: f64,
         /// Angular speed of the burr.
         burr_speed_rad_per_s: f64,
+        /// Torque of cutting on the burr's motor; 0 unless the scene models the motor, a flexible drive shaft or
+        /// the side force of cutting.
+        burr_torque_nm: f64,
         /// Angle by which the motor leads the burr: the wind-up of a flexible drive shaft; 0 without one.
         drive_shaft_wind_up_rad: f64,
         /// Normal force between burr and bone.
@@ -112,7 +115,7 @@ message! {
         /// Work of the burr's motor since the start: the energy spent on cutting, and the work of the side
         /// force of cutting on the tool.
         motor_work_j: f64,
-        /// Work of free bodies on the tool since the start.
+        /// Work of rigid bodies on the tool since the start.
         body_work_j: f64,
         /// Energy lost to the friction of contacts with bone, and of tendons in their channels, since the
         /// start.

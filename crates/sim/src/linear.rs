@@ -144,7 +144,7 @@ impl Sim {
     }
 }
 
-/// Fields of a state that follow from the state vector; a tick computes the others.
+/// Fields of a state that follow from the state vector; a tick computes the others, poses of bodies too.
 const OF_THE_STATE: [&str; 8] = [
     "joint_",
     "bend_rad",
@@ -333,8 +333,9 @@ impl OneTick<'_> {
         self.plant.step(latched)?;
         let (next, after) = (self.plant.state_vector(), self.plant.state());
         let output = self.outputs.iter().map(|column| {
-            let of_state =
-                !self.all_after && OF_THE_STATE.iter().any(|prefix| column.name.starts_with(prefix));
+            let of_state = !self.all_after
+                && !column.name.starts_with("t_world_body")
+                && OF_THE_STATE.iter().any(|prefix| column.name.starts_with(prefix));
             let state = if of_state { before.as_bytes() } else { after.as_bytes() };
             column.value(state).map_or(0.0, run_log::fields::Scalar::nearest_f64)
         });

@@ -7,7 +7,7 @@ use std::path::Path;
 use std::process::{Command as Program, Stdio};
 use std::sync::Arc;
 
-use messages::{ArmMode, BurrMode, Command, TendonMode};
+use messages::{ArmMode, BodyMode, BurrMode, Command, TendonMode};
 use nalgebra::{Complex, DMatrix, DVector};
 use sim::{Batch, Drive, LinearModel, SharedScene, Sim, SimError};
 use simulation::manipulator::{AnyManipulator, BaseMotion, ManipulatorModel, Rung};
@@ -524,4 +524,23 @@ fn a_designed_regulator_has_its_poles_in_the_simulation() {
     let error = (rate(seen) - rate(pole)).norm() / rate(pole).norm();
     println!("simulated {:.1} 1/s, error {:.2} %", rate(seen), 100.0 * error);
     assert!(error < 0.02, "{error}");
+}
+
+/// A wrench moves a free body by `F dt^2 / m` times 10/16, the sum of four substeps; its pose is an output of
+/// the tick.
+#[test]
+fn the_pose_of_a_body_answers_its_wrench_within_the_tick() {
+    let mut sim = sim("[[body]]\nname = \"ball\"\nball = { radius_mm = 5.0 }\nmotion = \"free\"\n\
+         position_mm = [100.0, 0.0, 0.0]\n\
+         [[controller]]\nname = \"push\"\ndrives = [\"body\"]\nbody = \"ball\"\nexternal = true\n");
+    let push = Command { body_mode: BodyMode::ServoCf.code(), ..Command::zeroed() };
+    let (inputs, outputs) = (names(&["body_wrench.force_n"]), names(&["t_world_body[0].position_m"]));
+    let model = sim.linearize(&[pull([4.0, 1.0]), push], &inputs, &outputs).unwrap();
+    let mass_kg = 1900.0 * 4.0 / 3.0 * std::f64::consts::PI * 0.005_f64.powi(3);
+    let off = matrix(3, &model.d) / (1e-6 / mass_kg * 10.0 / 16.0) - DMatrix::identity(3, 3);
+    println!(
+        "derivative of the position by the force, relative to the closed form: off by {:.1e}",
+        off.amax()
+    );
+    assert!(off.amax() < 1e-6, "{off}");
 }

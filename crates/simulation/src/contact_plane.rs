@@ -17,6 +17,8 @@ pub struct ContactPlane {
     pub strength_n: f64,
     /// How the obstacle recedes within the step under a cutting tool.
     pub give: RecessionLaw,
+    /// Velocity of the obstacle's surface at the point during the step, world, m/s; `None` if it is stationary.
+    pub surface_m_per_s: Option<Vector3<f64>>,
 }
 
 /// Law by which an obstacle recedes within a step under a cutting tool: all its planes recede by `m_per_n`
@@ -49,6 +51,15 @@ impl ContactPlane {
             gap_m,
             strength_n: f64::INFINITY,
             give: RecessionLaw::default(),
+            surface_m_per_s: None,
+        }
+    }
+
+    /// Returns the gap at the end of a step to a sphere that stays where it is, m.
+    pub(crate) fn end_gap_m(&self, dt_s: f64) -> f64 {
+        match &self.surface_m_per_s {
+            None => self.gap_m,
+            Some(surface) => self.gap_m - dt_s * surface.dot(&self.normal),
         }
     }
 

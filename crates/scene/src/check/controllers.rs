@@ -1,9 +1,11 @@
 //! Checks the controllers of a scene: what each drives, and how the keys of each kind relate.
 
+use messages::BodyMode;
+
 use super::Checker;
 use crate::error::SceneError;
 use crate::model::{
-    Controller, CurvedDrilling, Display, Drives, Drr, Feedback, Scene, TensionSweep, whole_steps,
+    BodyMotion, Controller, CurvedDrilling, Display, Drives, Drr, Feedback, Scene, TensionSweep, whole_steps,
 };
 
 /// Names of the other processes, and end reasons that are not process names: a log's end names its cause.
@@ -11,7 +13,7 @@ const RESERVED_NAMES: [&str; 7] =
     ["physics", "drr", "recorder", "launcher", "completed", "stopped", "interrupted"];
 
 pub(super) fn check(scene: &Scene, checker: &Checker) -> Result<(), SceneError> {
-    let mut driven: Vec<(Drives, &str)> = Vec::new();
+    let mut driven: Vec<(Drives, Option<&str>, &str)> = Vec::new();
     for (index, controller) in scene.controller.iter().enumerate() {
         if RESERVED_NAMES.contains(&controller.name.as_str()) {
             let problem =
@@ -22,20 +24,23 @@ pub(super) fn check(scene: &Scene, checker: &Checker) -> Result<(), SceneError> 
             return Err(checker.invalid("controller.name", format!("has a duplicate: `{}`", controller.name)));
         }
         for part in &controller.drives {
-            if let Some((_, other)) = driven.iter().find(|(driven, _)| driven == part) {
-                let name = part.name();
+            // Every body is a part of its own.
+            let body = controller.body.as_deref().filter(|_| *part == Drives::Body);
+            if let Some((.., other)) = driven.iter().find(|(driven, of, _)| (driven, *of) == (part, body)) {
+                let name = body.map_or(format!("`{}`", part.name()), |body| format!("body `{body}`"));
                 let problem = format!(
-                    "`{name}` is driven by both `{other}` and `{}`; only one may drive it",
+                    "{name} is driven by both `{other}` and `{}`; only one may drive it",
                     controller.name
                 );
                 return Err(checker.invalid("controller.drives", problem));
             }
-            driven.push((*part, &controller.name));
+            driven.push((*part, body, &controller.name));
         }
         check_controller(controller, checker)?;
         check_fmu(controller, scene, checker)?;
         check_image_feedback(controller, scene.drr.as_ref(), checker)?;
         check_tube(controller, scene, checker)?;
+        check_body(controller, scene, checker)?;
     }
     Ok(())
 }
@@ -81,6 +86,41 @@ fn check_tube(controller: &Controller, scene: &Scene, checker: &Checker) -> Resu
             checker.at_most(&key("retraction_mm"), plan.retraction_mm, plan.deployed_mm)
         }
         _ => Ok(()),
+    }
+}
+
+/// Checks that a driven body exists and can move, and that an FMU with a constant mode drives it in a way
+/// that its motion allows.
+fn check_body(controller: &Controller, scene: &Scene, checker: &Checker) -> Result<(), SceneError> {
+    let invalid = |problem: String| Err(checker.invalid("controller.body", problem));
+    let drives_one = controller.drives.contains(&Drives::Body);
+    let name = match &controller.body {
+        None if drives_one => {
+            return invalid("is missing, but `drives` lists `body`; name a `[[body]]`".into());
+        }
+        None => return Ok(()),
+        Some(_) if !drives_one => {
+            return invalid("applies only to a controller whose `drives` lists `body`".into());
+        }
+        Some(name) => name,
+    };
+    let Some(body) = scene.body.iter().find(|body| body.name == *name) else {
+        let names: Vec<&str> = scene.body.iter().map(|body| body.name.as_str()).collect();
+        return invalid(format!("is `{name}`; expected the name of a `[[body]]`: {names:?}"));
+    };
+    let mode = controller.constants.get("body_mode").copied();
+    let is_mode = |of: BodyMode| mode == Some(f64::from(of.code()));
+    match body.motion {
+        BodyMotion::Fixed => invalid(format!(
+            "is `{name}`, whose `motion` is \"fixed\"; expected \"free\" for servo_cf or \"driven\" for servo_cp"
+        )),
+        BodyMotion::Free if is_mode(BodyMode::ServoCp) => invalid(format!(
+            "is `{name}`, whose `motion` is \"free\"; servo_cp (`body_mode = 2`) needs \"driven\""
+        )),
+        BodyMotion::Driven if is_mode(BodyMode::ServoCf) => invalid(format!(
+            "is `{name}`, whose `motion` is \"driven\"; servo_cf (`body_mode = 1`) needs \"free\""
+        )),
+        BodyMotion::Free | BodyMotion::Driven => Ok(()),
     }
 }
 

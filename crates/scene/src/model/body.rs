@@ -19,7 +19,7 @@ pub struct Body {
     pub ball: Option<Ball>,
     /// A capsule.
     pub capsule: Option<Capsule>,
-    /// Fixed or free.
+    /// Fixed, free or driven.
     pub motion: BodyMotion,
     /// Centre, patient frame.
     #[schemars(inner(range(min = -FARTHEST_MM, max = FARTHEST_MM)))]
@@ -46,8 +46,10 @@ defaults!(Body { default_density_kg_per_m3: f64 = 1900.0, default_friction: f64 
 pub enum BodyMotion {
     /// Does not move: a clamp.
     Fixed,
-    /// Moves by forces: a bone fragment.
+    /// Moves by forces: a bone fragment. A controller can add a wrench (`servo_cf`).
     Free,
+    /// Moves as a controller commands (`servo_cp`), whatever pushes it: a table.
+    Driven,
 }
 
 /// A box, centred at the body's position.

@@ -17,8 +17,10 @@ pub struct Controller {
     /// Name within the session.
     #[schemars(regex(pattern = NAME), extend("patternErrorMessage" = NAME_EXPECTED))]
     pub name: String,
-    /// Parts that it drives; each part has at most one driver.
+    /// Parts that it drives; each part, and each rigid body, has at most one driver.
     pub drives: Vec<Drives>,
+    /// Name of the `[[body]]` that it drives, if `drives` lists `body`.
+    pub body: Option<String>,
     /// Names of sensors that a built-in controller uses: their readings replace the exact state.
     #[serde(default)]
     pub sensors: Vec<String>,

@@ -201,3 +201,50 @@ fn keys_of_an_fmu_are_checked_with_each_other() {
         assert!(error.contains(part), "{keys}: {error}");
     }
 }
+
+#[test]
+fn a_driven_body_has_one_driver_that_suits_its_motion() {
+    let body = |name: &str, motion: &str| {
+        format!(
+            "[[body]]\nname = \"{name}\"\nball = {{ radius_mm = 1 }}\nmotion = \"{motion}\"\nposition_mm = [0, 0, 50]\n"
+        )
+    };
+    let driver =
+        |name: &str, keys: &str| format!("[[controller]]\nname = \"{name}\"\ndrives = [\"body\"]\n{keys}\n");
+    let all = [body("table", "driven"), body("bone", "free"), body("clamp", "fixed")].concat();
+    let of = |drivers: &[String]| parsed(&format!("{all}{}", drivers.concat()));
+    let table = driver("a", "external = true\nbody = \"table\"");
+    let bone = driver("b", "external = true\nbody = \"bone\"");
+    assert!(of(&[table.clone(), bone.clone()]).is_ok(), "every body can have a driver of its own");
+    let fmu = |body: &str, mode: u32| {
+        driver("b", &format!("body = \"{body}\"\nfmu = \"f.fmu\"\nconstants = {{ body_mode = {mode} }}"))
+    };
+    assert!(of(&[table.clone(), fmu("bone", 1)]).is_ok() && of(&[fmu("table", 2)]).is_ok());
+    let cases = [
+        (vec![bone], "`body.motion` of `table` is \"driven\", but no `controller.body` names it"),
+        (vec![table.clone(), table.replace("\"a\"", "\"c\"")], "body `table` is driven by both `a` and `c`"),
+        (
+            vec![table.clone(), driver("b", "external = true")],
+            "`controller.body` is missing, but `drives` lists `body`",
+        ),
+        (
+            vec![table.clone(), driver("b", "external = true\nbody = \"ball\"")],
+            "`controller.body` is `ball`; expected the name of a `[[body]]`: [\"table\", \"bone\", \"clamp\"]",
+        ),
+        (
+            vec![table.clone(), driver("b", "external = true\nbody = \"clamp\"")],
+            "`controller.body` is `clamp`, whose `motion` is \"fixed\"",
+        ),
+        (
+            vec![table.replace("drives = [\"body\"]", "drives = [\"burr\"]")],
+            "applies only to a controller whose `drives` lists `body`",
+        ),
+        (vec![table, fmu("bone", 2)], "servo_cp (`body_mode = 2`) needs \"driven\""),
+        (vec![fmu("table", 1)], "servo_cf (`body_mode = 1`) needs \"free\""),
+    ];
+    for (drivers, part) in cases {
+        let error = of(&drivers).unwrap_err();
+        println!("{error}");
+        assert!(error.contains(part), "{error}");
+    }
+}

@@ -186,7 +186,8 @@ impl Common {
     /// contact counts as near, so that the Euler step rejects and counts it.
     pub(super) fn contacts_far(&self, dt: f64, input: &StepInput) -> bool {
         input.contacts.iter().all(|c| {
-            let far = |s: &ProxySphere| c.gap_m + dt * s.velocity_m_per_s.dot(&c.normal) > CLEARANCE_M;
+            let far =
+                |s: &ProxySphere| c.end_gap_m(dt) + dt * s.velocity_m_per_s.dot(&c.normal) > CLEARANCE_M;
             c.gap_m > CLEARANCE_M && self.spheres.get(c.sphere_index).is_some_and(far)
         })
     }
@@ -194,13 +195,14 @@ impl Common {
     /// Returns true if every sphere clears its plane at its position from `place`, base axes.
     pub(super) fn contacts_clear(
         &self,
+        dt: f64,
         input: &StepInput,
         place: impl Fn(&SphereLayout) -> Vector3<f64>,
     ) -> bool {
         input.contacts.iter().all(|c| {
             let local = Point3::from(place(&self.sphere_layout[c.sphere_index]));
             let moved = (input.base.t_world_base * local).coords - self.spheres[c.sphere_index].centre_m;
-            c.gap_m + moved.dot(&c.normal) > 0.0
+            c.end_gap_m(dt) + moved.dot(&c.normal) > 0.0
         })
     }
 

@@ -183,7 +183,10 @@ impl<const N: usize, O: Operator<N>> ContactSolver<N, O> {
             let [t0, t1] = tangents(&normal);
             let direction = [normal, t0, t1];
             let ContactPlacement { link, point, force } = place(sphere, &direction);
-            let base_velocity = step.drive.linear + step.drive.angular.cross(&point);
+            let mut base_velocity = step.drive.linear + step.drive.angular.cross(&point);
+            if let Some(surface) = &plane.surface_m_per_s {
+                base_velocity -= step.drive.rotation.inverse_transform_vector(surface);
+            }
             let mut row = ContactRow::new(link, force);
             row.drive = direction.map(|d| d.dot(&base_velocity));
             row.friction = step.parameters.friction_of(spheres[sphere].kind, step.burr_turns);

@@ -325,7 +325,7 @@ impl Manipulator {
         let next = q.plus(1.5 * dt, &kq1).plus(0.5 * dt, &kq2);
         let error = largest(&Generalised::ZERO.plus(0.5 * dt, &kq1).plus(0.5 * dt, &kq2).joint);
         let accurate = error <= self.common.parameters.hybrid_tolerance_rad;
-        if !accurate || self.near_stop(&next) || !self.contacts_clear(&next, input) {
+        if !accurate || self.near_stop(&next) || !self.contacts_clear(dt, &next, input) {
             return Err(if error.is_finite() { error } else { f64::MAX });
         }
         next.copy_to(&mut self.common.state.position);
@@ -380,12 +380,12 @@ impl Manipulator {
 
     /// Returns true if every sphere still clears its plane in configuration `next`. Leaves `next` in the
     /// trial configuration.
-    fn contacts_clear(&mut self, next: &Generalised, input: &StepInput) -> bool {
+    fn contacts_clear(&mut self, dt: f64, next: &Generalised, input: &StepInput) -> bool {
         if input.contacts.is_empty() {
             return true;
         }
         self.trial.update(&self.layout, &next.joint, &next.mount);
-        self.common.contacts_clear(input, |fixed| {
+        self.common.contacts_clear(dt, input, |fixed| {
             let point = self.trial.point(fixed.link, fixed.along_m);
             Vector3::new(point[0], next.mount[1], point[1])
         })

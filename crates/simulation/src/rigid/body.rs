@@ -3,6 +3,7 @@
 use nalgebra::{Isometry3, Vector3};
 
 use super::error::RigidError;
+use crate::manipulator::Wrench;
 
 /// Convex shape, centred at the body's origin.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -33,7 +34,21 @@ pub enum BodyMotion {
     Fixed,
     /// Moves under forces, like a bone fragment.
     Free,
+    /// Moves as commanded, like a table: nothing that pushes it changes its motion.
+    Driven,
 }
+
+/// What a controller commands of a body, until its next command.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum BodyDrive {
+    /// A wrench on a free body about its centre of mass, world axes.
+    Wrench(Wrench),
+    /// The pose of a driven body, which it reaches within the tick at up to [`FASTEST_DRIVEN`].
+    Pose(Isometry3<f64>),
+}
+
+/// Largest speed and angular speed of a driven body, m/s and rad/s; it follows a goal farther away at these.
+pub const FASTEST_DRIVEN: [f64; 2] = [1.0, core::f64::consts::PI];
 
 /// Complete definition of a body.
 #[derive(Debug, Clone, PartialEq)]
@@ -44,7 +59,7 @@ pub struct BodyParameters {
     pub shape: BodyShape,
     /// Initial pose.
     pub t_world_body: Isometry3<f64>,
-    /// Fixed or free.
+    /// Fixed, free or driven.
     pub motion: BodyMotion,
     /// Density of a free body, kg/m^3.
     pub density_kg_per_m3: f64,

@@ -11,6 +11,7 @@ use crate::manipulator::{
     BaseMotion, ManipulatorError, ManipulatorModel, StepInput, StepReport, TendonCommand, Wrench,
 };
 
+use super::body::BodyMotion;
 use super::descent::{Inertia, Motion};
 use super::scene::RigidScene;
 
@@ -73,14 +74,14 @@ impl RigidScene {
         planes: &mut [ContactPlane],
     ) -> Result<StepReport, ManipulatorError> {
         self.collect_moving(planes);
+        let are_fixed = self.bodies.iter().all(|body| body.kind == BodyMotion::Fixed);
         let report = if self.moving.is_empty() {
             self.report = CouplingReport::none();
             let report = step_tool(manipulator, self.dt_s, drive, planes)?;
-            if !self.bodies.iter().any(|body| body.free) {
-                return Ok(report);
+            if !are_fixed {
+                self.trial.clone_from(&self.world);
+                self.stepper.step(&mut self.trial);
             }
-            self.trial.clone_from(&self.world);
-            self.stepper.step(&mut self.trial);
             report
         } else {
             let outcome = self.iterate(manipulator, drive, planes);
@@ -89,8 +90,11 @@ impl RigidScene {
             }
             outcome?
         };
-        core::mem::swap(&mut self.world, &mut self.trial);
-        self.update_bodies();
+        self.note_wrenches(manipulator, planes);
+        if !are_fixed {
+            core::mem::swap(&mut self.world, &mut self.trial);
+            self.update_bodies();
+        }
         Ok(report)
     }
 
@@ -100,7 +104,7 @@ impl RigidScene {
         for (own, &body_index) in self.plane_body.iter().enumerate() {
             let plane = self.first_plane + own;
             let Some(contact) = planes.get(plane) else { continue };
-            if self.bodies[body_index].free {
+            if self.bodies[body_index].kind == BodyMotion::Free {
                 let still_gap_m = contact.gap_m;
                 self.moving.push(MovingPlane { plane, body: body_index, still_gap_m, pressed: false });
             }

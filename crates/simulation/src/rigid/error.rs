@@ -1,4 +1,4 @@
-//! Errors of building a rigid scene.
+//! Errors of building a rigid scene, and of driving its bodies.
 
 /// Errors of [`super::RigidScene::new`].
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -25,4 +25,18 @@ pub enum RigidError {
         /// The accepted range, in words.
         allowed: &'static str,
     },
+}
+
+/// Errors of [`super::RigidScene::drive`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+pub enum DriveError {
+    /// The controller's entry in the scene names no body.
+    #[error("the controller drives no body; set `controller.body`")]
+    NoBody,
+    /// A wrench on a body that does not move by forces.
+    #[error("servo_cf needs a body whose `motion` is \"free\"; use servo_cp for a driven one")]
+    NotFree,
+    /// A pose of a body that moves by forces, or not at all.
+    #[error("servo_cp needs a body whose `motion` is \"driven\"; use servo_cf for a free one")]
+    NotDriven,
 }

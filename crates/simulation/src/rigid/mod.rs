@@ -1,5 +1,5 @@
-//! The rigid scene: free or fixed bodies (a bone fragment, a clamp) in Rapier, coupled to the manipulator by
-//! impulses.
+//! The rigid scene: free, fixed and driven bodies (a bone fragment, a clamp, a table) in Rapier, coupled to the
+//! manipulator by impulses.
 //!
 //! # One tick
 //!
@@ -9,7 +9,7 @@
 //!    pushes it out the shortest way.
 //! 2. [`RigidScene::step`] steps manipulator and bodies together: the planes of a free body move with it
 //!    during the tick, and the body receives the tool's contact impulses, with opposite sign, at the contact
-//!    points before Rapier solves the bodies.
+//!    points before Rapier solves the bodies. A driven body's planes carry its known velocity.
 //!
 //! # The coupling and its error
 //!
@@ -27,11 +27,11 @@
 //!   of order a^2.
 //! - A body that approaches the tool faster than the tool's push-out speed (0.05 m/s beyond the gap) overlaps
 //!   it and is pushed out in the following ticks.
-//! - Tool friction on a free body treats the surface as stationary, because a contact plane carries no
-//!   tangential velocity. It is bounded by the cone mu N, acts on the body in full, and is too large where
-//!   the surface moves along with the tool. The burr, with friction 0, is unaffected.
+//! - Tool friction on a free body treats the surface as stationary, because the iteration moves its planes
+//!   along their normals only. It is bounded by the cone mu N, acts on the body in full, and is too large
+//!   where the surface moves along with the tool. The burr, with friction 0, is unaffected.
 //!
-//! A scene without bodies has no [`RigidScene`]; one without free bodies does not step Rapier. Rapier
+//! A scene without bodies has no [`RigidScene`]; one whose bodies are all fixed does not step Rapier. Rapier
 //! allocates in its steps, and so does copying its world during the iteration.
 
 mod body;
@@ -42,7 +42,7 @@ mod query;
 mod scene;
 mod world;
 
-pub use body::{BodyMotion, BodyParameters, BodyShape};
+pub use body::{BodyDrive, BodyMotion, BodyParameters, BodyShape, FASTEST_DRIVEN};
 pub use coupling::{CouplingReport, ToolDrive};
-pub use error::RigidError;
+pub use error::{DriveError, RigidError};
 pub use scene::{RigidScene, RigidSnapshot};

@@ -12,6 +12,7 @@ use serde::{Deserialize, Serialize};
 
 use super::body::{BodyMotion, BodyParameters, BodyShape};
 use super::descent::{Inertia, Motion};
+use crate::manipulator::Wrench;
 
 /// Typical size of the bodies, m; Rapier's tolerances scale with it.
 const LENGTH_UNIT_M: f64 = 0.01;
@@ -102,6 +103,7 @@ impl World {
                 let builder = match body.motion {
                     BodyMotion::Fixed => RigidBodyBuilder::fixed(),
                     BodyMotion::Free => RigidBodyBuilder::dynamic(),
+                    BodyMotion::Driven => RigidBodyBuilder::kinematic_position_based(),
                 };
                 let handle = world.bodies.insert(builder.pose(body.t_world_body.into()).can_sleep(false));
                 world.colliders.insert_with_parent(collider(body), handle, &mut world.bodies);
@@ -161,6 +163,20 @@ impl World {
     /// Applies an impulse (N s) to the body at a point, world axes.
     pub fn apply_impulse(&mut self, handle: RigidBodyHandle, impulse: &Vector3<f64>, point_m: &Vector3<f64>) {
         self.bodies[handle].apply_impulse_at_point(vector(impulse), vector(point_m), true);
+    }
+
+    /// Sets the wrench that acts on a free body in every step, about its centre of mass, world axes.
+    pub fn set_wrench(&mut self, handle: RigidBodyHandle, wrench: &Wrench) {
+        let body = &mut self.bodies[handle];
+        body.reset_forces(true);
+        body.reset_torques(true);
+        body.add_force(vector(&wrench.force_n), true);
+        body.add_torque(vector(&wrench.torque_nm), true);
+    }
+
+    /// Sets the pose of a driven body at the end of the next step.
+    pub fn set_next_pose(&mut self, handle: RigidBodyHandle, pose: &Isometry3<f64>) {
+        self.bodies[handle].set_next_kinematic_position((*pose).into());
     }
 }
 

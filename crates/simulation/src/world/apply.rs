@@ -1,14 +1,16 @@
 //! Applies the latched commands to the actuators.
 
 use messages::{
-    ArmMode, BurrMode, Command, CommandSource, ControllerIndex, Latched, Pose, Refusal, TendonMode, TubeMode,
+    ArmMode, BodyMode, BurrMode, Command, CommandSource, ControllerIndex, Latched, Pose, Refusal, TendonMode,
+    TubeMode,
 };
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
 
 use super::tube_drive::TubeRefusal;
 use super::{Driver, Simulation};
 use crate::arm::ArmCommand;
-use crate::manipulator::{MAX_TENDONS, ManipulatorModel};
+use crate::manipulator::{MAX_TENDONS, ManipulatorModel, Wrench};
+use crate::rigid::{BodyDrive, DriveError};
 
 impl Simulation<'_> {
     /// Applies fresh and safe commands; a held command remains in effect.
@@ -20,7 +22,12 @@ impl Simulation<'_> {
             }
             let controller = ControllerIndex(entry.controller_index);
             let command = &entry.command;
-            let outcomes = [self.apply_tendon(command), self.apply_arm(command), self.apply_tube(command)];
+            let outcomes = [
+                self.apply_tendon(command),
+                self.apply_arm(command),
+                self.apply_tube(command),
+                self.apply_body(controller, command),
+            ];
             if entry.command.arm_mode() != Ok(ArmMode::None) && outcomes[1].is_ok() {
                 self.arm_driver = Driver { controller, sequence: entry.command.sequence };
             }
@@ -88,6 +95,23 @@ impl Simulation<'_> {
             }
         };
         outcome.map_err(|cause| format!("tube: {cause}"))
+    }
+
+    fn apply_body(&mut self, controller: ControllerIndex, command: &Command) -> Result<(), String> {
+        let wanted = match command.body_mode().map_err(|unknown| unknown.to_string())? {
+            BodyMode::None => return Ok(()),
+            BodyMode::ServoCf => BodyDrive::Wrench(Wrench {
+                force_n: command.body_wrench.force_n.into(),
+                torque_nm: command.body_wrench.torque_nm.into(),
+            }),
+            BodyMode::ServoCp => BodyDrive::Pose(isometry(&command.t_world_body_goal)),
+        };
+        let body = self.driven_bodies.get(controller.slot()).copied().flatten();
+        let driven = match (&mut self.rigid, body) {
+            (Some(rigid), Some(body)) => rigid.drive(body, wanted),
+            _ => Err(DriveError::NoBody),
+        };
+        driven.map_err(|cause| format!("body: {cause}"))
     }
 
     fn apply_arm(&mut self, command: &Command) -> Result<(), String> {

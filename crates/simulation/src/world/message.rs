@@ -30,6 +30,7 @@ impl Simulation<'_> {
         state.removed_in_tick = removed as u32;
         state.removed_total = self.bone.as_ref().map_or(0, |bone| bone.field.voxels().removed_total());
         state.burr_speed_rad_per_s = self.burr_speed_rad_per_s;
+        state.burr_torque_nm = self.burr_drive.state.torque_nm;
         state.drive_shaft_wind_up_rad = self.burr_drive.state.shaft.wind_up_rad;
         state.cutting_energy_j = self.cutting_energy_j;
         state.crushing_energy_j = self.crushing_energy_j;
@@ -49,6 +50,7 @@ impl Simulation<'_> {
         self.write_tool();
         self.write_tube();
         self.write_arm();
+        self.state.burr_torque_nm = self.burr_drive.state.torque_nm;
         self.state.drive_shaft_wind_up_rad = self.burr_drive.state.shaft.wind_up_rad;
     }
 
@@ -156,6 +158,9 @@ impl Simulation<'_> {
         self.state.body_count = rigid.body_count() as u32;
         for (slot, transform) in self.state.t_world_body.iter_mut().zip(rigid.poses()) {
             *slot = pose(transform);
+        }
+        for (slot, wrench) in self.state.wrench_on_body.iter_mut().zip(rigid.tool_wrenches()) {
+            *slot = Wrench { force_n: numbers(&wrench.force_n), torque_nm: numbers(&wrench.torque_nm) };
         }
     }
 

@@ -2,12 +2,12 @@
 //!
 //! One tick:
 //!
-//! 1. apply the latched commands: arm goal, tendon target, burr speed;
+//! 1. apply the latched commands: arm goal, tendon target, burr speed, wrench or pose of a body;
 //! 2. move the arm along its jerk-limited path; the flange is the manipulator's base, on which a tool with an
 //!    outer tube slides and rolls;
 //! 3. find the contact planes between the manipulator's proxy spheres and the bone and rigid bodies;
 //! 4. step the manipulator with these planes and the tendon tensions, contact impulses inside its implicit
-//!    solve; free bodies step with it; without bodies, repeat from 3 if a sphere moved farther than its
+//!    solve; free and driven bodies step with it; without bodies, repeat from 3 if a sphere moved farther than its
 //!    planes were searched for, or into bone that supports more force;
 //! 5. let bone that was pressed beyond its strength recede, and remove bone with the burr, using the contact
 //!    normal forces of that solve; measure the clearance of critical structures, which may stop the arm;
@@ -39,7 +39,8 @@ mod validity;
 use std::sync::Arc;
 
 use messages::{
-    Approach, ArmEntry, ArmStatus, Breach, ControllerIndex, Latched, Refusal, SensorReading, State,
+    Approach, ArmEntry, ArmStatus, Breach, ControllerIndex, Latched, MAX_CONTROLLERS, Refusal, SensorReading,
+    State,
 };
 use nalgebra::Vector3;
 use scene::{Holder, Scene};
@@ -151,6 +152,8 @@ pub struct Simulation<'v> {
     manipulator: AnyManipulator,
     bone: Option<Bone<'v>>,
     rigid: Option<RigidScene>,
+    /// The rigid body that each controller drives.
+    driven_bodies: [Option<usize>; MAX_CONTROLLERS],
     planes: Vec<ContactPlane>,
     /// Where the last step pressed bone beyond its strength.
     indentations: Vec<Indentation>,

@@ -22,7 +22,7 @@ use crate::rigid::ToolDrive;
 /// margin. A larger margin finds more planes around a burr in its own tunnel; with a smaller one, an
 /// accelerating tool repeats its step.
 const CONTACT_MARGIN_M: f64 = 3.0e-5;
-/// Margin for free bodies, m.
+/// Margin for rigid bodies, m.
 const BODY_MARGIN_M: f64 = 1.0e-4;
 
 /// Fraction of its strength at which a contact yields, which allows for the solver's rounding.

@@ -80,6 +80,7 @@ pub(super) fn build<'v>(
         manipulator,
         bone,
         rigid,
+        driven_bodies: core::array::from_fn(|index| driven_body(scene, index)),
         planes: Vec::with_capacity(sphere_count * (PLANES_PER_SPHERE + scene.body.len())),
         tendon: TendonDrive::new(has_fixture),
         tube: scene.manipulator.outer_tube().map(TubeDrive::new),
@@ -97,7 +98,7 @@ pub(super) fn build<'v>(
         sensors: sensors::SensorArray::new(scene),
         state: State::zeroed(),
         predrilled,
-        refusals: Vec::with_capacity(3 * messages::MAX_CONTROLLERS + 3),
+        refusals: Vec::with_capacity(4 * messages::MAX_CONTROLLERS + 3),
         holder: scene.arm.holder(),
         arm_watch: super::ArmWatch::default(),
         breach_watch: super::BreachWatch::default(),
@@ -253,6 +254,12 @@ fn tool_base(tool: &Tool, parameters: &ManipulatorParameters) -> Isometry3<f64> 
     Isometry3::from_parts(Translation3::from(origin), UnitQuaternion::from_rotation_matrix(&turn))
 }
 
+/// Returns the body that a controller of the scene drives.
+fn driven_body(scene: &Scene, controller: usize) -> Option<usize> {
+    let name = scene.controller.get(controller)?.body.as_ref()?;
+    scene.body.iter().position(|body| body.name == *name)
+}
+
 /// Returns a body in SI units.
 fn body(body: &Body) -> BodyParameters {
     let shape = if let Some(cuboid) = &body.cuboid {
@@ -274,6 +281,7 @@ fn body(body: &Body) -> BodyParameters {
     let motion = match body.motion {
         SceneMotion::Fixed => BodyMotion::Fixed,
         SceneMotion::Free => BodyMotion::Free,
+        SceneMotion::Driven => BodyMotion::Driven,
     };
     let (density_kg_per_m3, friction) = (body.density_kg_per_m3, body.friction);
     BodyParameters { name: body.name.clone(), shape, t_world_body, motion, density_kg_per_m3, friction }

@@ -181,6 +181,31 @@ fn a_motor_slows_stands_and_turns_again() {
     assert!(continued(new).burr_speed_rad_per_s < SPEED_RAD_S);
 }
 
+/// A motor outside the simulation reads the torque of a state and sets the speed of the next tick. One with the
+/// built-in motor's line turns the burr as that does, bit for bit.
+#[test]
+fn a_motor_outside_that_answers_the_torque_turns_as_the_built_in_one() {
+    let (geometry, hu) = wall();
+    let stall_nm: f64 = 0.6e-3;
+    let side = "side_force = true\n";
+    let inside = scene(side, &format!("burr_stall_torque_nmm = {:?}\n", stall_nm * 1e3));
+    let new = |scene: &Scene| Simulation::new(scene, Some(CtView { geometry, hu: &hu })).unwrap();
+    let (mut inside, mut outside) = (new(&inside), new(&scene(side, "")));
+    let mut slowest = f64::INFINITY;
+    for tick in 0..2000 {
+        let tension_n = 3.0 + tick as f64 / 500.0;
+        let speed = SPEED_RAD_S * (1.0 - outside.state().burr_torque_nm / stall_nm).max(0.0);
+        inside.step(&latched(tick, tension_n, SPEED_RAD_S)).unwrap();
+        outside.step(&latched(tick, tension_n, speed)).unwrap();
+        let of = |state: &State| {
+            [state.burr_speed_rad_per_s, state.burr_torque_nm, state.bend_rad, state.cutting_energy_j]
+        };
+        assert_eq!(of(inside.state()), of(outside.state()), "tick {tick}");
+        slowest = slowest.min(outside.state().burr_speed_rad_per_s);
+    }
+    assert!(slowest < 0.5 * SPEED_RAD_S, "{slowest} rad/s");
+}
+
 /// The standard tool from its file, with a drive shaft.
 fn scene_with_shaft(keys: &str) -> Scene {
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../configs/tools/jhu_27.toml");

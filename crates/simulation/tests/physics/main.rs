@@ -24,6 +24,7 @@ mod common;
 mod contact_convergence;
 mod cutters;
 mod described_tools;
+mod driven_bodies;
 mod feasibility;
 mod fine_voxels;
 mod flexure;

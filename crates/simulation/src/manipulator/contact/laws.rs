@@ -24,8 +24,8 @@ pub(in crate::manipulator) struct ContactRow<const N: usize> {
     pub strength: f64,
     /// Whether the obstacle recedes within the step: see [`super::patch`].
     pub recedes: bool,
-    /// Speed of the contact point on the link without contact impulses, m/s; initially due to the base motion
-    /// alone.
+    /// Speed of the contact point on the link relative to the obstacle without contact impulses, m/s;
+    /// initially due to the motion of base and obstacle alone.
     pub drive: [f64; 3],
     /// Normal and tangential impulse, N s.
     pub impulse: [f64; 3],

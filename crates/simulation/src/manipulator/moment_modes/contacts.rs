@@ -69,7 +69,7 @@ impl<const N: usize> MomentModes<N> {
                 let centre = Vector3::new(x, self.common.state.position[1], z);
                 velocity = axes * (own + drive.linear + drive.angular.cross(&centre));
             }
-            *enters = plane.gap_m + dt * velocity.dot(&plane.normal) < margin_m;
+            *enters = plane.end_gap_m(dt) + dt * velocity.dot(&plane.normal) < margin_m;
             marked |= *enters;
         }
         marked

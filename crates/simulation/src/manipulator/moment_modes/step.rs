@@ -284,7 +284,7 @@ impl<const N: usize> MomentModes<N> {
         let next = plus(&plus(&x, 1.5 * dt, &kx1), 0.5 * dt, &kx2);
         let error = self.largest_bend(&plus(&scaled(0.5 * dt, &kx1), 0.5 * dt, &kx2));
         let accurate = error <= self.common.parameters.hybrid_tolerance_rad;
-        if !accurate || self.near_stop(&next) || !self.contacts_clear(&next, input) {
+        if !accurate || self.near_stop(&next) || !self.contacts_clear(dt, &next, input) {
             return Err(if error.is_finite() { error } else { f64::MAX });
         }
         self.set_position(&next);
@@ -305,13 +305,13 @@ impl<const N: usize> MomentModes<N> {
 
     /// Returns true if every sphere still clears its plane at `next`. Leaves `next` in the trial shape.
     #[inline(always)]
-    fn contacts_clear(&mut self, next: &[f64; N], input: &StepInput) -> bool {
+    fn contacts_clear(&mut self, dt: f64, next: &[f64; N], input: &StepInput) -> bool {
         if input.contacts.is_empty() {
             return true;
         }
         let q = self.angles(next);
         self.trial.0.update(&self.links, &q, &Self::mount_of(next));
-        self.common.contacts_clear(input, |fixed| {
+        self.common.contacts_clear(dt, input, |fixed| {
             let point = self.trial.0.point(fixed.link, fixed.along_m);
             Vector3::new(point[0], next[1], point[1])
         })

@@ -322,7 +322,7 @@ impl<const D: usize> SpatialChain<D> {
         self.common.state.position = q;
         let error = stages.ok_or(0.0)?;
         let accurate = error <= self.common.parameters.hybrid_tolerance_rad;
-        if !accurate || self.near_stop(&work.next) || !self.contacts_clear(&work.next, input) {
+        if !accurate || self.near_stop(&work.next) || !self.contacts_clear(dt, &work.next, input) {
             return Err(if error.is_finite() { error } else { f64::MAX });
         }
         match before_j {
@@ -418,12 +418,12 @@ impl<const D: usize> SpatialChain<D> {
     }
 
     /// Returns true if every sphere still clears its plane in configuration `next`.
-    fn contacts_clear(&mut self, next: &[f64], input: &StepInput) -> bool {
+    fn contacts_clear(&mut self, dt: f64, next: &[f64], input: &StepInput) -> bool {
         if input.contacts.is_empty() {
             return true;
         }
         self.trial.update(&self.layout, next);
-        self.common.contacts_clear(input, |fixed| self.trial.point(fixed.link, fixed.along_m))
+        self.common.contacts_clear(dt, input, |fixed| self.trial.point(fixed.link, fixed.along_m))
     }
 
     /// Computes the flange reaction, then updates everything that depends on the new state.
