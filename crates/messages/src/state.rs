@@ -82,8 +82,8 @@ message! {
         bend_rad: f64,
         /// Angular speed of the burr.
         burr_speed_rad_per_s: f64,
-        /// Torque of cutting on the burr's motor; 0 unless the scene models the motor, a flexible drive shaft or
-        /// the side force of cutting.
+        /// Torque of cutting on the burr's motor; 0 unless the scene models the motor, a flexible drive
+        /// shaft or the side force of cutting.
         burr_torque_nm: f64,
         /// Angle by which the motor leads the burr: the wind-up of a flexible drive shaft; 0 without one.
         drive_shaft_wind_up_rad: f64,

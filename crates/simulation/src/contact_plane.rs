@@ -17,7 +17,8 @@ pub struct ContactPlane {
     pub strength_n: f64,
     /// How the obstacle recedes within the step under a cutting tool.
     pub give: RecessionLaw,
-    /// Velocity of the obstacle's surface at the point during the step, world, m/s; `None` if it is stationary.
+    /// Velocity of the obstacle's surface at the point during the step, world, m/s; `None` if it is
+    /// stationary.
     pub surface_m_per_s: Option<Vector3<f64>>,
 }
 

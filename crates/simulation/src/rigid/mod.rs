@@ -1,5 +1,5 @@
-//! The rigid scene: free, fixed and driven bodies (a bone fragment, a clamp, a table) in Rapier, coupled to the
-//! manipulator by impulses.
+//! The rigid scene: free, fixed and driven bodies (a bone fragment, a clamp, a table) in Rapier, coupled to
+//! the manipulator by impulses.
 //!
 //! # One tick
 //!
@@ -25,8 +25,8 @@
 //!   iteration ended.
 //! - A plane keeps its direction during the tick: for a body that turns by an angle a, the gap has an error
 //!   of order a^2.
-//! - A body that approaches the tool faster than the tool's push-out speed (0.05 m/s beyond the gap) overlaps
-//!   it and is pushed out in the following ticks.
+//! - A free body that approaches the tool faster than the tool's push-out speed (0.05 m/s beyond the gap)
+//!   overlaps it and is pushed out in the following ticks.
 //! - Tool friction on a free body treats the surface as stationary, because the iteration moves its planes
 //!   along their normals only. It is bounded by the cone mu N, acts on the body in full, and is too large
 //!   where the surface moves along with the tool. The burr, with friction 0, is unaffected.

@@ -147,9 +147,9 @@ impl RigidScene {
         }
     }
 
-    /// Plans the motion of driven bodies. Then, for each sphere and body, appends the plane at the body's nearest
-    /// surface point if the gap is below `margin_m` or could close within the tick at the current velocities. At
-    /// most one plane per sphere and body.
+    /// Plans the motion of driven bodies. Then, for each sphere and body, appends the plane at the body's
+    /// nearest surface point if the gap is below `margin_m` or could close within the tick at the current
+    /// velocities. At most one plane per sphere and body.
     pub fn find_contacts(&mut self, spheres: &[ProxySphere], margin_m: f64, planes: &mut Vec<ContactPlane>) {
         self.plan_driven();
         self.first_plane = planes.len();

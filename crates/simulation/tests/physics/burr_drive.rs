@@ -181,8 +181,8 @@ fn a_motor_slows_stands_and_turns_again() {
     assert!(continued(new).burr_speed_rad_per_s < SPEED_RAD_S);
 }
 
-/// A motor outside the simulation reads the torque of a state and sets the speed of the next tick. One with the
-/// built-in motor's line turns the burr as that does, bit for bit.
+/// A motor outside the simulation reads the torque of a state and sets the speed of the next tick. One with
+/// the built-in motor's line turns the burr as that does, bit for bit.
 #[test]
 fn a_motor_outside_that_answers_the_torque_turns_as_the_built_in_one() {
     let (geometry, hu) = wall();

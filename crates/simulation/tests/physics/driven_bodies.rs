@@ -301,8 +301,8 @@ fn a_plate_that_moves_by_a_sine_pushes_the_tip_with_the_force_that_it_gets() {
     assert_eq!(state.energy_created_j, 0.0);
 }
 
-/// A plate at 0.5 m/s, ten times as fast as overlap is pushed out, carries the tip along without overlap; one that
-/// slides by drags it sideways with the friction of the cone, until it turns back.
+/// A plate at 0.5 m/s, ten times as fast as overlap is pushed out, carries the tip along without overlap; one
+/// that slides by drags it sideways with the friction of the cone.
 #[test]
 fn a_fast_plate_carries_the_tip_along_and_a_sliding_one_drags_it() {
     let text = SCENE.replace("friction = 0.0", "friction = 0.2");
