@@ -204,6 +204,7 @@ fn push(marks: &mut Vec<Mark>, mark: Mark) {
 
 #[cfg(test)]
 mod tests {
+    use ipc_types::messages::Tick;
     use recorder_proc::build_info;
     use run_log::RunMode;
     use zerocopy::IntoBytes;
@@ -221,6 +222,7 @@ mod tests {
             mode: RunMode::RealTime,
             controllers: Vec::new(),
             build: build_info::current(),
+            first_tick: Tick::START,
         })
     }
 
