@@ -182,6 +182,12 @@ impl RunLane {
         }
     }
 
+    /// Simulated time that the log covers, s.
+    pub fn kept_s(&self) -> f64 {
+        let first_ns = |header: &LogHeader| header.first_tick.0.saturating_mul(header.dt_ns);
+        self.end_ns.saturating_sub(self.header.as_ref().map_or(0, first_ns)) as f64 * 1e-9
+    }
+
     fn has_structures(&self) -> bool {
         self.scene.as_ref().is_some_and(|scene| !scene.structure.is_empty())
     }

@@ -19,6 +19,9 @@ use crate::background::{BackgroundFile, BackgroundOptions};
 /// The files of the two lanes, by name.
 pub const LANES: [&str; 2] = ["run.mcap", "timing.mcap"];
 
+/// Name of the folder of a saved log, before its number.
+pub const SAVED_PREFIX: &str = "saved-";
+
 /// The two lanes of an open log.
 pub struct LogFiles {
     /// The folder.
@@ -185,7 +188,7 @@ fn dispose(output: &Path, files: LogFiles, disposal: Disposal) -> Result<(), Log
         file.close().map_err(write_error(&folder.join(lane)))?;
     }
     match disposal {
-        Disposal::Save(number) => name(&folder, &output.join(format!("saved-{number}")))?,
+        Disposal::Save(number) => name(&folder, &output.join(format!("{SAVED_PREFIX}{number}")))?,
         _ => {
             LANES.iter().try_for_each(|lane| name(&folder.join(lane), &output.join(lane)))?;
             fs::remove_dir(&folder).map_err(write_error(&folder))?;

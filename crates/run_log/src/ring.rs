@@ -118,17 +118,13 @@ impl Ring {
         let (cause, until) = (format!("tick {tick}: {cause}"), tick.saturating_add(after_ticks));
         let longest = self.period_ticks.saturating_mul(EXTENDED_PERIODS);
         let is_short = |log: &OpenLog| log.first_tick.saturating_add(longest) > tick;
-        let saving =
-            self.open.iter().rposition(|log| log.save.is_some() && self.covers(log, tick) && is_short(log));
-        let unsaved = || {
-            let any = self.open.iter().position(|log| log.save.is_none());
-            self.unsaved_since_a_period(tick).or(any)
-        };
-        let is_extended = saving.is_some();
-        // Without an unsaved log, the youngest saved one continues.
-        let Some(place) = saving.or_else(unsaved).or(self.open.len().checked_sub(1)) else {
-            return Triggered::Full;
-        };
+        let saved = |log: &OpenLog| log.save.is_some() && self.covers(log, tick);
+        let found = self.open.iter().rposition(|log| saved(log) && is_short(log));
+        let found = found.or_else(|| self.unsaved_since_a_period(tick));
+        let found = found.or_else(|| self.open.iter().rposition(saved));
+        // There is always one that reaches back a period, but not before a tick of the past.
+        let Some(place) = found.or((!self.open.is_empty()).then_some(0)) else { return Triggered::Full };
+        let is_extended = self.open[place].save.is_some();
         let log = &mut self.open[place];
         let save = match &mut log.save {
             Some(save) => save,

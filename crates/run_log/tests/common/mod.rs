@@ -39,10 +39,10 @@ pub fn header() -> LogHeader {
         controllers: vec!["a".to_string(), "b-2".to_string()],
         build: BuildInfo {
             version: "0.1.0+0123456789ab".to_string(),
-            first_tick: Tick::START,
             target: "test".to_string(),
             rustc: None,
         },
+        first_tick: Tick::START,
     }
 }
 
