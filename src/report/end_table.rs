@@ -156,7 +156,7 @@ impl Summary {
         rows.push(("logs", format!("run {run}, timing {timing}{rate}")));
         if self.logs.first_tick > 0 {
             let first = self.logs.first_tick;
-            let text = "the end of the run, of which all numbers are except ticks, time and voxels";
+            let text = "the end of the run, of which all numbers are except time and voxels";
             rows.push(("kept", format!("from tick {first}: {text}")));
         }
         if !self.logs.saved.is_empty() {

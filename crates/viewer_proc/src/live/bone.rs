@@ -171,7 +171,8 @@ impl Removals {
         let Some(path) = &self.log else {
             // Without a log, earlier removals are unknown: continue from the first one received.
             self.queue.go_on();
-            let text = "the start of the run is not recorded: bone drilled before the viewer joined is shown intact";
+            let text =
+                "the start of the run is not recorded: bone drilled before the viewer joined is shown intact";
             return self.say_incomplete(text, board);
         };
         let Ok(mut stream) = MessageStream::open_topics(
