@@ -39,7 +39,7 @@ use std::path::Path;
 use figures::FigureError;
 use inputs::failure::Failure;
 use ipc_types::messages::Tick;
-use recorder_proc::ring_files::SAVED_PREFIX;
+use recorder_proc::ring_files::{OPEN_PREFIX, SAVED_PREFIX};
 use structures::Regions;
 
 pub use run_log::timeline;
@@ -141,9 +141,13 @@ pub fn write(folder: &Path, facts: &RunFacts) -> Result<Report, ReportError> {
         run.course.note_drilled(regions, &drilled);
     }
     timing.breaches.iter().for_each(|(tick, text)| run.course.add_breach(*tick, text));
+    let open = logs_in(folder, OPEN_PREFIX);
+    if !open.is_empty() {
+        run.notes.push(format!("{} were not finished; replay them one by one", open.join(", ")));
+    }
     let bytes = paths.map(|path| path.metadata().map_or(0, |metadata| metadata.len()));
     let frames = [("before", &run.frames.before), ("half", &run.frames.half), ("after", &run.frames.after)];
-    let summary = Summary::new(&run, &timing, facts, (bytes, saved_logs(folder)));
+    let summary = Summary::new(&run, &timing, facts, (bytes, logs_in(folder, SAVED_PREFIX)));
     let mut missing: Vec<FigureError> = Vec::new();
     // Write the numbers first: they need the least space on a nearly full disk.
     missing.extend(write_json(&folder.join("summary.json"), &summary).err());
@@ -187,14 +191,14 @@ pub fn write(folder: &Path, facts: &RunFacts) -> Result<Report, ReportError> {
     Ok(Report { summary, missing })
 }
 
-/// Returns the names of the folders with logs that triggers saved, in order.
-fn saved_logs(folder: &Path) -> Vec<String> {
+/// Returns the names of the folders with logs of this kind, in order.
+fn logs_in(folder: &Path, prefix: &str) -> Vec<String> {
     let number = |entry: std::io::Result<DirEntry>| {
-        entry.ok()?.file_name().to_str()?.strip_prefix(SAVED_PREFIX)?.parse::<u64>().ok()
+        entry.ok()?.file_name().to_str()?.strip_prefix(prefix)?.parse::<u64>().ok()
     };
     let mut numbers: Vec<u64> = folder.read_dir().into_iter().flatten().filter_map(number).collect();
     numbers.sort_unstable();
-    numbers.into_iter().map(|number| format!("{SAVED_PREFIX}{number}")).collect()
+    numbers.into_iter().map(|number| format!("{prefix}{number}")).collect()
 }
 
 fn write_json(path: &Path, summary: &Summary) -> Result<(), FigureError> {

@@ -19,6 +19,8 @@ use crate::background::{BackgroundFile, BackgroundOptions};
 /// The files of the two lanes, by name.
 pub const LANES: [&str; 2] = ["run.mcap", "timing.mcap"];
 
+/// Name of the folder of an open log, before its number.
+pub const OPEN_PREFIX: &str = "ring-";
 /// Name of the folder of a saved log, before its number.
 pub const SAVED_PREFIX: &str = "saved-";
 
@@ -154,7 +156,7 @@ impl Drop for RingFiles {
 /// # Errors
 /// [`LogError::Create`], [`LogError::Exists`].
 pub fn create(output: &Path, number: u64) -> Result<LogFiles, LogError> {
-    let folder = output.join(format!("ring-{number}"));
+    let folder = output.join(format!("{OPEN_PREFIX}{number}"));
     fs::create_dir(&folder).map_err(|source| create_error(&folder, source))?;
     let open = |lane: &str, options| create_file(&folder.join(lane), options);
     let run = open(LANES[0], BackgroundOptions::RUN)?;
