@@ -156,8 +156,10 @@ impl Summary {
         rows.push(("logs", format!("run {run}, timing {timing}{rate}")));
         if self.logs.first_tick > 0 {
             let first = self.logs.first_tick;
-            let text = "the end of the run, of which all numbers are except time and voxels";
-            rows.push(("kept", format!("from tick {first}: {text}")));
+            rows.push((
+                "kept",
+                format!("from tick {first} on; except time and voxels, all numbers cover only that"),
+            ));
         }
         if !self.logs.saved.is_empty() {
             rows.push(("saved", self.logs.saved.join(", ")));

@@ -174,9 +174,10 @@ impl Flight {
         let after_ticks = after_ticks.unwrap_or(self.after_ticks).min(self.period_ticks);
         let triggered = self.ring.trigger(tick, after_ticks.saturating_add(self.frame_lag_ticks), &cause);
         let (severity, text) = match triggered {
-            Triggered::Full => {
-                (Severity::Warning, format!("not saved: {cause}: `recording.saved_at_most` logs are saved"))
-            }
+            Triggered::Full => (
+                Severity::Warning,
+                format!("not saved: {cause}; `recording.saved_at_most` logs have been saved"),
+            ),
             Triggered::Saving { number, first_tick, until, .. } => {
                 (Severity::Info, format!("saved-{number}: ticks {first_tick} to {until} or later: {cause}"))
             }
