@@ -133,8 +133,10 @@ impl RingFiles {
     }
 
     fn send(&self, job: Job) {
-        // Fails only if the thread has panicked.
-        let _ = self.jobs.as_ref().map(|jobs| jobs.send(job));
+        if let Some(jobs) = &self.jobs {
+            // Fails only if the thread has panicked.
+            let _ = jobs.send(job);
+        }
     }
 
     fn join(&mut self) {
