@@ -115,6 +115,7 @@ fn header() -> Vec<u8> {
         mode: run_log::RunMode::Lockstep,
         controllers: Vec::new(),
         build: build_info::current(),
+        first_tick: messages::Tick::START,
     };
     let log = run_log::RunLog::create(Vec::new(), &header);
     let whole = log.and_then(|log| log.finish(run_log::EndReason::Completed, &Default::default()));

@@ -254,6 +254,10 @@ fn scene_of(arguments: &RunArguments, source: &SceneSource) -> Result<Scene, Fai
     scene.recording.images = arguments.images.unwrap_or(scene.recording.images);
     scene.run.wait = arguments.wait.unwrap_or(scene.run.wait);
     scene.run.policy = arguments.policy.unwrap_or(scene.run.policy);
+    if arguments.no_record && scene.recording.ring_s > 0.0 {
+        let keys = "`--no-record` and `recording.ring_s` are mutually exclusive; use only one";
+        return Err(Failure::bad_input(keys));
+    }
     if let Some(every) = arguments.image_every {
         if !(1..=1_000_000).contains(&every) || scene.recording.images != Images::Full {
             return Err(Failure::bad_input(format!(

@@ -6,7 +6,7 @@ use drr_proc::{ThisMachine, arm_model};
 use ipc_types::messages::{Frame, Restores, State, Tick, TickRange};
 use recorder_proc::log_file::LogFile;
 use run_log::diff::compare_frame;
-use run_log::{FrameReader, FrameRecord, LogError, LogReader, SavedState, Verdict, frames};
+use run_log::{FrameReader, FrameRecord, LogError, LogReader, Verdict, frames};
 use xray::arm_model::ArmModel;
 use xray::frame::{Cache, Job, label_job, render_job};
 use xray::from_scene::{renderer_parameters, scene_isocentre_m};
@@ -15,6 +15,7 @@ use xray::{DrrRenderer, Labels, VolumeView};
 use zerocopy::IntoBytes;
 
 use super::OpenedLog;
+use super::gone::gone_at;
 use super::replies::Replies;
 use crate::failure::Failure;
 
@@ -174,14 +175,6 @@ impl<'l> FrameReplay<'l> {
 /// Converts a render error of a frame.
 fn of_frame(sequence: u64, tick: u64) -> impl Fn(xray::DrrError) -> Failure {
     move |cause| Failure::failed(format!("frame {sequence} of tick {tick}: {cause}"))
-}
-
-/// Returns the predrilled voxels, and all voxels removed by the time of a keyframe.
-fn gone_at(log: &OpenedLog, keyframe: &SavedState) -> Result<(Vec<u32>, Vec<u32>), Failure> {
-    let mut simulation = log.simulation().map_err(Failure::failed)?;
-    let predrilled = simulation.predrilled().to_vec();
-    simulation.restore_keyframe(&keyframe.bytes).map_err(Failure::failed)?;
-    Ok((predrilled, simulation.gone()))
 }
 
 /// Result of a comparison in which all compared frames are identical.

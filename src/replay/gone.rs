@@ -2,7 +2,7 @@
 
 use crate::failure::Failure;
 use inputs::log::OpenedLog;
-use run_log::Verdict;
+use run_log::{SavedState, Verdict};
 
 /// The voxels removed by a tick, including pilot holes.
 #[derive(Debug)]
@@ -23,11 +23,15 @@ impl RemovedBone {
     pub fn of(log: &OpenedLog, tick: Option<u64>) -> Result<RemovedBone, Failure> {
         let mut reader = log.reader()?;
         let wanted = tick.unwrap_or(u64::MAX);
-        let mut gone = RemovedBone {
-            tick: reader.initial().tick,
-            voxels: reader.predrilled().to_vec(),
-            verdict: Verdict::default(),
+        let first = reader.initial().tick;
+        if wanted < first {
+            return Err(Failure::bad_input(format!("tick {wanted} is before the log's first, {first}")));
+        }
+        let voxels = match reader.beginning() {
+            None => reader.predrilled().to_vec(),
+            Some(keyframe) => gone_at(log, keyframe)?.1,
         };
+        let mut gone = RemovedBone { tick: first, voxels, verdict: Verdict::default() };
         for record in reader.by_ref() {
             let record = record.map_err(Failure::failed)?;
             if record.state.tick > wanted {
@@ -50,4 +54,12 @@ impl RemovedBone {
         }
         Ok(gone)
     }
+}
+
+/// Returns the predrilled voxels, and all voxels removed by the time of a keyframe.
+pub(super) fn gone_at(log: &OpenedLog, keyframe: &SavedState) -> Result<(Vec<u32>, Vec<u32>), Failure> {
+    let mut simulation = log.simulation().map_err(Failure::failed)?;
+    let predrilled = simulation.predrilled().to_vec();
+    simulation.restore_keyframe(&keyframe.bytes).map_err(Failure::failed)?;
+    Ok((predrilled, simulation.gone()))
 }

@@ -8,7 +8,7 @@ use hub::Outputs;
 use hub::run_lane::{LaneError, RunLane};
 use ipc_types::messages::layout::{Message, hex};
 use ipc_types::messages::{
-    DrrReply, Frame, ImagePrefix, Keyframe, Latched, Part, Removed, SensorReading, State,
+    DrrReply, Frame, ImagePrefix, Keyframe, Latched, Part, Removed, SensorReading, State, Tick,
 };
 use output_file::{OutputError, OutputFile};
 use recorder_proc::log_file::{LogFile, index_beside};
@@ -55,6 +55,13 @@ pub fn record(
     let path = folder.join("run.mcap");
     refuse_existing(&[&path])?;
     let mut stream = MessageStream::open(&LogFile::at(&log.path), log.options())?;
+    let first = stream.header().first_tick;
+    if first > Tick::START {
+        return Err(Failure::bad_input(format!(
+            "{}: begins at tick {first}; only a log from the start of its run can be recorded again",
+            log.path.display()
+        )));
+    }
     let frames = match frame_threads {
         Some(threads) => FrameReplay::new(log, threads)?,
         None => None,

@@ -35,10 +35,7 @@ fn in_one_pass(
 ) -> Result<(SegmentReport, Verdict), Failure> {
     let mut reader = log.reader()?;
     let mut simulation = log.simulation().map_err(Failure::failed)?;
-    let mut gaps = Vec::new();
-    if let Some(beginning) = reader.beginning() {
-        gaps.push(SkippedGap { after: None, resumed: Some(beginning.tick) });
-    }
+    let mut gaps = Vec::from_iter(SkippedGap::before_first(&reader));
     if let Some(start) = start.or(reader.beginning()) {
         simulation.restore_keyframe(&start.bytes).map_err(Failure::failed)?;
     }

@@ -91,6 +91,8 @@ const SAME_DEPTH_MM: f64 = 0.02;
 /// Accumulates the states of a run for its summary.
 #[derive(Debug, Clone, Default)]
 pub struct Course {
+    /// Whether the start of the run is not in the log.
+    pub begins_late: bool,
     /// Number of states after the initial one.
     pub ticks: u64,
     /// The first state.
@@ -134,6 +136,12 @@ impl Course {
             voxel_volume_mm3: spacing_m.map(|edges_m| edges_m.iter().map(|edge_m| 1e3 * edge_m).product()),
             ..Course::default()
         }
+    }
+
+    /// Notes that the start of the run is not in the log (`recording.ring_s`), so that the run is not compared
+    /// with its plan.
+    pub fn begin_late(&mut self) {
+        (self.begins_late, self.target_m, self.watch) = (true, None, PlanWatch::default());
     }
 
     /// Adds the next state.

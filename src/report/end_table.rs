@@ -154,6 +154,16 @@ impl Summary {
             self.logs.mb_per_simulated_s.map_or(String::new(), |mb| format!(", {mb:.2} MB per simulated s"));
         let (run, timing) = (megabytes(self.logs.run_bytes), megabytes(self.logs.timing_bytes));
         rows.push(("logs", format!("run {run}, timing {timing}{rate}")));
+        if self.logs.first_tick > 0 {
+            let first = self.logs.first_tick;
+            rows.push((
+                "kept",
+                format!("from tick {first} on; except time and voxels, all numbers cover only that"),
+            ));
+        }
+        if !self.logs.saved.is_empty() {
+            rows.push(("saved", self.logs.saved.join(", ")));
+        }
         // Shared memory is counted in every process that maps it, so show private memory.
         let own = self
             .peak_memory_bytes

@@ -33,10 +33,13 @@ mod tip_figure;
 mod tests;
 
 use std::collections::BTreeMap;
+use std::fs::DirEntry;
 use std::path::Path;
 
 use figures::FigureError;
 use inputs::failure::Failure;
+use ipc_types::messages::Tick;
+use recorder_proc::ring_files::{OPEN_PREFIX, SAVED_PREFIX};
 use structures::Regions;
 
 pub use run_log::timeline;
@@ -131,14 +134,20 @@ pub fn write(folder: &Path, facts: &RunFacts) -> Result<Report, ReportError> {
     let timing = TimingLane::read(&paths[1])?;
     let mut run =
         RunLane::read(&paths[0], Some(timing.end_ns).filter(|&end_ns| end_ns > 0), facts.volume_spacing_m);
-    if let Some(regions) = &facts.regions {
+    // The bone drilled before a log begins is not known.
+    let is_whole = run.header.as_ref().is_none_or(|header| header.first_tick == Tick::START);
+    if let Some(regions) = facts.regions.as_ref().filter(|_| is_whole) {
         let drilled = std::mem::take(&mut run.drilled);
         run.course.note_drilled(regions, &drilled);
     }
     timing.breaches.iter().for_each(|(tick, text)| run.course.add_breach(*tick, text));
+    let open = logs_in(folder, OPEN_PREFIX);
+    if !open.is_empty() {
+        run.notes.push(format!("{} were not finished; replay them one by one", open.join(", ")));
+    }
     let bytes = paths.map(|path| path.metadata().map_or(0, |metadata| metadata.len()));
     let frames = [("before", &run.frames.before), ("half", &run.frames.half), ("after", &run.frames.after)];
-    let summary = Summary::new(&run, &timing, facts, bytes);
+    let summary = Summary::new(&run, &timing, facts, (bytes, logs_in(folder, SAVED_PREFIX)));
     let mut missing: Vec<FigureError> = Vec::new();
     // Write the numbers first: they need the least space on a nearly full disk.
     missing.extend(write_json(&folder.join("summary.json"), &summary).err());
@@ -180,6 +189,16 @@ pub fn write(folder: &Path, facts: &RunFacts) -> Result<Report, ReportError> {
     let page = page.map_err(FigureError::content(&path, "filled in"));
     missing.extend(page.and_then(|page| Ok(output_file::write(&path, page)?)).err());
     Ok(Report { summary, missing })
+}
+
+/// Returns the names of the folders with logs of this kind, in order.
+fn logs_in(folder: &Path, prefix: &str) -> Vec<String> {
+    let number = |entry: std::io::Result<DirEntry>| {
+        entry.ok()?.file_name().to_str()?.strip_prefix(prefix)?.parse::<u64>().ok()
+    };
+    let mut numbers: Vec<u64> = folder.read_dir().into_iter().flatten().filter_map(number).collect();
+    numbers.sort_unstable();
+    numbers.into_iter().map(|number| format!("{prefix}{number}")).collect()
 }
 
 fn write_json(path: &Path, summary: &Summary) -> Result<(), FigureError> {

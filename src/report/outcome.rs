@@ -468,7 +468,7 @@ fn tip_at_rest(scene: &Scene, course: &Course) -> Option<String> {
     let mut drives = scene.controller.iter().flat_map(|controller| &controller.drives);
     let is_driven = drives.any(|part| matches!(part, Drives::Tendon | Drives::Arm | Drives::Tube));
     let travel_m = course.peaks.tip_travel_m;
-    (course.ticks > 0 && is_driven && travel_m < UNMOVED_M)
+    (course.ticks > 0 && !course.begins_late && is_driven && travel_m < UNMOVED_M)
         .then(|| format!("the tip never moved more than {:.4} mm from its start", travel_m * 1e3))
 }
 

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use ipc_types::messages::{Frame, ImagePrefix, MAX_TENDONS, Pose, Removed, SensorReading, State};
+use ipc_types::messages::{Frame, ImagePrefix, MAX_TENDONS, Pose, Removed, SensorReading, State, Tick};
 use ipc_types::scene::Scene;
 use recorder_proc::log_file::LogFile;
 use run_log::{LogError, LogHeader, LogMessage, MessageStream, ReadOptions, Topic, voxel_indices};
@@ -127,6 +127,9 @@ impl RunLane {
         lane.course = lane.scene.as_ref().map_or_else(Course::default, |scene| Course::of(scene, spacing_m));
         let scene_end_ns = lane.scene.as_ref().map_or(0, |scene| (scene.run.duration_s * 1e9) as u64);
         let middle_ns = end_ns.unwrap_or(scene_end_ns) / 2;
+        if header.first_tick > Tick::START {
+            lane.course.begin_late();
+        }
         let dt_ns = header.dt_ns;
         lane.header = Some(header);
         if let Err(error) = lane.read_messages(stream, dt_ns, middle_ns) {
@@ -180,6 +183,12 @@ impl RunLane {
             }
             _ => (),
         }
+    }
+
+    /// Simulated time that the log covers, s.
+    pub fn kept_s(&self) -> f64 {
+        let first_ns = |header: &LogHeader| header.first_tick.0.saturating_mul(header.dt_ns);
+        self.end_ns.saturating_sub(self.header.as_ref().map_or(0, first_ns)) as f64 * 1e-9
     }
 
     fn has_structures(&self) -> bool {

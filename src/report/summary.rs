@@ -217,6 +217,13 @@ pub struct LogSummary {
     /// Ticks missing from the log: first and last of each gap.
     #[serde(default)]
     pub missing_ticks: Vec<[u64; 2]>,
+    /// First tick of `run.mcap`: above 0 if only the end of the run was kept (`recording.ring_s`), of which all
+    /// numbers then are except those that are counted from the start.
+    #[serde(default)]
+    pub first_tick: u64,
+    /// Folders of the logs that triggers saved.
+    #[serde(default)]
+    pub saved: Vec<String>,
     /// Faults of the files: truncated, damaged, missing.
     pub notes: Vec<String>,
 }
@@ -231,7 +238,12 @@ pub(super) fn ratio(a: f64, b: f64) -> Option<f64> {
 
 impl Summary {
     /// Combines the logs' data with the launcher's. Sizes in bytes: run log, timing log.
-    pub fn new(run: &RunLane, timing: &TimingLane, facts: &RunFacts, bytes: [u64; 2]) -> Summary {
+    pub fn new(
+        run: &RunLane,
+        timing: &TimingLane,
+        facts: &RunFacts,
+        (bytes, saved): ([u64; 2], Vec<String>),
+    ) -> Summary {
         let header = run.header.as_ref().or(timing.header.as_ref());
         let simulated_s = run.end_ns as f64 * 1e-9;
         Summary {
@@ -256,7 +268,7 @@ impl Summary {
             timing: TimingSummary::of(timing),
             events: timing.events.clone(),
             warnings: timing.warnings.iter().cloned().collect(),
-            logs: LogSummary::of(run, timing, bytes),
+            logs: LogSummary::of(run, timing, bytes, saved),
             peak_memory_bytes: facts.peak_memory_bytes.clone(),
             processor_s: facts.processor_s.clone(),
             replay_command: facts.replay_command.clone(),
@@ -287,7 +299,7 @@ impl DrrSummary {
             render_ms: timing.render.quantiles(1e6),
             rays: timing.rays,
             rays_per_frame: ratio(timing.rays as f64, timing.render.count() as f64),
-            frames_per_simulated_s: ratio(frames as f64, run.end_ns as f64 * 1e-9),
+            frames_per_simulated_s: ratio(frames as f64, run.kept_s()),
             frames_per_wall_s: ratio(frames as f64, facts.wall_s),
         })
     }
@@ -310,16 +322,23 @@ impl TimingSummary {
 }
 
 impl LogSummary {
-    fn of(run: &RunLane, timing: &TimingLane, [run_bytes, timing_bytes]: [u64; 2]) -> LogSummary {
+    fn of(
+        run: &RunLane,
+        timing: &TimingLane,
+        [run_bytes, timing_bytes]: [u64; 2],
+        saved: Vec<String>,
+    ) -> LogSummary {
         let mut lost_messages = timing.lost.clone();
         lost_messages.extend(run.lost.clone());
         let megabytes = (run_bytes + timing_bytes) as f64 * 1e-6;
         LogSummary {
             run_bytes,
             timing_bytes,
-            mb_per_simulated_s: ratio(megabytes, run.end_ns as f64 * 1e-9),
+            mb_per_simulated_s: ratio(megabytes, run.kept_s()),
             lost_messages,
             missing_ticks: run.missing_ticks.clone(),
+            first_tick: run.header.as_ref().map_or(0, |header| header.first_tick.0),
+            saved,
             notes: run.notes.iter().chain(&timing.notes).cloned().collect(),
         }
     }

@@ -61,7 +61,7 @@ fn call(command: &str) -> Call {
         "cache info" => As("cache info"),
         "tool show" => As("tool show @scene.toml"),
         // They need a running session: `tests/processes/session_commands.rs`.
-        "session stop" | "session pause" | "session resume" | "session env" => HelpOnly,
+        "session stop" | "session pause" | "session resume" | "session save" | "session env" => HelpOnly,
         // These end only on request or take minutes, and a part of a session has no user to answer. All write
         // through `src/say.rs`: a lint rejects any other access to standard output.
         "view" | "stress" => HelpOnly,

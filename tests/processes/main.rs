@@ -23,6 +23,7 @@ mod doctor;
 mod ends;
 mod examples;
 mod feasibility;
+mod flight_recorder;
 mod floods;
 mod fmus;
 mod forks;

@@ -8,6 +8,7 @@ use controllers::BuiltIn;
 use foreign_text::number;
 use ipc_types::arm_meshes;
 use ipc_types::scene::{CurvedDrilling, Feedback, Scene, keys_without_effect};
+use run_log::triggers::Triggers;
 use simulation::{CtView, Verdict, findings};
 use voxel_grid::Volume;
 use xray::DrrError;
@@ -40,6 +41,8 @@ pub fn check(
         BuiltIn::of(scene, &entry.name, &ipc_types::text_file::read).map_err(|cause| refused(&cause))?;
     }
     let ct = volume.map(CtView::from);
+    Triggers::parse(&scene.recording.triggers)
+        .map_err(|cause| refused(&format!("`recording.triggers`: {cause}")))?;
     let found = findings(scene, ct, &is_program).map_err(|cause| match cause.is_of_the_machine() {
         true => Failure::failed(format!("{source}: {cause}")),
         false => refused(&cause),

@@ -295,6 +295,8 @@ codes! {
         Reset = CONTROL_RESET, 4, "reset";
         /// End the run.
         Stop = CONTROL_STOP, 5, "stop";
+        /// Save the log of the last seconds and of the next `ticks` ticks (`recording.ring_s`).
+        Save = CONTROL_SAVE, 6, "save";
     }
 }
 
@@ -407,6 +409,9 @@ codes! {
         StructureMargin = EVENT_STRUCTURE_MARGIN, 19, "structure_margin";
         /// The tool has entered a critical structure; `text` gives structure, part, place and depth.
         StructureBreach = EVENT_STRUCTURE_BREACH, 20, "structure_breach";
+        /// The recorder saves the ticks before and after a trigger (`recording.ring_s`); `text` names the log
+        /// and the trigger.
+        LogSaved = EVENT_LOG_SAVED, 21, "log_saved";
     }
 }
 

@@ -5,9 +5,9 @@ message! {
     pub struct RunControl = "trabecula_msgs/msg/RunControl" {
         /// Chosen by the sender and returned in the reply.
         request_id: u64,
-        /// Number of ticks of a step.
+        /// Number of ticks of a step, or after a save.
         ticks: u64,
-        /// 1 pause, 2 resume, 3 step, 4 reset, 5 stop.
+        /// 1 pause, 2 resume, 3 step, 4 reset, 5 stop, 6 save.
         action: u32,
         /// Always 0.
         reserved: u32,

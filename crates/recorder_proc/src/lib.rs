@@ -27,6 +27,7 @@
 //!     mode: RunMode::Lockstep,
 //!     controllers: Vec::new(),
 //!     build: recorder_proc::build_info::current(),
+//!     first_tick: ipc_types::messages::Tick::START,
 //! };
 //! let mut log = create_run(&path, &header)?;
 //! log.state(&ipc_types::messages::State::zeroed())?;
@@ -39,7 +40,7 @@
 //! | module | contents |
 //! |---|---|
 //! | [`process`], [`reason_file`] | the recorder; the end reason passed to it |
-//! | [`background`] | the writer thread |
+//! | [`background`], [`ring_files`] | the writer thread; the files of a flight recorder |
 //! | [`log_file`], [`rewritten`] | log files; log files derived from log files |
 //! | [`parquet_file`] | a topic as a Parquet file |
 //! | [`build_info`], [`exit_code`](mod@exit_code) | this build; a verdict as an exit code |
@@ -53,3 +54,4 @@ pub mod parquet_table;
 pub mod process;
 pub mod reason_file;
 pub mod rewritten;
+pub mod ring_files;

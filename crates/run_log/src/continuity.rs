@@ -56,6 +56,8 @@ pub(crate) struct Continuity {
     /// Tick of the next command.
     next_latched: Tick,
     next_state: Tick,
+    /// Whether the first state, which has removals before the log's beginning, is still to come.
+    begins_late: bool,
     removed: Numbered,
     removed_total: u64,
     /// State whose removals have not arrived yet.
@@ -73,6 +75,8 @@ pub(crate) struct Continuity {
 struct Numbered {
     last: u64,
     last_tick: Tick,
+    /// Whether the first message may have any number, in a log that begins later than its run.
+    begins_anywhere: bool,
 }
 
 /// Number and location of missing messages.
@@ -103,7 +107,10 @@ pub(crate) enum Removals {
 impl Numbered {
     /// Returns what is missing before this message.
     fn see(&mut self, number: u64, tick: Tick) -> Option<Missing> {
-        let expected = self.last.saturating_add(1);
+        let expected = match std::mem::take(&mut self.begins_anywhere) {
+            true => number,
+            false => self.last.saturating_add(1),
+        };
         let first = self.last_tick.saturating_add(u64::from(self.last > 0));
         (self.last, self.last_tick) = (number, tick);
         (number != expected).then(|| Missing {
@@ -116,6 +123,23 @@ impl Numbered {
 }
 
 impl Continuity {
+    /// Returns the numbers expected of a log whose first state is of this tick. The header gives only that
+    /// tick; where other numbers begin is unknown, and the end marker counts what is lost there.
+    pub fn from_tick(first: Tick) -> Continuity {
+        let begins_anywhere = first > Tick::START;
+        let numbered = || Numbered { begins_anywhere, ..Numbered::default() };
+        Continuity {
+            next_latched: first,
+            next_state: first,
+            begins_late: begins_anywhere,
+            removed: numbered(),
+            keyframe: numbered(),
+            reading: numbered(),
+            frame: numbered(),
+            ..Continuity::default()
+        }
+    }
+
     /// Checks a message's number; `topic` is `None` for topics unknown to this build.
     pub fn see(&mut self, topic: Option<Topic>, body: &[u8]) {
         match topic {
@@ -131,6 +155,9 @@ impl Continuity {
                 let (expected, tick) = (self.next_state, Tick(state.tick));
                 self.next_state = tick.saturating_add(1);
                 self.ticks(Topic::State, expected, tick);
+                if std::mem::take(&mut self.begins_late) {
+                    self.removed_total = state.removed_total;
+                }
                 if state.removed_total == self.removed_total {
                     self.owed = None;
                 } else {

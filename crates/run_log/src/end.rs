@@ -23,16 +23,18 @@ const PART_DIED: &str = "part died: ";
 const CONTROLLER_MISSING: &str = "controller missing: ";
 const CONTROLLER_LATE: &str = "controller late: ";
 const SIMULATION_FAILED: &str = "simulation failed: ";
+const SAVED: &str = "saved: ";
 
 /// A reason with a detail (part, controller or cause): its text prefix and constructor.
 type NamedReason = (&'static str, fn(String) -> EndReason);
 
 /// The reasons with a detail, by text prefix.
-const NAMED: [NamedReason; 4] = [
+const NAMED: [NamedReason; 5] = [
     (PART_DIED, EndReason::PartDied),
     (CONTROLLER_MISSING, EndReason::ControllerMissing),
     (CONTROLLER_LATE, EndReason::ControllerLate),
     (SIMULATION_FAILED, EndReason::SimulationFailed),
+    (SAVED, EndReason::Saved),
 ];
 
 /// Why a run ended.
@@ -53,6 +55,9 @@ pub enum EndReason {
     /// The simulation could not compute a tick, whose commands are the log's last. Holds the tick and the
     /// cause, as `tick 81: …`.
     SimulationFailed(String),
+    /// The run continued; its recorder had saved what was before and after some events. Holds them, as `tick
+    /// 81: breach; …`.
+    Saved(String),
     /// The log, or its folder, was moved while it was being written.
     LogMoved,
     /// The log was damaged or truncated, then repaired; holds its earlier reason if that could be read.
@@ -70,6 +75,7 @@ impl EndReason {
             EndReason::ControllerMissing(name) => format!("{CONTROLLER_MISSING}{name}"),
             EndReason::ControllerLate(name) => format!("{CONTROLLER_LATE}{name}"),
             EndReason::SimulationFailed(cause) => format!("{SIMULATION_FAILED}{cause}"),
+            EndReason::Saved(causes) => format!("{SAVED}{causes}"),
             EndReason::LogMoved => LOG_MOVED.to_string(),
             EndReason::Repaired(None) => "repaired".to_string(),
             EndReason::Repaired(Some(before)) => format!("repaired, before: {}", before.text()),
@@ -152,7 +158,7 @@ impl EndMarker {
         let wrong_reason = || {
             entries.wrong(
                 "reason",
-                "completed, stopped, interrupted, log moved, part died, controller missing or \
+                "completed, stopped, interrupted, log moved, saved, part died, controller missing or \
                  controller late",
             )
         };

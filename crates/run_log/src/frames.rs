@@ -28,7 +28,8 @@ pub struct FrameRecord {
 /// unless the caller calls [`FrameReader::go_on`].
 pub struct FrameReader {
     stream: MessageStream,
-    expected: u64,
+    /// Number of the next frame, if known.
+    expected: Option<u64>,
     pending: Option<Frame>,
     /// A frame without an image, read just before a gap.
     before_gap: Option<Frame>,
@@ -44,7 +45,9 @@ pub fn frames(log: &dyn LogSource, options: ReadOptions) -> Result<FrameReader, 
 impl FrameReader {
     /// Reads the frames of a stream.
     pub fn from_stream(stream: MessageStream) -> FrameReader {
-        FrameReader { stream, expected: 1, pending: None, before_gap: None, at_gap: false, done: false }
+        // The numbers of a log that begins later than its run begin anywhere.
+        let expected = (stream.header().first_tick == Tick::START).then_some(1);
+        FrameReader { stream, expected, pending: None, before_gap: None, at_gap: false, done: false }
     }
 
     /// The log's header.
@@ -81,7 +84,8 @@ impl FrameReader {
             match message.known {
                 Some(Topic::DrrFrame) => {
                     let Ok(frame) = Frame::read_from_bytes(message.body) else { continue };
-                    let expected = std::mem::replace(&mut self.expected, frame.sequence.saturating_add(1));
+                    let expected = self.expected.replace(frame.sequence.saturating_add(1));
+                    let expected = expected.unwrap_or(frame.sequence);
                     if frame.sequence != expected {
                         let found = format!("frame {}, expected {expected}", frame.sequence);
                         self.before_gap = self.pending.replace(frame);

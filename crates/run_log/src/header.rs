@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
+use messages::Tick;
 use messages::layout::{Description, hex};
 
 use sha2::{Digest, Sha256};
@@ -22,6 +23,9 @@ pub const CALIBRATION_ATTACHMENT: &str = "calibration.json";
 
 /// Name of the metadata record in a file of several runs (`join`): the number of runs and their names.
 pub const RUNS_RECORD: &str = "runs";
+
+/// Entry of a log that begins later than its run. Earlier builds ignore it and report a gap.
+const FIRST_TICK: &str = "first_tick";
 
 /// How the run's ticks were paced.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -74,6 +78,8 @@ pub struct LogHeader {
     pub controllers: Vec<String>,
     /// The build that wrote the log.
     pub build: BuildInfo,
+    /// Tick of the keyframe at which the log begins; [`Tick::START`] for a log from the run's start.
+    pub first_tick: Tick,
 }
 
 /// Layout hash of every message in this build, by short name.
@@ -106,6 +112,9 @@ impl LogHeader {
         put("build_version", self.build.version.clone());
         put("target", self.build.target.clone());
         put("rustc", self.build.rustc.clone().unwrap_or_default());
+        if self.first_tick > Tick::START {
+            put(FIRST_TICK, self.first_tick.to_string());
+        }
         for (message, hash) in layout_hashes() {
             put(&format!("layout/{message}"), hash);
         }
@@ -146,6 +155,10 @@ impl LogHeader {
                 version: entries.text("build_version")?.to_string(),
                 target: entries.text("target")?.to_string(),
                 rustc: Some(entries.text("rustc")?.to_string()).filter(|text| !text.is_empty()),
+            },
+            first_tick: match entries.entries.contains_key(FIRST_TICK) {
+                true => Tick(entries.number(FIRST_TICK, "a number")?),
+                false => Tick::START,
             },
         };
         if header.dt_ns == 0 {

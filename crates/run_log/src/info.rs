@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::io::Write;
 
 use foreign_text::{counted, foreign, foreign_line};
+use messages::Tick;
 
 use crate::end::{Ending, hash_text};
 use crate::error::LogError;
@@ -66,7 +67,9 @@ pub fn info(log: &dyn LogSource, options: ReadOptions) -> Result<LogInfo, LogErr
 impl LogInfo {
     /// Returns the file's bytes per simulated second; `None` before the first tick.
     pub fn bytes_per_second(&self) -> Option<f64> {
-        (self.end_ns > 0).then(|| self.file_bytes as f64 / (self.end_ns as f64 * 1e-9))
+        let first_ns = self.header.first_tick.0.saturating_mul(self.header.dt_ns);
+        let length_ns = self.end_ns.saturating_sub(first_ns);
+        (length_ns > 0).then(|| self.file_bytes as f64 / (length_ns as f64 * 1e-9))
     }
 
     /// Returns the number of missing messages of a topic: lost by the recorder plus lost to damage.
@@ -88,7 +91,8 @@ impl LogInfo {
     /// Writes the summary as text.
     pub fn write(&self, out: &mut dyn Write) -> Result<(), LogError> {
         let header = &self.header;
-        let seconds = self.end_ns as f64 * 1e-9;
+        let first_ns = header.first_tick.0.saturating_mul(header.dt_ns).min(self.end_ns);
+        let (first_s, seconds) = (first_ns as f64 * 1e-9, (self.end_ns - first_ns) as f64 * 1e-9);
         let lane = self.metadata.get("lane").map(String::as_str).unwrap_or_default();
         writeln!(out, "scene       {} (sha256 {})", foreign(&header.scene_name), header.scene_sha256())?;
         match header.volume_sha256 {
@@ -108,10 +112,14 @@ impl LogInfo {
             header.mode.name(),
             foreign_line(&header.controllers.join(", "))
         )?;
-        let ticks = self.end_ns / header.dt_ns.max(1);
+        let ticks = (self.end_ns - first_ns) / header.dt_ns.max(1);
+        let from = match header.first_tick {
+            Tick::START => String::new(),
+            tick => format!(", from the keyframe of tick {tick} ({first_s:.3} s)"),
+        };
         writeln!(
             out,
-            "duration    {seconds:.3} s simulated, {} of {} us",
+            "duration    {seconds:.3} s simulated, {} of {} us{from}",
             counted(ticks, "tick"),
             header.dt_ns as f64 * 1e-3
         )?;

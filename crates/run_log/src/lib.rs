@@ -22,7 +22,7 @@
 //! ```
 //! use std::collections::BTreeMap;
 //!
-//! use messages::{Latched, State};
+//! use messages::{Latched, State, Tick};
 //! use run_log::{BuildInfo, EndReason, LogBytes, LogHeader, LogReader, RunLog, RunMode};
 //!
 //! # fn main() -> Result<(), run_log::LogError> {
@@ -36,6 +36,7 @@
 //!     mode: RunMode::Lockstep,
 //!     controllers: vec!["me".to_owned()],
 //!     build: BuildInfo { version: "0.1.0".to_owned(), target: "any".to_owned(), rustc: None },
+//!     first_tick: Tick::START,
 //! };
 //! let mut log = RunLog::create(Vec::new(), &header)?;
 //! log.state(&State::zeroed())?;
@@ -60,6 +61,7 @@
 //! |---|---|
 //! | [`verify`], [`segments`] | replaying a log and comparing tick by tick, in one pass or in parallel |
 //! | [`cat`], [`diff`], [`difference`] | printing and comparing logs and messages as text |
+//! | [`ring`], [`triggers`] | which of the overlapping logs of a flight recorder are saved, and why |
 //! | [`misses`], [`gaps`] | why ticks began late; messages that never arrived |
 //! | [`repair`], [`join`] | logs derived from logs: repaired, recompressed, joined, split |
 //! | [`columns`], [`csv`], [`fields`], [`timeline`] | a topic as a table, a field over time |
@@ -95,6 +97,7 @@ mod reader;
 mod records;
 pub mod repair;
 mod rewrite;
+pub mod ring;
 mod run_lane;
 mod seal;
 pub mod segments;
@@ -105,6 +108,7 @@ pub mod timeline;
 mod times;
 mod timing_lane;
 mod topics;
+pub mod triggers;
 mod unpack;
 mod verdict;
 pub mod verify;
@@ -113,6 +117,7 @@ mod walk;
 pub use continuity::{Gap, Stretch};
 pub use end::{END_RECORD, EndMarker, EndReason, Ending, TruncationPoint, hash_text};
 pub use error::LogError;
+pub use frame_order::frame_lag_ticks;
 pub use frames::{FrameReader, FrameRecord, frames};
 pub use header::{BuildInfo, CALIBRATION_ATTACHMENT, LogHeader, RunMode, layout_hashes};
 pub use info::{LogInfo, info};

@@ -113,7 +113,12 @@ impl LogReader {
             ..Pending::default()
         };
         let voxels = voxels_of(stream.header());
-        match LogReader::start(&mut stream, &mut pending, voxels) {
+        let started = match stream.header().first_tick {
+            Tick::START => LogReader::start(&mut stream, &mut pending, voxels),
+            // Its first messages are a state and its keyframe.
+            _ => Err(LogError::NoInitialState { path: stream.path().into() }),
+        };
+        match started {
             Ok((initial, predrilled)) => Ok(LogReader {
                 stream,
                 initial,
@@ -180,7 +185,8 @@ impl LogReader {
         Ok((initial, predrilled))
     }
 
-    /// The keyframe at which the ticks begin if the log's start is missing.
+    /// The keyframe at which the ticks begin if the log's start is missing, or the log begins later than its
+    /// run.
     pub fn beginning(&self) -> Option<&SavedState> {
         self.beginning.as_ref()
     }

@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, VecDeque};
 use std::io::{Cursor, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use messages::layout::Message;
 use messages::{DrrReply, Frame, ImagePrefix, Keyframe, Latched, Removed, SensorReading, State, Tick};
@@ -28,18 +28,40 @@ use crate::topics::{self, Topic};
 /// written directly after its own state and the frames due there.
 ///
 /// `log_time` is tick × dt; for a frame, the tick that it shows.
+///
+/// Further logs of the same run can begin at its keyframes ([`RunLog::begin_another`]) and end before it
+/// ([`RunLog::end`]); each is complete and replays by itself.
 pub struct RunLog<W: Write> {
-    sink: Sink<W>,
+    header: LogHeader,
+    outputs: Vec<Output<W>>,
+    /// The log that begins next.
+    next: Option<NextLog<W>>,
     ticks: TickOrder,
     frames: FrameOrder,
     keyframes: VecDeque<(Tick, Vec<u8>)>,
     /// Readings of states that are not written yet.
     readings: VecDeque<SensorReading>,
     places: WriteOrder,
-    channels: Channels,
     last: Option<State>,
     expected: Expected,
     lost: BTreeMap<&'static str, u64>,
+}
+
+/// A log being written.
+struct Output<W: Write> {
+    sink: Sink<W>,
+    /// Tick of its first state.
+    first_tick: Tick,
+    /// The messages missed before it began.
+    lost_before: BTreeMap<&'static str, u64>,
+}
+
+/// A log that begins at the first complete keyframe of a state of tick `from` or later.
+struct NextLog<W> {
+    from: Tick,
+    out: W,
+    path: PathBuf,
+    index: Box<dyn IndexStore>,
 }
 
 /// Decides where replies, frames and keyframes go, and where chunks end.
@@ -60,18 +82,7 @@ impl WriteOrder {
     }
 }
 
-struct Channels {
-    latched: usize,
-    state: usize,
-    removed: usize,
-    reply: usize,
-    frame: usize,
-    image: usize,
-    keyframe: usize,
-}
-
-/// Sequence numbers expected of the next messages.
-#[derive(Default)]
+/// Sequence numbers expected of the next messages; 0: any number.
 struct Expected {
     latched_tick: Tick,
     state_tick: Tick,
@@ -79,6 +90,43 @@ struct Expected {
     frame_sequence: u64,
     keyframe_sequence: u64,
     reading_sequence: u64,
+}
+
+impl Expected {
+    /// The first numbers of a log.
+    fn of(header: &LogHeader) -> Expected {
+        let first = u64::from(header.first_tick == Tick::START);
+        Expected {
+            latched_tick: header.first_tick,
+            state_tick: header.first_tick,
+            removed_sequence: first,
+            frame_sequence: first,
+            keyframe_sequence: first,
+            reading_sequence: first,
+        }
+    }
+}
+
+/// Accepts a message's number; returns how many messages are missing before it.
+fn missed(expected: &mut u64, number: u64) -> u64 {
+    match std::mem::replace(expected, number.saturating_add(1)) {
+        0 => 0,
+        expected => number.saturating_sub(expected),
+    }
+}
+
+/// Writes the header, and declares the channels of [`topics::RUN_TOPICS`].
+fn create_sink<W: Write>(
+    w: W,
+    path: &Path,
+    index: Box<dyn IndexStore>,
+    header: &LogHeader,
+) -> Result<Sink<W>, LogError> {
+    let mut sink = Sink::create(w, path, index, header, "run")?;
+    topics::RUN_TOPICS
+        .iter()
+        .try_for_each(|topic| sink.channel(topic.name(), topic.description()).map(drop))?;
+    Ok(sink)
 }
 
 impl<W: Write> RunLog<W> {
@@ -94,34 +142,18 @@ impl<W: Write> RunLog<W> {
         index: Box<dyn IndexStore>,
         header: &LogHeader,
     ) -> Result<RunLog<W>, LogError> {
-        let mut sink = Sink::create(w, path, index, header, "run")?;
-        let mut channel =
-            |i: usize| sink.channel(topics::RUN_TOPICS[i].name(), topics::RUN_TOPICS[i].description());
-        let channels = Channels {
-            latched: channel(0)?,
-            state: channel(1)?,
-            removed: channel(2)?,
-            reply: channel(3)?,
-            frame: channel(4)?,
-            image: channel(5)?,
-            keyframe: channel(6)?,
-        };
+        let sink = create_sink(w, path, index, header)?;
         Ok(RunLog {
-            sink,
+            header: header.clone(),
+            outputs: vec![Output { sink, first_tick: header.first_tick, lost_before: BTreeMap::new() }],
+            next: None,
             ticks: TickOrder::default(),
             frames: FrameOrder::new(header),
             keyframes: VecDeque::new(),
             readings: VecDeque::new(),
             places: WriteOrder::ByTick,
-            channels,
             last: None,
-            expected: Expected {
-                removed_sequence: 1,
-                frame_sequence: 1,
-                keyframe_sequence: 1,
-                reading_sequence: 1,
-                ..Expected::default()
-            },
+            expected: Expected::of(header),
             lost: BTreeMap::new(),
         })
     }
@@ -134,7 +166,48 @@ impl<W: Write> RunLog<W> {
 
     /// Closes the open chunk.
     pub fn close_chunk(&mut self) -> Result<(), LogError> {
-        self.sink.close_chunk()
+        self.outputs.iter_mut().try_for_each(|output| output.sink.close_chunk())
+    }
+
+    /// Begins another log of this run in `out`, at the first complete keyframe of a state of tick `from` or
+    /// later; errors name `path`. From there on, every message goes to all open logs, except that this one
+    /// gets no frame or reply of an earlier tick. Replaces a log that has not begun.
+    pub fn begin_another(&mut self, from: Tick, out: W, path: &Path, index: Box<dyn IndexStore>) {
+        self.next = Some(NextLog { from, out, path: path.into(), index });
+    }
+
+    /// Returns whether a log is still to begin.
+    pub fn has_next(&self) -> bool {
+        self.next.is_some()
+    }
+
+    /// The first tick of each open log, oldest first.
+    pub fn first_ticks(&self) -> impl Iterator<Item = Tick> {
+        self.outputs.iter().map(|output| output.first_tick)
+    }
+
+    /// Ends the log at this place among the open ones with what has been written so far.
+    ///
+    /// # Errors
+    /// [`LogError::Write`].
+    pub fn end(&mut self, place: usize, reason: EndReason) -> Result<(EndMarker, W), LogError> {
+        self.end_with(place, reason, &BTreeMap::new())
+    }
+
+    /// Drops the log at this place among the open ones and returns its output, which has no end.
+    pub fn discard(&mut self, place: usize) -> W {
+        self.outputs.remove(place).sink.into_output()
+    }
+
+    /// Writes all waiting messages to the open logs. No log begins any more.
+    ///
+    /// # Errors
+    /// [`LogError::Write`].
+    pub fn drain(&mut self) -> Result<(), LogError> {
+        self.next = None;
+        self.write_ticks(Supply::Ended)?;
+        self.write_keyframes(Tick(u64::MAX))?;
+        self.write_frames(WriteScope::All)
     }
 
     /// Accepts u_k.
@@ -219,9 +292,9 @@ impl<W: Write> RunLog<W> {
         self.write_frames(self.places.due())
     }
 
-    /// The file's name for error messages.
+    /// The name of the oldest open log for error messages.
     pub fn path(&self) -> &Path {
-        self.sink.path()
+        self.outputs.first().map_or(Path::new(""), |output| output.sink.path())
     }
 
     /// The last state written.
@@ -241,25 +314,31 @@ impl<W: Write> RunLog<W> {
         reason: EndReason,
         lost: &BTreeMap<String, u64>,
     ) -> Result<(EndMarker, W), LogError> {
-        self.write_ticks(Supply::Ended)?;
-        self.write_keyframes(Tick(u64::MAX))?;
-        self.write_frames(WriteScope::All)?;
-        let mut all: BTreeMap<String, u64> = self.lost.iter().map(|(k, n)| (k.to_string(), *n)).collect();
+        self.drain()?;
+        self.end_with(0, reason, lost)
+    }
+
+    fn end_with(
+        &mut self,
+        place: usize,
+        reason: EndReason,
+        lost: &BTreeMap<String, u64>,
+    ) -> Result<(EndMarker, W), LogError> {
+        let Output { sink, lost_before, .. } = self.outputs.remove(place);
+        let since = |(topic, count): (&&'static str, &u64)| {
+            let count = count.saturating_sub(*lost_before.get(topic).unwrap_or(&0));
+            (count > 0).then(|| (topic.to_string(), count))
+        };
+        let mut all: BTreeMap<String, u64> = self.lost.iter().filter_map(since).collect();
         for (topic, &count) in lost.iter().filter(|(_, count)| **count > 0) {
             let entry = all.entry(topic.clone()).or_default();
             *entry = count.max(*entry);
         }
         let last_tick = self.last.as_ref().map(|state| Tick(state.tick));
         let hash = self.last.as_ref().map(|state| state.hash);
-        let marker = EndMarker {
-            reason,
-            last_tick,
-            hash,
-            counts: self.sink.counts(),
-            lost: all,
-            damaged: BTreeMap::new(),
-        };
-        let w = self.sink.finish(&marker)?;
+        let marker =
+            EndMarker { reason, last_tick, hash, counts: sink.counts(), lost: all, damaged: BTreeMap::new() };
+        let w = sink.finish(&marker)?;
         Ok((marker, w))
     }
 
@@ -280,26 +359,54 @@ impl<W: Write> RunLog<W> {
     }
 
     /// Writes the keyframes of states up to this one in a separate chunk, so that reading states does not
-    /// read keyframes.
+    /// read keyframes. The next log begins here if it is due.
     fn write_keyframes(&mut self, tick: Tick) -> Result<(), LogError> {
         if self.keyframes.front().is_none_or(|(of, _)| *of > tick) {
             return Ok(());
         }
         // A copy ends its chunks where the original does.
         if self.places == WriteOrder::ByTick {
-            self.sink.close_chunk()?;
+            self.close_chunk()?;
         }
+        let mut parts = Vec::new();
         while self.keyframes.front().is_some_and(|(of, _)| *of <= tick)
             && let Some((of, message)) = self.keyframes.pop_front()
         {
             if let Ok((head, _)) = Keyframe::read_from_prefix(&message) {
-                let missed = head.sequence.saturating_sub(self.expected.keyframe_sequence);
+                let missed = missed(&mut self.expected.keyframe_sequence, head.sequence);
                 self.count_lost(Topic::Keyframe, missed);
-                self.expected.keyframe_sequence = head.sequence.saturating_add(1);
             }
-            self.sink.message(self.channels.keyframe, of, &[&message])?;
+            self.write(Topic::Keyframe, of, &[&message])?;
+            parts.push(message);
         }
-        if self.places == WriteOrder::ByTick { self.sink.close_chunk() } else { Ok(()) }
+        if self.places == WriteOrder::ByTick {
+            self.close_chunk()?;
+        }
+        self.begin_next(&parts)
+    }
+
+    /// Begins the next log if these are the keyframe of the last state.
+    fn begin_next(&mut self, parts: &[Vec<u8>]) -> Result<(), LogError> {
+        let Some(state) = self.last.filter(|state| is_keyframe_of(state, parts)) else { return Ok(()) };
+        let first_tick = Tick(state.tick);
+        let Some(next) = self.next.take_if(|next| first_tick >= next.from && first_tick > Tick::START) else {
+            return Ok(());
+        };
+        let header = LogHeader { first_tick, ..self.header.clone() };
+        let mut sink = create_sink(next.out, &next.path, next.index, &header)?;
+        sink.message(place_of(Topic::State), first_tick, &[state.as_bytes()])?;
+        sink.close_chunk()?;
+        for part in parts {
+            sink.message(place_of(Topic::Keyframe), first_tick, &[part])?;
+        }
+        sink.close_chunk()?;
+        self.outputs.push(Output { sink, first_tick, lost_before: self.lost.clone() });
+        Ok(())
+    }
+
+    /// Writes a message of [`topics::RUN_TOPICS`] to all open logs.
+    fn write(&mut self, topic: Topic, tick: Tick, parts: &[&[u8]]) -> Result<(), LogError> {
+        self.outputs.iter_mut().try_for_each(|output| output.sink.message(place_of(topic), tick, parts))
     }
 
     fn write_latched(&mut self, latched: &Latched) -> Result<(), LogError> {
@@ -307,17 +414,16 @@ impl<W: Write> RunLog<W> {
         self.write_keyframes(tick)?;
         self.count_lost(Topic::Latched, tick.since(self.expected.latched_tick));
         self.expected.latched_tick = tick.saturating_add(1);
-        self.sink.message(self.channels.latched, tick, &[latched.as_bytes()])
+        self.write(Topic::Latched, tick, &[latched.as_bytes()])
     }
 
     fn write_removed(&mut self, message: &[u8]) -> Result<(), LogError> {
         let Ok((removed, _)) = Removed::read_from_prefix(message) else {
             return Err(self.wrong_size(Topic::Removed, message.len(), Removed::DESCRIPTION.size));
         };
-        let missed = removed.sequence.saturating_sub(self.expected.removed_sequence);
+        let missed = missed(&mut self.expected.removed_sequence, removed.sequence);
         self.count_lost(Topic::Removed, missed);
-        self.expected.removed_sequence = removed.sequence.saturating_add(1);
-        self.sink.message(self.channels.removed, Tick(removed.tick), &[message])
+        self.write(Topic::Removed, Tick(removed.tick), &[message])
     }
 
     fn write_state(&mut self, state: &State) -> Result<(), LogError> {
@@ -325,7 +431,7 @@ impl<W: Write> RunLog<W> {
         self.count_lost(Topic::State, tick.since(self.expected.state_tick));
         self.expected.state_tick = tick.saturating_add(1);
         self.write_readings(tick)?;
-        self.sink.message(self.channels.state, tick, &[state.as_bytes()])?;
+        self.write(Topic::State, tick, &[state.as_bytes()])?;
         let is_first = self.last.is_none();
         self.last = Some(*state);
         self.frames.tick(tick);
@@ -333,8 +439,8 @@ impl<W: Write> RunLog<W> {
         // Closing the chunk here puts the initial state on disk even if the run starts paused.
         match self.places {
             WriteOrder::AsGiven => Ok(()),
-            WriteOrder::ByTick if is_first => self.sink.close_chunk(),
-            WriteOrder::ByTick => self.sink.end_tick(tick),
+            WriteOrder::ByTick if is_first => self.close_chunk(),
+            WriteOrder::ByTick => self.outputs.iter_mut().try_for_each(|output| output.sink.end_tick(tick)),
         }
     }
 
@@ -344,29 +450,34 @@ impl<W: Write> RunLog<W> {
         while self.readings.front().is_some_and(|reading| reading.tick <= tick.0)
             && let Some(reading) = self.readings.pop_front()
         {
-            let missed = reading.sequence.saturating_sub(self.expected.reading_sequence);
+            let missed = missed(&mut self.expected.reading_sequence, reading.sequence);
             self.count_lost(Topic::Sensor, missed);
-            self.expected.reading_sequence = reading.sequence.saturating_add(1);
-            let channel = self.sink.channel(Topic::Sensor.name(), SensorReading::DESCRIPTION)?;
-            self.sink.message(channel, Tick(reading.tick), &[reading.as_bytes()])?;
+            for Output { sink, .. } in &mut self.outputs {
+                let channel = sink.channel(Topic::Sensor.name(), SensorReading::DESCRIPTION)?;
+                sink.message(channel, Tick(reading.tick), &[reading.as_bytes()])?;
+            }
         }
         Ok(())
     }
 
     fn write_frames(&mut self, due: WriteScope) -> Result<(), LogError> {
         while let Some(PlacedReply { tick, reply }) = self.frames.next_reply(due) {
-            self.sink.message(self.channels.reply, tick, &[reply.as_bytes()])?;
+            for Output { sink, .. } in self.outputs.iter_mut().filter(|output| output.first_tick <= tick) {
+                sink.message(place_of(Topic::DrrReply), tick, &[reply.as_bytes()])?;
+            }
         }
         while let Some(FrameWithImage { frame, image }) = self.frames.next_frame(due) {
-            let missed = frame.sequence.saturating_sub(self.expected.frame_sequence);
+            let missed = missed(&mut self.expected.frame_sequence, frame.sequence);
             self.count_lost(Topic::DrrFrame, missed);
-            self.expected.frame_sequence = frame.sequence.saturating_add(1);
-            self.sink.message(self.channels.frame, Tick(frame.tick), &[frame.as_bytes()])?;
-            let Some(image) = image else { continue };
-            // Images get separate chunks, so that reading states does not read pixels.
-            self.sink.close_chunk()?;
-            self.sink.message(self.channels.image, Tick(frame.tick), &[&image])?;
-            self.sink.close_chunk()?;
+            let tick = Tick(frame.tick);
+            for Output { sink, .. } in self.outputs.iter_mut().filter(|output| output.first_tick <= tick) {
+                sink.message(place_of(Topic::DrrFrame), tick, &[frame.as_bytes()])?;
+                let Some(image) = &image else { continue };
+                // Images get separate chunks, so that reading states does not read pixels.
+                sink.close_chunk()?;
+                sink.message(place_of(Topic::DrrImage), tick, &[image])?;
+                sink.close_chunk()?;
+            }
         }
         Ok(())
     }
@@ -379,10 +490,28 @@ impl<W: Write> RunLog<W> {
 
     fn wrong_size(&self, topic: Topic, given: usize, expected: usize) -> LogError {
         LogError::Message {
-            path: self.sink.path().into(),
+            path: self.path().into(),
             topic: topic.to_string(),
             given: format!("{given} bytes"),
             expected: format!("{expected} bytes"),
         }
     }
+}
+
+/// Returns the channel of a topic of [`topics::RUN_TOPICS`].
+fn place_of(topic: Topic) -> usize {
+    topics::RUN_TOPICS.iter().position(|known| *known == topic).unwrap_or(0)
+}
+
+/// Returns whether messages are all parts, in order, of the keyframe of a state.
+fn is_keyframe_of(state: &State, parts: &[Vec<u8>]) -> bool {
+    let mut bytes = 0;
+    let fits = parts.iter().all(|part| {
+        let Ok((head, data)) = Keyframe::read_from_prefix(part) else { return false };
+        let follows = head.tick == state.tick && head.hash == state.hash && head.offset_bytes == bytes;
+        bytes = bytes.saturating_add(data.len() as u32);
+        follows
+    });
+    let total = parts.last().and_then(|part| Keyframe::read_from_prefix(part).ok());
+    fits && total.is_some_and(|(head, _)| bytes == head.total_bytes)
 }

@@ -183,6 +183,11 @@ impl<W: Write> Sink<W> {
         self.channels.iter().map(|channel| (channel.topic.clone(), channel.count)).collect()
     }
 
+    /// Returns the output without an end.
+    pub fn into_output(self) -> W {
+        self.writer.into_output()
+    }
+
     /// Writes the end marker, the index and the footer.
     pub fn finish(mut self, marker: &EndMarker) -> Result<W, LogError> {
         self.close_chunk()?;

@@ -141,6 +141,7 @@ fn header(shared: &SharedScene) -> Result<LogHeader, SimError> {
         mode: RunMode::Lockstep,
         controllers: scene.controller_names(),
         build: build_info::current(),
+        first_tick: Tick::START,
     })
 }
 

@@ -70,6 +70,7 @@ fn log(folder: &Path, reason: &EndReason) {
         mode: RunMode::Lockstep,
         controllers: Vec::new(),
         build: BuildInfo { version: "0.1.0".to_owned(), target: "test".to_owned(), rustc: None },
+        first_tick: Tick::START,
     };
     let mut run = create_run(&folder.join("run.mcap"), &header).unwrap();
     run.state(&State::zeroed()).unwrap();

@@ -65,6 +65,7 @@ pub fn header() -> LogHeader {
         mode: RunMode::RealTime,
         controllers: vec!["guide".to_string(), "watch".to_string()],
         build: build_info::current(),
+        first_tick: ipc_types::messages::Tick::START,
     }
 }
 

@@ -4,7 +4,7 @@
 use std::collections::{BTreeMap, VecDeque};
 
 use fastrand::Rng;
-use messages::{Keyframe, Latched, Removed, SensorReading, State};
+use messages::{Keyframe, Latched, Removed, SensorReading, State, Tick};
 use run_log::{
     BuildInfo, EndReason, LogBytes, LogError, LogHeader, LogReader, MessageStream, ReadOptions, RunLog,
     RunMode, TickRecord, Topic,
@@ -63,6 +63,7 @@ impl Recording {
             mode: if plan.mode == Mode::Lockstep { RunMode::Lockstep } else { RunMode::RealTime },
             controllers: Vec::new(),
             build: BuildInfo { version: String::new(), target: String::new(), rustc: None },
+            first_tick: Tick::START,
         };
         Ok(Recording {
             log: RunLog::create(Vec::new(), &header)?,

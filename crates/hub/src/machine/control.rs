@@ -83,6 +83,9 @@ impl<P: Plant> Hub<P> {
             ControlAction::Step => return ControlStatus::Refused,
             ControlAction::Reset => self.reset_asked = true,
             ControlAction::Stop => self.stopped = true,
+            // The recorder acts on the reply.
+            ControlAction::Save if self.settings.keeps_ring => {}
+            ControlAction::Save => return ControlStatus::Refused,
         }
         ControlStatus::Done
     }

@@ -63,6 +63,8 @@ pub struct Settings {
     pub tick_count: u64,
     /// Ticks between two keyframes; `None` without a recorder.
     pub keyframe_period_ticks: Option<u64>,
+    /// Whether a recorder keeps only the last seconds, which a client can have saved.
+    pub keeps_ring: bool,
     /// How many ticks the hub may run ahead of its consumers in lockstep.
     pub lead_ticks: u64,
     /// How many ticks the hub may run ahead of the recorder in real time; `None` for no limit.
@@ -82,6 +84,7 @@ impl Settings {
             period_ns: scene.dt_ns(),
             tick_count: scene.tick_count(),
             keyframe_period_ticks: scene.keyframe_period_ticks().filter(|_| recorded),
+            keeps_ring: recorded && scene.recording.ring_s > 0.0,
             lead_ticks: LEAD_TICKS,
             recorder_lead_ticks: recorder_lead_ticks(scene),
             controller_limit_ns: (scene.run.controller_limit_ms * 1e6) as u64,

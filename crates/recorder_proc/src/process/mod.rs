@@ -7,7 +7,6 @@
 //! gap: it reports the gap at once in an event, counts it in the log's end marker, and returns it as the exit
 //! code ([`RecorderError::Gap`]).
 
-use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -22,13 +21,16 @@ use run_log::gaps::Gaps;
 use run_log::{CALIBRATION_ATTACHMENT, LogError, LogHeader, RunLog, RunMode, TimingLog};
 use thiserror::Error;
 
-use crate::background::{BackgroundFile, BackgroundOptions};
+use crate::background::BackgroundOptions;
 use crate::build_info;
 use crate::log_file::index_beside;
+use crate::ring_files::{self, LANES, LogFiles, create_file};
 
+mod flight;
 mod ports;
 mod recorder;
 
+use flight::{Flight, Lanes};
 use ports::Ports;
 use recorder::{Recorder, RecordingExtent};
 
@@ -55,6 +57,9 @@ pub enum RecorderError {
         /// The system's reason.
         cause: std::io::Error,
     },
+    /// A trigger of the scene is malformed.
+    #[error("`recording.triggers`: {0}")]
+    Trigger(String),
     /// Signal handlers cannot be installed.
     #[error("cannot install signal handlers: {0}")]
     Signals(std::io::Error),
@@ -107,13 +112,23 @@ pub fn run(session_folder: &Path, output: &Path) -> Result<(), RecorderError> {
     session.claim(Part::Recorder)?;
     let header = header(&session, &scene, &end)?;
     let ports = Ports::open(&session, &scene)?;
-    let (run, timing) = (output.join("run.mcap"), output.join("timing.mcap"));
-    let (run_file, timing_file) =
-        (create(&run, BackgroundOptions::RUN)?, create(&timing, BackgroundOptions::TIMING)?);
+    let LogFiles { folder, run: run_file, timing: timing_file } = match scene.recording.ring_s > 0.0 {
+        true => ring_files::create(output, 1)?,
+        false => LogFiles {
+            folder: output.to_owned(),
+            run: create_file(&output.join(LANES[0]), BackgroundOptions::RUN)?,
+            timing: create_file(&output.join(LANES[1]), BackgroundOptions::TIMING)?,
+        },
+    };
+    let [run, timing] = LANES.map(|lane| folder.join(lane));
     let (run_written, timing_written) = (run_file.written(), timing_file.written());
     let mut recorder = Recorder {
-        run: RunLog::create_named(run_file, &run, index_beside(&run), &header)?,
-        timing: TimingLog::create_named(timing_file, &timing, index_beside(&timing), &header)?,
+        lanes: Lanes {
+            run: RunLog::create_named(run_file, &run, index_beside(&run), &header)?,
+            timing: TimingLog::create_named(timing_file, &timing, index_beside(&timing), &header)?,
+        },
+        flight: Flight::of(&scene, &header, output, &folder)?,
+        output: output.to_owned(),
         recording: scene.recording.clone(),
         newest_tick: 0,
         reported_tick: 0,
@@ -133,15 +148,8 @@ pub fn run(session_folder: &Path, output: &Path) -> Result<(), RecorderError> {
     let recorded = recorder.record(&end);
     let how_far = if recorded.is_ok() { RecordingExtent::UpToTheEnd } else { RecordingExtent::UpToAnError };
     // Keep everything received, whatever went wrong.
-    let finished = recorder.finish(output, how_far);
+    let finished = recorder.finish(how_far);
     recorded.and(finished)
-}
-
-fn create(path: &Path, options: BackgroundOptions) -> Result<BackgroundFile, LogError> {
-    BackgroundFile::create(path, options).map_err(|source| match source.kind() {
-        ErrorKind::AlreadyExists => LogError::Exists { path: path.into() },
-        _ => LogError::Create { path: path.into(), source },
-    })
 }
 
 fn sync_folder(folder: &Path) -> Result<(), RecorderError> {
@@ -169,5 +177,6 @@ fn header(session: &Session, scene: &Scene, end: &EndRequest) -> Result<LogHeade
         mode: if scene.run.mode == Mode::Lockstep { RunMode::Lockstep } else { RunMode::RealTime },
         controllers: scene.controller_names(),
         build: build_info::current(),
+        first_tick: ipc_types::messages::Tick::START,
     })
 }

@@ -2,20 +2,22 @@
 
 use std::collections::BTreeMap;
 use std::ops::Range;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use hub::rate_limit::WarningLimit;
 use ipc_types::clock::now_ns;
 use ipc_types::messages::layout::Message;
-use ipc_types::messages::{EventCode, Part, Participant, Phase, Progress, Tick};
+use ipc_types::messages::{EventCode, Part, Participant, Phase, Progress, RunControl, RunControlReply, Tick};
 use ipc_types::ports::Subscriber;
 use ipc_types::process::EndRequest;
 use ipc_types::scene::{Images, Recording};
 use ipc_types::session::host_is_alive;
 use run_log::gaps::Gaps;
-use run_log::{EndMarker, EndReason, LogError, RunLog, TimingLog, Topic};
+use run_log::{EndMarker, EndReason, LogError, Topic};
+use zerocopy::FromBytes;
 
+use super::flight::{Flight, Lanes, TriggerEvent};
 use super::ports::Ports;
 use super::{RecorderError, sync_folder};
 use crate::background::BackgroundFile;
@@ -51,8 +53,11 @@ pub(super) struct Recorder {
     /// Number of messages from non-owners reported so far.
     pub foreign_messages: u64,
     pub foreign_warnings: WarningLimit,
-    pub run: RunLog<BackgroundFile>,
-    pub timing: TimingLog<BackgroundFile>,
+    pub lanes: Lanes,
+    /// Keeps only the last seconds; `None` if everything is kept.
+    pub flight: Option<Flight>,
+    /// Folder of the run.
+    pub output: PathBuf,
     pub recording: Recording,
     pub newest_tick: u64,
     pub reported_tick: u64,
@@ -79,7 +84,7 @@ impl Recorder {
             } else if quiet_since.elapsed() >= QUIET_TIME {
                 // During a pause no tick closes a chunk, but user actions in the meantime must reach the
                 // file.
-                self.timing.flush()?;
+                self.lanes.timing.flush()?;
                 quiet_since = Instant::now();
             }
             self.report_foreign_messages()?;
@@ -126,8 +131,15 @@ impl Recorder {
             came = true;
             // A tick's `Latched`, `Removed` and readings are published before its state.
             self.take_inputs()?;
-            self.run.state(state.message())?;
+            self.lanes.run.state(state.message())?;
             let tick = state.message().tick;
+            if let Some(flight) = &mut self.flight {
+                for cause in flight.triggers.state(state.message()) {
+                    let event = TriggerEvent { tick: Tick(tick), cause, after_ticks: None };
+                    flight.trigger(event, &mut self.ports.events_sent)?;
+                }
+                flight.tend(&mut self.lanes, self.gaps.lost())?;
+            }
             drop(state);
             let missing = self.newest_tick + 1..tick;
             self.newest_tick = tick;
@@ -151,32 +163,34 @@ impl Recorder {
 
     fn take_inputs(&mut self) -> Result<(), RecorderError> {
         while let Some(latched) = self.ports.latched.receive()? {
-            self.run.latched(latched.message())?;
+            self.lanes.run.latched(latched.message())?;
         }
         if let Some(readings) = &self.ports.readings {
             while let Some(reading) = readings.receive()? {
-                self.run.reading(reading.message())?;
+                self.lanes.run.reading(reading.message())?;
             }
         }
         while let Some(keyframe) = self.ports.keyframes.receive()? {
-            self.run.keyframe(keyframe.bytes())?;
+            self.lanes.run.keyframe(keyframe.bytes())?;
         }
         while let Some(removed) = self.ports.removed.receive()? {
-            self.run.removed(removed.bytes())?;
+            self.lanes.run.removed(removed.bytes())?;
         }
         Ok(())
     }
 
     fn take_frames(&mut self) -> Result<(), RecorderError> {
         while let Some(reply) = self.ports.replies.receive()? {
-            self.run.drr_reply(reply.message())?;
+            self.lanes.run.drr_reply(reply.message())?;
         }
         let Some(frames) = &self.ports.frames else { return Ok(()) };
         while let Some(frame) = frames.receive()? {
             let sequence = frame.message().sequence;
             match self.recording.images {
-                Images::Full if self.recording.keeps_image(sequence) => self.run.frame(frame.bytes())?,
-                Images::Full | Images::HashOnly => self.run.frame_without_image(frame.message())?,
+                Images::Full if self.recording.keeps_image(sequence) => {
+                    self.lanes.run.frame(frame.bytes())?
+                }
+                Images::Full | Images::HashOnly => self.lanes.run.frame_without_image(frame.message())?,
                 Images::None => self.gaps.see(Topic::DrrFrame, 0, sequence),
             }
         }
@@ -184,11 +198,15 @@ impl Recorder {
     }
 
     fn take_timing(&mut self) -> Result<(), RecorderError> {
-        let (ports, timing, tick) = (&self.ports, &mut self.timing, Tick(self.newest_tick));
+        let (ports, timing, tick) = (&self.ports, &mut self.lanes.timing, Tick(self.newest_tick));
+        let mut flight = self.flight.as_mut();
+        let mut met = flight.as_mut().map_or_else(Vec::new, |flight| flight.granted());
         while let Some(message) = ports.tick_timing.receive()? {
             let of_tick = message.message().tick;
             self.gaps.see(Topic::TickTiming, 0, of_tick + 1);
             timing.message(Topic::TickTiming, Tick(of_tick), message.bytes())?;
+            let cause = flight.as_ref().and_then(|flight| flight.triggers.timing(message.message()));
+            met.extend(cause.map(|cause| TriggerEvent::of(Tick(of_tick), cause)));
         }
         for (topic, commands) in &ports.commands {
             copy_all(commands, |message| timing.command(topic, tick, message))?;
@@ -201,14 +219,28 @@ impl Recorder {
             let Some(message) = ports.events.receive_valid(|_| {})? else { break };
             self.gaps.see(Topic::Event, message.message().sender, message.message().sequence);
             timing.message(Topic::Event, tick, message.bytes())?;
+            let cause = flight.as_ref().and_then(|flight| flight.triggers.event(message.message()));
+            met.extend(cause.map(|cause| TriggerEvent::of(Tick(message.message().tick).min(tick), cause)));
         }
-        copy_all(&ports.controls, |message| timing.message(Topic::RunControl, tick, message))?;
-        copy_all(&ports.control_replies, |message| timing.message(Topic::RunControlReply, tick, message))?;
+        copy_all(&ports.controls, |message| {
+            if let (Some(flight), Ok(request)) = (&mut flight, RunControl::read_from_bytes(message)) {
+                flight.request(&request);
+            }
+            timing.message(Topic::RunControl, tick, message)
+        })?;
+        copy_all(&ports.control_replies, |message| {
+            if let (Some(flight), Ok(reply)) = (&mut flight, RunControlReply::read_from_bytes(message)) {
+                flight.reply(&reply);
+            }
+            timing.message(Topic::RunControlReply, tick, message)
+        })?;
         while let Some(status) = ports.status.receive()? {
             self.run_has_ended |= status.message().phase() == Ok(Phase::Ended);
             timing.message(Topic::RunStatus, tick, status.bytes())?;
         }
-        copy_all(&ports.requests, |message| timing.message(Topic::DrrRequest, tick, message))
+        copy_all(&ports.requests, |message| timing.message(Topic::DrrRequest, tick, message))?;
+        let Some(flight) = flight else { return Ok(()) };
+        met.into_iter().try_for_each(|event| flight.trigger(event, &mut self.ports.events_sent))
     }
 
     /// Reports a gap at once, because the recording may no longer serve the run's purpose.
@@ -244,7 +276,7 @@ impl Recorder {
 
     fn report_progress(&mut self, tick: u64) -> Result<(), RecorderError> {
         self.reported_tick = tick;
-        let lost = self.run.lost().values().chain(self.gaps.lost().values());
+        let lost = self.lanes.run.lost().values().chain(self.gaps.lost().values());
         let lost_messages = lost.fold(0, |sum: u64, lost| sum.saturating_add(*lost));
         self.ports.progress.send(&Progress {
             tick,
@@ -258,10 +290,10 @@ impl Recorder {
 
     /// Returns the path of the end reason, if the launcher has written it.
     fn reason_path(&self) -> Option<PathBuf> {
-        reason_file::find(&self.session_folder, self.run.path().parent().unwrap_or(Path::new(".")))
+        reason_file::find(&self.session_folder, &self.output)
     }
 
-    pub fn finish(self, output: &Path, recorded: RecordingExtent) -> Result<(), RecorderError> {
+    pub fn finish(self, recorded: RecordingExtent) -> Result<(), RecorderError> {
         // Another signal may arrive before the launcher's reason. If the run is over, the launcher is about
         // to write it.
         let limit = Instant::now() + ORPHANED_LIMIT;
@@ -283,23 +315,36 @@ impl Recorder {
         };
         // The reason file is no longer needed.
         reason_path.iter().for_each(|path| drop(std::fs::remove_file(path)));
-        let lost = self.gaps.lost();
-        let paths = [self.run.path().to_owned(), self.timing.path().to_owned()];
-        let [run_path, timing_path] = paths.clone();
-        let run = finish_file(run_path, self.run.finish(reason.clone(), &BTreeMap::new()));
-        let timing = finish_file(timing_path, self.timing.finish(reason.clone(), lost));
-        let run = run.and_then(|run| timing.map(|_| run))?;
-        if run.last_tick.is_none() && reason == EndReason::Interrupted {
-            // Nothing was recorded, so there is nothing to replay.
-            paths.iter().for_each(|path| drop(std::fs::remove_file(path)));
-        }
-        sync_folder(output)?;
-        if run.lost.is_empty() {
+        let lost = match self.flight {
+            Some(flight) => flight.finish(self.lanes, &reason, self.gaps.lost())?,
+            None => finish_lanes(self.lanes, &reason, self.gaps.lost())?,
+        };
+        sync_folder(&self.output)?;
+        if lost.is_empty() {
             return Ok(());
         }
-        let each: Vec<String> = run.lost.iter().map(|(topic, count)| format!("{count} of {topic}")).collect();
+        let each: Vec<String> = lost.iter().map(|(topic, count)| format!("{count} of {topic}")).collect();
         Err(RecorderError::Gap { lost: each.join(", ") })
     }
+}
+
+/// Finishes both lanes; returns the messages that the run lane lacks, by topic.
+fn finish_lanes(
+    lanes: Lanes,
+    reason: &EndReason,
+    timing_lost: &BTreeMap<String, u64>,
+) -> Result<BTreeMap<String, u64>, RecorderError> {
+    let Lanes { run, timing } = lanes;
+    let paths = [run.path().to_owned(), timing.path().to_owned()];
+    let [run_path, timing_path] = paths.clone();
+    let run = finish_file(run_path, run.finish(reason.clone(), &BTreeMap::new()));
+    let timing = finish_file(timing_path, timing.finish(reason.clone(), timing_lost));
+    let run = run.and_then(|run| timing.map(|_| run))?;
+    if run.last_tick.is_none() && *reason == EndReason::Interrupted {
+        // Nothing was recorded, so there is nothing to replay.
+        paths.iter().for_each(|path| drop(std::fs::remove_file(path)));
+    }
+    Ok(run.lost)
 }
 
 /// Waits until the finished log is on disk.

@@ -187,6 +187,11 @@ impl<W: Write> McapWriter<W> {
         self.chunk_indexes.write_all(&self.scratch)
     }
 
+    /// Returns the output as it is, without an end.
+    pub fn into_output(self) -> W {
+        self.out.inner
+    }
+
     /// Writes the summary and the footer.
     pub fn finish(mut self) -> Result<W> {
         self.close_chunk()?;

@@ -62,6 +62,14 @@ pub struct SkippedGap {
     pub resumed: Option<Tick>,
 }
 
+impl SkippedGap {
+    /// Returns the gap at the start of a log that begins later than its header says.
+    pub fn before_first(reader: &LogReader) -> Option<SkippedGap> {
+        let beginning = reader.beginning().filter(|saved| saved.tick != reader.header().first_tick)?;
+        Some(SkippedGap { after: None, resumed: Some(beginning.tick) })
+    }
+}
+
 impl std::fmt::Display for SkippedGap {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let first = self.after.map_or(Tick::START, |after| after.saturating_add(1));
@@ -234,7 +242,7 @@ fn feed(
     let mut has_begun = options.start.is_none();
     let mut resumed = None;
     if let Some(beginning) = reader.beginning() {
-        gaps.push(SkippedGap { after: None, resumed: Some(beginning.tick) });
+        gaps.extend(SkippedGap::before_first(reader));
         resumed = Some(beginning.tick);
     }
     loop {

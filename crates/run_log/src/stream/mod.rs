@@ -143,6 +143,7 @@ impl MessageStream {
         }
         Ok(MessageStream {
             records,
+            continuity: Continuity::from_tick(header.first_tick),
             header,
             metadata,
             schemas: BTreeMap::new(),
@@ -156,7 +157,6 @@ impl MessageStream {
             second: Parts::default(),
             has_second: is_behind,
             header_fault: first_is_bad.map(|cause| (HeaderCopy::First, cause)),
-            continuity: Continuity::default(),
             early_marker: None,
             damage: None,
             wanted: None,

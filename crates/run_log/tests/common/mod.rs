@@ -42,6 +42,7 @@ pub fn header() -> LogHeader {
             target: "test".to_string(),
             rustc: None,
         },
+        first_tick: Tick::START,
     }
 }
 

@@ -9,6 +9,7 @@ mod linear;
 mod others;
 mod readings;
 mod replay;
+mod ring;
 mod round_trip;
 mod schema;
 mod segments;

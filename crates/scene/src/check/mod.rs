@@ -2,6 +2,7 @@
 
 mod arm;
 mod controllers;
+mod recording;
 mod sensors;
 mod tool;
 
@@ -105,6 +106,7 @@ fn check_relations(scene: &Scene, checker: &Checker) -> Result<(), SceneError> {
         }
     }
     controllers::check(scene, checker)?;
+    recording::check(scene, checker)?;
     sensors::check(scene, checker)
 }
 

@@ -20,6 +20,20 @@ pub struct Recording {
     /// the run reports and for which it ends with exit code 3; or the physics waits, and its ticks are late.
     /// Lockstep always waits.
     pub on_full: OnFull,
+    /// Keeps only the last seconds of a long run, at least this many of simulated time, and at each trigger
+    /// saves them and what follows as a log of its own; 0: keeps everything. See docs/logs.md.
+    #[schemars(extend("anyOf" = [{"const": 0.0}, {"minimum": 1.0, "maximum": 3600.0}]))]
+    pub ring_s: f64,
+    /// Simulated time that a log saved from the ring contains after its trigger, at least.
+    #[schemars(range(min = 0.0, max = 3600.0))]
+    pub after_s: f64,
+    /// What saves the ring: an event by its code (`"breach"`, `"controller"` for a controller's remark), a
+    /// tick that began late (`"missed_tick"`, or by its main cause: `"missed_tick:run_queue"`), a field of the
+    /// state beyond a value (`"burr_force_n > 20"`).
+    pub triggers: Vec<String>,
+    /// Largest number of logs that triggers save; later triggers are only reported.
+    #[schemars(range(min = 1, max = 10_000))]
+    pub saved_at_most: u64,
 }
 
 impl Recording {
@@ -32,7 +46,16 @@ impl Recording {
 impl Default for Recording {
     fn default() -> Self {
         // Real time is about ticks on schedule: a gap costs only the log, but a wait is felt at the tool.
-        Recording { images: Images::Full, keyframe_interval_s: 2.0, image_every: 1, on_full: OnFull::Gap }
+        Recording {
+            images: Images::Full,
+            keyframe_interval_s: 2.0,
+            image_every: 1,
+            on_full: OnFull::Gap,
+            ring_s: 0.0,
+            after_s: 1.0,
+            triggers: Vec::new(),
+            saved_at_most: 100,
+        }
     }
 }
 

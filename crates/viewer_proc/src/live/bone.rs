@@ -11,6 +11,7 @@ use ipc_types::clock::now_ns;
 use ipc_types::messages::services;
 use ipc_types::messages::{Removed, RunStatus, Volume};
 use ipc_types::ports::{PortError, Subscriber};
+use ipc_types::process::session_scene;
 use ipc_types::session::{Session, SessionError};
 use recorder_proc::log_file::LogFile;
 use run_log::{MessageStream, ReadOptions, Topic, voxel_indices};
@@ -121,6 +122,11 @@ fn voxels(bytes: &[u8]) -> Cow<'_, [i16]> {
     }
 }
 
+/// Returns whether a session that is recorded is recorded from its start.
+fn is_kept(folder: &Path) -> bool {
+    session_scene(folder).is_ok_and(|scene| scene.recording.ring_s == 0.0)
+}
+
 /// Removals in sequence order. Those from before the viewer joined are read from the log being recorded.
 struct Removals {
     messages: Subscriber<Removed>,
@@ -138,7 +144,7 @@ impl Removals {
             messages: session.subscriber(&services::REMOVED)?,
             status: session.subscriber(&services::RUN_STATUS)?,
             queue: RemovalQueue::default(),
-            log: recorded_in(folder).map(|output| output.join("run.mcap")),
+            log: recorded_in(folder).filter(|_| is_kept(folder)).map(|output| output.join("run.mcap")),
             looked: None,
             incomplete: false,
         })
@@ -165,7 +171,8 @@ impl Removals {
         let Some(path) = &self.log else {
             // Without a log, earlier removals are unknown: continue from the first one received.
             self.queue.go_on();
-            let text = "the run is not recorded: bone drilled before the viewer joined is shown intact";
+            let text =
+                "the start of the run is not recorded: bone drilled before the viewer joined is shown intact";
             return self.say_incomplete(text, board);
         };
         let Ok(mut stream) = MessageStream::open_topics(

@@ -1,6 +1,6 @@
 //! Marks for a log: events, missed ticks, gaps, and where two logs diverge.
 
-use ipc_types::messages::{Event, Removed, Severity, State, TickTiming};
+use ipc_types::messages::{Event, Removed, Severity, State, Tick, TickTiming};
 use run_log::misses::Misses;
 use run_log::{LogHeader, Topic, Verdict, voxel_indices, voxels_of};
 use serde_json::{Value, json};
@@ -70,6 +70,10 @@ impl Outline {
     /// Adds the file's faults, at its end.
     pub(super) fn end(&mut self, verdict: &Verdict) {
         self.notices.extend(verdict.faults.iter().map(ToString::to_string));
+        if self.header.first_tick > Tick::START {
+            let first = self.header.first_tick;
+            self.notices.push(format!("the log begins at tick {first}: bone drilled before is shown intact"));
+        }
         if !self.has_frames {
             self.notices.push("the log has no X-ray frames".to_owned());
         }
@@ -221,6 +225,7 @@ mod tests {
             mode: RunMode::RealTime,
             controllers: Vec::new(),
             build: build_info::current(),
+            first_tick: Tick::START,
         })
     }
 
