@@ -35,9 +35,9 @@ extern "C" {
 
 /* Layouts of the messages below: what a program passes to trb_connect. */
 #define TRB_LAYOUTS \
-    "State=215c061c6e429c7c;" \
-    "Command=bb53201b525a9c96;" \
-    "Latched=81124c23facff698;" \
+    "State=2f0e29521572947c;" \
+    "Command=df2a76ee65c87fc1;" \
+    "Latched=e1248b6ecf32c9e1;" \
     "Removed=5ce3babf608d61af;" \
     "SensorReading=c28288800b91c249;" \
     "TipJacobian=db714ceaf54d8831;" \
@@ -58,7 +58,7 @@ extern "C" {
     "Wrench=bf570e10fd89ea10;" \
     "Contact=c84e06f445b86662;" \
     "AppliedCommand=116d7b58e2c912bb;" \
-    "LatchedCommand=47e8ff9bb9bed988;" \
+    "LatchedCommand=f202cdf57a0833d4;" \
     "CArmGeometry=7864e87c0e8671ed;" \
     "CArmProjection=46e6726030fe2f0e;" \
     "Abi=7bfea8bdfce0fa31"
@@ -88,6 +88,7 @@ extern "C" {
 #define TRB_TENDON_SERVO_JF 1
 #define TRB_TENDON_SERVO_JP 2
 #define TRB_TENDON_MOVE_JP 3
+#define TRB_TENDON_SERVO_JV 4
 #define TRB_ARM_NONE 0
 #define TRB_ARM_SERVO_JP 1
 #define TRB_ARM_MOVE_JP 2
@@ -108,6 +109,9 @@ extern "C" {
 #define TRB_TUBE_NONE 0
 #define TRB_TUBE_MOVE_JP 1
 #define TRB_TUBE_HOLD 2
+#define TRB_BODY_NONE 0
+#define TRB_BODY_SERVO_CF 1
+#define TRB_BODY_SERVO_CP 2
 #define TRB_SOURCE_NONE 0
 #define TRB_SOURCE_FRESH 1
 #define TRB_SOURCE_HELD 2
@@ -374,6 +378,8 @@ typedef struct trb_state {
     trb_wrench flange_wrench;
     /* Pose of each rigid body, in the scene's order. */
     trb_pose t_world_body[4];
+    /* Wrench of the tool on each rigid body about its centre of mass, mean over the tick. */
+    trb_wrench wrench_on_body[4];
     /* Contacts that carry force, in the order of their spheres. */
     trb_contact contacts[40];
     /* The command of each controller that this tick applied. */
@@ -434,18 +440,19 @@ TRB_ASSERT(offsetof(trb_state, arm_manipulability_m3) == 2984, "trb_state.arm_ma
 TRB_ASSERT(offsetof(trb_state, t_world_flange) == 2992, "trb_state.t_world_flange");
 TRB_ASSERT(offsetof(trb_state, flange_wrench) == 3048, "trb_state.flange_wrench");
 TRB_ASSERT(offsetof(trb_state, t_world_body) == 3096, "trb_state.t_world_body");
-TRB_ASSERT(offsetof(trb_state, contacts) == 3320, "trb_state.contacts");
-TRB_ASSERT(offsetof(trb_state, applied) == 7160, "trb_state.applied");
-TRB_ASSERT(sizeof(trb_state) == 7256, "trb_state");
+TRB_ASSERT(offsetof(trb_state, wrench_on_body) == 3320, "trb_state.wrench_on_body");
+TRB_ASSERT(offsetof(trb_state, contacts) == 3512, "trb_state.contacts");
+TRB_ASSERT(offsetof(trb_state, applied) == 7352, "trb_state.applied");
+TRB_ASSERT(sizeof(trb_state) == 7448, "trb_state");
 
-/* A controller's command. Mode names follow CRTK. Mode 0 leaves tendons, arm, burr or tube at their
- * previous command; a controller may drive only what the scene's `drives` allows. */
+/* A controller's command. Mode names follow CRTK. Mode 0 leaves tendons, arm, burr, tube or body at
+ * their previous command; a controller may drive only what the scene's `drives` allows. */
 typedef struct trb_command {
     /* Sequence number of this controller's commands: 1, 2, 3 and so on. */
     uint64_t sequence;
     /* `tick` of the state that this command answers. */
     uint64_t state_tick;
-    /* 0 none, 1 servo_jf, 2 servo_jp, 3 move_jp. */
+    /* 0 none, 1 servo_jf, 2 servo_jp, 3 move_jp, 4 servo_jv. */
     uint32_t tendon_mode;
     /* 0 none, 1 servo_jp, 2 move_jp, 3 servo_cp, 4 move_cp, 5 hold, 6 servo_jv, 7 insert, 8 rcm. */
     uint32_t arm_mode;
@@ -453,10 +460,16 @@ typedef struct trb_command {
     uint32_t burr_mode;
     /* 0 none, 1 move_jp, 2 hold. */
     uint32_t tube_mode;
+    /* 0 none, 1 servo_cf, 2 servo_cp. */
+    uint32_t body_mode;
+    /* 0. */
+    uint32_t reserved;
     /* Tensions for servo_jf, 0 or more. */
     double tendon_force_n[4];
     /* Displacements for servo_jp and move_jp; positive pulls. */
     double tendon_displacement_m[4];
+    /* Rates of the displacements for servo_jv; positive pulls. */
+    double tendon_velocity_m_per_s[4];
     /* Joint angles for the arm's servo_jp and move_jp. */
     double arm_joint_position_rad[7];
     /* Joint velocities for the arm's servo_jv. */
@@ -480,6 +493,10 @@ typedef struct trb_command {
     double tube_roll_rad;
     /* Speed limit of the tube's sliding; 0 selects the tool's limit. */
     double tube_speed_m_per_s;
+    /* Wrench of servo_cf on the body, about its centre of mass. */
+    trb_wrench body_wrench;
+    /* Goal of servo_cp of the body: its pose at the end of the tick. */
+    trb_pose t_world_body_goal;
 } trb_command;
 TRB_ASSERT(offsetof(trb_command, sequence) == 0, "trb_command.sequence");
 TRB_ASSERT(offsetof(trb_command, state_tick) == 8, "trb_command.state_tick");
@@ -487,20 +504,25 @@ TRB_ASSERT(offsetof(trb_command, tendon_mode) == 16, "trb_command.tendon_mode");
 TRB_ASSERT(offsetof(trb_command, arm_mode) == 20, "trb_command.arm_mode");
 TRB_ASSERT(offsetof(trb_command, burr_mode) == 24, "trb_command.burr_mode");
 TRB_ASSERT(offsetof(trb_command, tube_mode) == 28, "trb_command.tube_mode");
-TRB_ASSERT(offsetof(trb_command, tendon_force_n) == 32, "trb_command.tendon_force_n");
-TRB_ASSERT(offsetof(trb_command, tendon_displacement_m) == 64, "trb_command.tendon_displacement_m");
-TRB_ASSERT(offsetof(trb_command, arm_joint_position_rad) == 96, "trb_command.arm_joint_position_rad");
-TRB_ASSERT(offsetof(trb_command, arm_joint_velocity_rad_per_s) == 152, "trb_command.arm_joint_velocity_rad_per_s");
-TRB_ASSERT(offsetof(trb_command, t_world_base) == 208, "trb_command.t_world_base");
-TRB_ASSERT(offsetof(trb_command, arm_speed_m_per_s) == 264, "trb_command.arm_speed_m_per_s");
-TRB_ASSERT(offsetof(trb_command, arm_axis) == 272, "trb_command.arm_axis");
-TRB_ASSERT(offsetof(trb_command, arm_depth_m) == 296, "trb_command.arm_depth_m");
-TRB_ASSERT(offsetof(trb_command, arm_pivot_m) == 304, "trb_command.arm_pivot_m");
-TRB_ASSERT(offsetof(trb_command, burr_speed_rad_per_s) == 328, "trb_command.burr_speed_rad_per_s");
-TRB_ASSERT(offsetof(trb_command, tube_deployed_m) == 336, "trb_command.tube_deployed_m");
-TRB_ASSERT(offsetof(trb_command, tube_roll_rad) == 344, "trb_command.tube_roll_rad");
-TRB_ASSERT(offsetof(trb_command, tube_speed_m_per_s) == 352, "trb_command.tube_speed_m_per_s");
-TRB_ASSERT(sizeof(trb_command) == 360, "trb_command");
+TRB_ASSERT(offsetof(trb_command, body_mode) == 32, "trb_command.body_mode");
+TRB_ASSERT(offsetof(trb_command, reserved) == 36, "trb_command.reserved");
+TRB_ASSERT(offsetof(trb_command, tendon_force_n) == 40, "trb_command.tendon_force_n");
+TRB_ASSERT(offsetof(trb_command, tendon_displacement_m) == 72, "trb_command.tendon_displacement_m");
+TRB_ASSERT(offsetof(trb_command, tendon_velocity_m_per_s) == 104, "trb_command.tendon_velocity_m_per_s");
+TRB_ASSERT(offsetof(trb_command, arm_joint_position_rad) == 136, "trb_command.arm_joint_position_rad");
+TRB_ASSERT(offsetof(trb_command, arm_joint_velocity_rad_per_s) == 192, "trb_command.arm_joint_velocity_rad_per_s");
+TRB_ASSERT(offsetof(trb_command, t_world_base) == 248, "trb_command.t_world_base");
+TRB_ASSERT(offsetof(trb_command, arm_speed_m_per_s) == 304, "trb_command.arm_speed_m_per_s");
+TRB_ASSERT(offsetof(trb_command, arm_axis) == 312, "trb_command.arm_axis");
+TRB_ASSERT(offsetof(trb_command, arm_depth_m) == 336, "trb_command.arm_depth_m");
+TRB_ASSERT(offsetof(trb_command, arm_pivot_m) == 344, "trb_command.arm_pivot_m");
+TRB_ASSERT(offsetof(trb_command, burr_speed_rad_per_s) == 368, "trb_command.burr_speed_rad_per_s");
+TRB_ASSERT(offsetof(trb_command, tube_deployed_m) == 376, "trb_command.tube_deployed_m");
+TRB_ASSERT(offsetof(trb_command, tube_roll_rad) == 384, "trb_command.tube_roll_rad");
+TRB_ASSERT(offsetof(trb_command, tube_speed_m_per_s) == 392, "trb_command.tube_speed_m_per_s");
+TRB_ASSERT(offsetof(trb_command, body_wrench) == 400, "trb_command.body_wrench");
+TRB_ASSERT(offsetof(trb_command, t_world_body_goal) == 448, "trb_command.t_world_body_goal");
+TRB_ASSERT(sizeof(trb_command) == 504, "trb_command");
 
 /* One controller's part of u_k. */
 typedef struct trb_latched_command {
@@ -517,7 +539,7 @@ TRB_ASSERT(offsetof(trb_latched_command, source) == 0, "trb_latched_command.sour
 TRB_ASSERT(offsetof(trb_latched_command, controller_index) == 4, "trb_latched_command.controller_index");
 TRB_ASSERT(offsetof(trb_latched_command, age_ticks) == 8, "trb_latched_command.age_ticks");
 TRB_ASSERT(offsetof(trb_latched_command, command) == 16, "trb_latched_command.command");
-TRB_ASSERT(sizeof(trb_latched_command) == 376, "trb_latched_command");
+TRB_ASSERT(sizeof(trb_latched_command) == 520, "trb_latched_command");
 
 /* u_k: all external input of tick k, and the only non-deterministic input of a run. Published before
  * the state that it leads to. */
@@ -535,7 +557,7 @@ TRB_ASSERT(offsetof(trb_latched, tick) == 0, "trb_latched.tick");
 TRB_ASSERT(offsetof(trb_latched, controller_count) == 8, "trb_latched.controller_count");
 TRB_ASSERT(offsetof(trb_latched, reset) == 12, "trb_latched.reset");
 TRB_ASSERT(offsetof(trb_latched, commands) == 16, "trb_latched.commands");
-TRB_ASSERT(sizeof(trb_latched) == 1520, "trb_latched");
+TRB_ASSERT(sizeof(trb_latched) == 2096, "trb_latched");
 
 /* Voxels removed from this tick on. Published before the tick's state, and only for ticks that remove
  * voxels; a tick that removes more than 4096 has several, in order of their `sequence`. Messages of

@@ -13,9 +13,9 @@ from ._view import ArrayField, ElementsField, View, field, nested
 VERSION = "0.1.0"
 
 LAYOUTS = (
-    "State=215c061c6e429c7c;"
-    "Command=bb53201b525a9c96;"
-    "Latched=81124c23facff698;"
+    "State=2f0e29521572947c;"
+    "Command=df2a76ee65c87fc1;"
+    "Latched=e1248b6ecf32c9e1;"
     "Removed=5ce3babf608d61af;"
     "SensorReading=c28288800b91c249;"
     "TipJacobian=db714ceaf54d8831;"
@@ -36,7 +36,7 @@ LAYOUTS = (
     "Wrench=bf570e10fd89ea10;"
     "Contact=c84e06f445b86662;"
     "AppliedCommand=116d7b58e2c912bb;"
-    "LatchedCommand=47e8ff9bb9bed988;"
+    "LatchedCommand=f202cdf57a0833d4;"
     "CArmGeometry=7864e87c0e8671ed;"
     "CArmProjection=46e6726030fe2f0e;"
     "Abi=7bfea8bdfce0fa31"
@@ -90,12 +90,14 @@ class TendonMode(IntEnum):
     SERVO_JF = 1
     SERVO_JP = 2
     MOVE_JP = 3
+    SERVO_JV = 4
 
 
 TENDON_NONE = TendonMode.NONE
 TENDON_SERVO_JF = TendonMode.SERVO_JF
 TENDON_SERVO_JP = TendonMode.SERVO_JP
 TENDON_MOVE_JP = TendonMode.MOVE_JP
+TENDON_SERVO_JV = TendonMode.SERVO_JV
 
 
 class ArmMode(IntEnum):
@@ -175,6 +177,19 @@ class TubeMode(IntEnum):
 TUBE_NONE = TubeMode.NONE
 TUBE_MOVE_JP = TubeMode.MOVE_JP
 TUBE_HOLD = TubeMode.HOLD
+
+
+class BodyMode(IntEnum):
+    """Values of `Command::body_mode`: how a rigid body of the scene is driven; CRTK verbs."""
+
+    NONE = 0
+    SERVO_CF = 1
+    SERVO_CP = 2
+
+
+BODY_NONE = BodyMode.NONE
+BODY_SERVO_CF = BodyMode.SERVO_CF
+BODY_SERVO_CP = BodyMode.SERVO_CP
 
 
 class CommandSource(IntEnum):
@@ -442,10 +457,10 @@ class State(View):
 
     dtype = np.dtype(
         {
-            "names": ["tick", "sim_time_s", "hash", "removed_total", "removed_in_tick", "joint_count", "tendon_count", "contact_count", "contact_total", "controller_count", "body_count", "contact_iterations", "arm_mode", "arm_status", "arm_joint_count", "arm_protective_stop", "joint_position_rad", "joint_velocity_rad_per_s", "bend_rad", "burr_speed_rad_per_s", "drive_shaft_wind_up_rad", "burr_force_n", "wall_force_n", "strength_share", "stop_excess_rad", "contact_residual_m_per_s", "cutting_energy_j", "crushing_energy_j", "tool_energy_j", "tendon_work_j", "arm_work_j", "gravity_work_j", "motor_work_j", "body_work_j", "friction_energy_j", "damping_energy_j", "numerical_energy_j", "energy_created_j", "tendon_tension_n", "tendon_displacement_m", "tube_deployed_m", "tube_deploying_m_per_s", "tube_roll_rad", "tube_rolling_rad_per_s", "t_world_base", "t_world_tip", "t_world_burr", "t_world_link", "arm_joint_position_rad", "arm_joint_velocity_rad_per_s", "arm_joint_deflection_rad", "arm_manipulability_m3", "t_world_flange", "flange_wrench", "t_world_body", "contacts", "applied"],
-            "formats": ["<u8", "<f8", ("<u8", (2,)), "<u8", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", ("<f8", (32,)), ("<f8", (32,)), "<f8", "<f8", "<f8", "<f8", "<f8", "<f8", "<f8", "<f8", "<f8", "<f8", "<f8", "<f8", "<f8", "<f8", "<f8", "<f8", "<f8", "<f8", "<f8", "<f8", ("<f8", (4,)), ("<f8", (4,)), "<f8", "<f8", "<f8", "<f8", Pose.dtype, Pose.dtype, Pose.dtype, (Pose.dtype, (32,)), ("<f8", (7,)), ("<f8", (7,)), ("<f8", (7,)), "<f8", Pose.dtype, Wrench.dtype, (Pose.dtype, (4,)), (Contact.dtype, (40,)), (AppliedCommand.dtype, (4,))],
-            "offsets": [0, 8, 16, 32, 40, 44, 48, 52, 56, 60, 64, 68, 72, 76, 80, 84, 88, 344, 600, 608, 616, 624, 632, 640, 648, 656, 664, 672, 680, 688, 696, 704, 712, 720, 728, 736, 744, 752, 760, 792, 824, 832, 840, 848, 856, 912, 968, 1024, 2816, 2872, 2928, 2984, 2992, 3048, 3096, 3320, 7160],
-            "itemsize": 7256,
+            "names": ["tick", "sim_time_s", "hash", "removed_total", "removed_in_tick", "joint_count", "tendon_count", "contact_count", "contact_total", "controller_count", "body_count", "contact_iterations", "arm_mode", "arm_status", "arm_joint_count", "arm_protective_stop", "joint_position_rad", "joint_velocity_rad_per_s", "bend_rad", "burr_speed_rad_per_s", "drive_shaft_wind_up_rad", "burr_force_n", "wall_force_n", "strength_share", "stop_excess_rad", "contact_residual_m_per_s", "cutting_energy_j", "crushing_energy_j", "tool_energy_j", "tendon_work_j", "arm_work_j", "gravity_work_j", "motor_work_j", "body_work_j", "friction_energy_j", "damping_energy_j", "numerical_energy_j", "energy_created_j", "tendon_tension_n", "tendon_displacement_m", "tube_deployed_m", "tube_deploying_m_per_s", "tube_roll_rad", "tube_rolling_rad_per_s", "t_world_base", "t_world_tip", "t_world_burr", "t_world_link", "arm_joint_position_rad", "arm_joint_velocity_rad_per_s", "arm_joint_deflection_rad", "arm_manipulability_m3", "t_world_flange", "flange_wrench", "t_world_body", "wrench_on_body", "contacts", "applied"],
+            "formats": ["<u8", "<f8", ("<u8", (2,)), "<u8", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", ("<f8", (32,)), ("<f8", (32,)), "<f8", "<f8", "<f8", "<f8", "<f8", "<f8", "<f8", "<f8", "<f8", "<f8", "<f8", "<f8", "<f8", "<f8", "<f8", "<f8", "<f8", "<f8", "<f8", "<f8", ("<f8", (4,)), ("<f8", (4,)), "<f8", "<f8", "<f8", "<f8", Pose.dtype, Pose.dtype, Pose.dtype, (Pose.dtype, (32,)), ("<f8", (7,)), ("<f8", (7,)), ("<f8", (7,)), "<f8", Pose.dtype, Wrench.dtype, (Pose.dtype, (4,)), (Wrench.dtype, (4,)), (Contact.dtype, (40,)), (AppliedCommand.dtype, (4,))],
+            "offsets": [0, 8, 16, 32, 40, 44, 48, 52, 56, 60, 64, 68, 72, 76, 80, 84, 88, 344, 600, 608, 616, 624, 632, 640, 648, 656, 664, 672, 680, 688, 696, 704, 712, 720, 728, 736, 744, 752, 760, 792, 824, 832, 840, 848, 856, 912, 968, 1024, 2816, 2872, 2928, 2984, 2992, 3048, 3096, 3320, 3512, 7352],
+            "itemsize": 7448,
         }
     )
     tick: int = field("<Q", 0, "Number of ticks since the start of the run; a reset does not change it.")
@@ -503,13 +518,15 @@ class State(View):
     t_world_flange: Pose = nested(Pose, 2992, "Pose of the arm's flange.")
     flange_wrench: Wrench = nested(Wrench, 3048, "Wrench that the tool exerts on the flange, about the tool base, world axes.")
     t_world_body = ElementsField(Pose, "Pose of each rigid body, in the scene's order.", "body_count")
+    wrench_on_body = ElementsField(Wrench, "Wrench of the tool on each rigid body about its centre of mass, mean over the tick.", "body_count")
     contacts = ElementsField(Contact, "Contacts that carry force, in the order of their spheres.", "contact_count")
     applied = ElementsField(AppliedCommand, "The command of each controller that this tick applied.", "controller_count")
 
 
 class Command(View):
-    """A controller's command. Mode names follow CRTK. Mode 0 leaves tendons, arm, burr or tube
-    at their previous command; a controller may drive only what the scene's `drives` allows.
+    """A controller's command. Mode names follow CRTK. Mode 0 leaves tendons, arm, burr, tube or
+    body at their previous command; a controller may drive only what the scene's `drives`
+    allows.
     """
 
     if not TYPE_CHECKING:
@@ -517,31 +534,36 @@ class Command(View):
 
     dtype = np.dtype(
         {
-            "names": ["sequence", "state_tick", "tendon_mode", "arm_mode", "burr_mode", "tube_mode", "tendon_force_n", "tendon_displacement_m", "arm_joint_position_rad", "arm_joint_velocity_rad_per_s", "t_world_base", "arm_speed_m_per_s", "arm_axis", "arm_depth_m", "arm_pivot_m", "burr_speed_rad_per_s", "tube_deployed_m", "tube_roll_rad", "tube_speed_m_per_s"],
-            "formats": ["<u8", "<u8", "<u4", "<u4", "<u4", "<u4", ("<f8", (4,)), ("<f8", (4,)), ("<f8", (7,)), ("<f8", (7,)), Pose.dtype, "<f8", ("<f8", (3,)), "<f8", ("<f8", (3,)), "<f8", "<f8", "<f8", "<f8"],
-            "offsets": [0, 8, 16, 20, 24, 28, 32, 64, 96, 152, 208, 264, 272, 296, 304, 328, 336, 344, 352],
-            "itemsize": 360,
+            "names": ["sequence", "state_tick", "tendon_mode", "arm_mode", "burr_mode", "tube_mode", "body_mode", "reserved", "tendon_force_n", "tendon_displacement_m", "tendon_velocity_m_per_s", "arm_joint_position_rad", "arm_joint_velocity_rad_per_s", "t_world_base", "arm_speed_m_per_s", "arm_axis", "arm_depth_m", "arm_pivot_m", "burr_speed_rad_per_s", "tube_deployed_m", "tube_roll_rad", "tube_speed_m_per_s", "body_wrench", "t_world_body_goal"],
+            "formats": ["<u8", "<u8", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", ("<f8", (4,)), ("<f8", (4,)), ("<f8", (4,)), ("<f8", (7,)), ("<f8", (7,)), Pose.dtype, "<f8", ("<f8", (3,)), "<f8", ("<f8", (3,)), "<f8", "<f8", "<f8", "<f8", Wrench.dtype, Pose.dtype],
+            "offsets": [0, 8, 16, 20, 24, 28, 32, 36, 40, 72, 104, 136, 192, 248, 304, 312, 336, 344, 368, 376, 384, 392, 400, 448],
+            "itemsize": 504,
         }
     )
     sequence: int = field("<Q", 0, "Sequence number of this controller's commands: 1, 2, 3 and so on.")
     state_tick: int = field("<Q", 8, "`tick` of the state that this command answers.")
-    tendon_mode: TendonMode = field("<I", 16, "0 none, 1 servo_jf, 2 servo_jp, 3 move_jp.", TendonMode)
+    tendon_mode: TendonMode = field("<I", 16, "0 none, 1 servo_jf, 2 servo_jp, 3 move_jp, 4 servo_jv.", TendonMode)
     arm_mode: ArmMode = field("<I", 20, "0 none, 1 servo_jp, 2 move_jp, 3 servo_cp, 4 move_cp, 5 hold, 6 servo_jv, 7 insert, 8 rcm.", ArmMode)
     burr_mode: BurrMode = field("<I", 24, "0 none, 1 speed.", BurrMode)
     tube_mode: TubeMode = field("<I", 28, "0 none, 1 move_jp, 2 hold.", TubeMode)
+    body_mode: BodyMode = field("<I", 32, "0 none, 1 servo_cf, 2 servo_cp.", BodyMode)
+    reserved: int = field("<I", 36, "0.")
     tendon_force_n = ArrayField(np.float64, "Tensions for servo_jf, 0 or more.", fewer_fit=True)
     tendon_displacement_m = ArrayField(np.float64, "Displacements for servo_jp and move_jp; positive pulls.", fewer_fit=True)
+    tendon_velocity_m_per_s = ArrayField(np.float64, "Rates of the displacements for servo_jv; positive pulls.")
     arm_joint_position_rad = ArrayField(np.float64, "Joint angles for the arm's servo_jp and move_jp.", fewer_fit=True)
     arm_joint_velocity_rad_per_s = ArrayField(np.float64, "Joint velocities for the arm's servo_jv.", fewer_fit=True)
-    t_world_base: Pose = nested(Pose, 208, "Goal of the arm's servo_cp, move_cp and rcm: pose of the tool base, not counting the mount's deflection.")
-    arm_speed_m_per_s: float = field("<d", 264, "Speed limit of move_cp and rcm; 0 selects the scene's limit. Feed rate of insert, above 0.")
+    t_world_base: Pose = nested(Pose, 248, "Goal of the arm's servo_cp, move_cp and rcm: pose of the tool base, not counting the mount's deflection.")
+    arm_speed_m_per_s: float = field("<d", 304, "Speed limit of move_cp and rcm; 0 selects the scene's limit. Feed rate of insert, above 0.")
     arm_axis = ArrayField(np.float64, "Axis of insert: unit vector in the patient frame.")
-    arm_depth_m: float = field("<d", 296, "Depth of insert, from the tool base position at which the insertion along this axis began.")
+    arm_depth_m: float = field("<d", 336, "Depth of insert, from the tool base position at which the insertion along this axis began.")
     arm_pivot_m = ArrayField(np.float64, "Remote centre of motion of rcm, patient frame.")
-    burr_speed_rad_per_s: float = field("<d", 328, "Angular speed of the burr.")
-    tube_deployed_m: float = field("<d", 336, "Goal of the tube's move_jp: how far it slides out of the outer tube.")
-    tube_roll_rad: float = field("<d", 344, "Goal of the tube's move_jp: its angle about its own axis.")
-    tube_speed_m_per_s: float = field("<d", 352, "Speed limit of the tube's sliding; 0 selects the tool's limit.")
+    burr_speed_rad_per_s: float = field("<d", 368, "Angular speed of the burr.")
+    tube_deployed_m: float = field("<d", 376, "Goal of the tube's move_jp: how far it slides out of the outer tube.")
+    tube_roll_rad: float = field("<d", 384, "Goal of the tube's move_jp: its angle about its own axis.")
+    tube_speed_m_per_s: float = field("<d", 392, "Speed limit of the tube's sliding; 0 selects the tool's limit.")
+    body_wrench: Wrench = nested(Wrench, 400, "Wrench of servo_cf on the body, about its centre of mass.")
+    t_world_body_goal: Pose = nested(Pose, 448, "Goal of servo_cp of the body: its pose at the end of the tick.")
 
 
 class LatchedCommand(View):
@@ -555,7 +577,7 @@ class LatchedCommand(View):
             "names": ["source", "controller_index", "age_ticks", "command"],
             "formats": ["<u4", "<u4", "<u8", Command.dtype],
             "offsets": [0, 4, 8, 16],
-            "itemsize": 376,
+            "itemsize": 520,
         }
     )
     source: CommandSource = field("<I", 0, "0 none, 1 fresh, 2 held, 3 safe command.", CommandSource)
@@ -577,7 +599,7 @@ class Latched(View):
             "names": ["tick", "controller_count", "reset", "commands"],
             "formats": ["<u8", "<u4", "<u4", (LatchedCommand.dtype, (4,))],
             "offsets": [0, 8, 12, 16],
-            "itemsize": 1520,
+            "itemsize": 2096,
         }
     )
     tick: int = field("<Q", 0, "k: the tick that advances `State.tick` from k to k+1.")
@@ -1123,6 +1145,7 @@ __all__ = [
     "ArmProtectiveStop",
     "BurrMode",
     "TubeMode",
+    "BodyMode",
     "CommandSource",
     "ContactPart",
     "ControlAction",
@@ -1178,6 +1201,7 @@ __all__ = [
     "TENDON_SERVO_JF",
     "TENDON_SERVO_JP",
     "TENDON_MOVE_JP",
+    "TENDON_SERVO_JV",
     "ARM_NONE",
     "ARM_SERVO_JP",
     "ARM_MOVE_JP",
@@ -1198,6 +1222,9 @@ __all__ = [
     "TUBE_NONE",
     "TUBE_MOVE_JP",
     "TUBE_HOLD",
+    "BODY_NONE",
+    "BODY_SERVO_CF",
+    "BODY_SERVO_CP",
     "SOURCE_NONE",
     "SOURCE_FRESH",
     "SOURCE_HELD",
