@@ -2,9 +2,10 @@
 
     python lockstep.py DELAY_MS STATES MANNER
 
-Follows states DELAY_MS late. MANNER `plain` sends one command per part. `rough` also sends every command twice,
-in changing order, repeats those of the last state, sends one with the stamp of a state that does not exist, and
-answers two states only when they are published again. Prints what it saw, with the Jacobians of the last state.
+Follows states DELAY_MS late. MANNER `plain` sends one command per part. `rough` also sends a second command with
+other values after each, in changing order, repeats those of the last state, sends one with the stamp of a state that
+does not exist, and answers two states only when they are published again. Prints what it saw, with the Jacobians of
+the last state.
 """
 
 import json
@@ -64,6 +65,10 @@ def answer(stamp):
     return commands
 
 
+def halved(command):
+    return JointState(header=command.header, velocity=[0.5 * rate for rate in command.velocity])
+
+
 deadline = time.monotonic() + LIMIT_S
 answered, last, answers = [], [], 0
 while len(answered) < states and time.monotonic() < deadline:
@@ -96,7 +101,8 @@ while len(answered) < states and time.monotonic() < deadline:
         motor_jv.publish(future)
         if number % 2:
             commands.reverse()
-        commands = commands + commands
+        # A second command of each part for the same state, with other values.
+        commands = [one for publisher, command in commands for one in ((publisher, command), (publisher, halved(command)))]
     for publisher, command in commands:
         publisher.publish(command)
     last = commands
