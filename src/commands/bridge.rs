@@ -68,6 +68,10 @@ pub struct Ros2Arguments {
     /// States per second.
     #[arg(long, value_name = "HZ", default_value_t = 100.0)]
     rate: f64,
+    /// Exact runs: answer a state only once every part that the controller drives has a motion command whose
+    /// header.stamp is the state's; publishes every state. Needs `run.mode = "lockstep"`.
+    #[arg(long, requires = "controller", conflicts_with = "rate")]
+    lockstep: bool,
     /// Name of the arm in topics and frames.
     #[arg(long, value_name = "NAME", default_value = "UR5")]
     arm: String,
@@ -164,8 +168,8 @@ fn ros2(arguments: &Ros2Arguments, end: &EndRequest) -> Result<(), Failure> {
         let reach = match ready.is_closed {
             Some(true) => "this machine only",
             Some(false) => {
-                "limited to this machine, but sockets cannot be bound to loopback here: block other hosts \
-                 with a firewall"
+                "limited to this machine, but datagrams cannot be filtered here: block other hosts with a \
+                 firewall"
             }
             None => "all networks of this machine",
         };
@@ -178,12 +182,25 @@ fn ros2(arguments: &Ros2Arguments, end: &EndRequest) -> Result<(), Failure> {
     let done = ros2::serve(&options, end, ready, |line| say!("{}", foreign_text::foreign_line(line)))
         .map_err(|error| Failure::by_kind(error.is_bad_input(), error))?;
     say!(
-        "{} messages published, {} dropped for unresponsive subscribers; {} received, {} of them rejected",
+        "{} messages published, {} dropped for unresponsive subscribers; {} received, {} of them rejected; {} \
+         lost on the network",
         done.published,
         done.left_out,
         done.received,
-        done.refused
+        done.refused,
+        done.lost
     );
+    let trips = &done.round_trips;
+    if trips.count() > 0 {
+        let [median_ms, p99_ms] = [0.5, 0.99].map(|share| trips.quantile_s(share) * 1e3);
+        let (what, longest_ms) =
+            (if options.lockstep { "answers" } else { "stamped commands" }, trips.longest_s() * 1e3);
+        say!(
+            "round trip from a state to its command: median {median_ms:.1} ms, p99 {p99_ms:.1} ms, longest \
+             {longest_ms:.1} ms ({} {what})",
+            trips.count()
+        );
+    }
     Ok(())
 }
 
@@ -217,6 +234,7 @@ impl Ros2Arguments {
             reach,
             rate_hz: within("--rate", self.rate, 0.1, 1000.0)?,
             image: if self.full_images { ImageForm::Full } else { ImageForm::Fitting },
+            lockstep: self.lockstep,
         })
     }
 }

@@ -9,27 +9,31 @@ use std::net::UdpSocket;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
-use ipc_types::messages::{ControlAction, State};
+use ipc_types::messages::{ControlAction, MAX_TENDONS, State};
 use serde_json::Value;
+use sim::{Drive, Sim};
 use test_support::python::or_skip;
 
 use crate::common::client::Client;
 use crate::common::logs::{assert_replays, counts, read};
-use crate::common::program::{Guarded, LIMIT, Place, assert_nothing_left, first_line, wait_for};
+use crate::common::program::{
+    Guarded, LIMIT, Place, assert_nothing_left, first_line, succeed, trabecula, wait_for,
+};
 use crate::common::scenes;
 use crate::languages::output_within_limit;
 use crate::strays::{joined, stopped};
 
 /// A complete ROS 2 Jazzy as Python packages.
-const ROS: [&str; 6] = [
+const ROS: [&str; 7] = [
     "ros-jazzy-rclpy[fastrtps]==7.1.6",
     "ros-jazzy-sensor-msgs==5.3.6",
     "ros-jazzy-geometry-msgs==5.3.6",
     "ros-jazzy-std-msgs==5.3.6",
+    "ros-jazzy-visualization-msgs==5.3.6",
     "cyclonedds==11.0.1",
     "numpy==2.3.5",
 ];
-const PROBE: &str = "rclpy, sensor_msgs.msg, geometry_msgs.msg, std_msgs.msg, cyclonedds.domain, numpy";
+const PROBE: &str = "rclpy, sensor_msgs.msg, geometry_msgs.msg, std_msgs.msg, visualization_msgs.msg, cyclonedds.domain, numpy";
 /// Restricts Cyclone DDS to loopback.
 const CYCLONE: &str = "<CycloneDDS><Domain><General><Interfaces><NetworkInterface name=\"lo\" multicast=\"true\"/></Interfaces></General></Domain></CycloneDDS>";
 /// Simulated time sufficient for any peer, however slowly it starts under load; the test ends the run when
@@ -99,6 +103,11 @@ fn default_scene(duration_s: f64) -> String {
     format!("{scene}{controller}connect_limit_s = 120.0\n")
 }
 
+/// Hounsfield units of a volume file as bytes, x fastest.
+fn raw_bytes(volume: &Path) -> Vec<u8> {
+    volume_io::read(volume).unwrap().hu.iter().flat_map(|hu| hu.to_le_bytes()).collect()
+}
+
 #[test]
 fn a_crtk_program_that_knows_nothing_of_us_drills_the_default_scene_and_the_log_replays() {
     let Some(python) = python() else { return };
@@ -106,11 +115,16 @@ fn a_crtk_program_that_knows_nothing_of_us_drills_the_default_scene_and_the_log_
     let run = place.start(&default_scene(LONG_S));
     let domain = Domain::new();
     let bridge = Bridge::start(&run.session(), &domain.number, &["--controller", "ros"]);
-    assert!(bridge.said.contains("subscribed to 10 topics"), "{}", bridge.said);
+    assert!(bridge.said.contains("subscribed to 12 topics"), "{}", bridge.said);
     let client = Client::join(&run.session());
+    // The program has the CT, as a surgeon does, and rebuilds the drilled one from what it receives.
+    let [ct, rebuilt, drilled] = ["ct.nrrd", "rebuilt.raw", "drilled.nrrd"].map(|name| place.path(name));
+    succeed(&[&"phantom", &"femur", &"-o", &ct]);
+    let raw = place.path("ct.raw");
+    std::fs::write(&raw, raw_bytes(&ct)).unwrap();
     let mut drilling = peer(&python, "crtk_drilling.py", &domain.number);
-    let seen: Value =
-        serde_json::from_str(&output_within_limit(drilling.args(["0.028", "0.003", "8"]))).unwrap();
+    drilling.args(["0.028", "0.003", "8"]).arg(&raw).arg(&rebuilt);
+    let seen: Value = serde_json::from_str(&output_within_limit(&mut drilling)).unwrap();
     let ended = client.stop(run);
     assert_eq!(bridge.end(), Some(0));
     assert_nothing_left(ended.pid);
@@ -124,6 +138,28 @@ fn a_crtk_program_that_knows_nothing_of_us_drills_the_default_scene_and_the_log_
     assert!((45.0..75.0).contains(&seen["bend_deg"].as_f64().unwrap()), "{seen}");
     assert!(seen["removed"].as_u64().unwrap() > 3000, "{seen}");
     assert_eq!(seen["image"], serde_json::json!(["mono8", 384, 384, 147_456]));
+    assert!(
+        seen["off_centre_px"][0].as_f64().unwrap() > 5.0,
+        "the X-ray shows the tip in its middle anyway: {seen}"
+    );
+    // The pilot hole is in the clouds too; a place is a float32 of a distance of up to 0.3 m.
+    assert!(seen["predrilled"].as_u64().unwrap() > 1000 && seen["late_equals"] == true, "{seen}");
+    assert!(
+        seen["off_m"].as_f64().unwrap() < 5e-8 && seen["largest_cloud"].as_u64().unwrap() < 180_000,
+        "{seen}"
+    );
+    let corners = seen["surface"][1].as_u64().unwrap();
+    assert!(
+        seen["surface"][0] == 11 && corners > 3000 && corners <= 3 * 2400 && corners.is_multiple_of(3),
+        "{seen}"
+    );
+    assert!(seen["surfaces"].as_u64().unwrap() > 2, "the surface did not follow the drill: {seen}");
+    succeed(&[&"volume", &"drilled", &ended.folder, &"-o", &drilled]);
+    assert_eq!(
+        std::fs::read(&rebuilt).unwrap(),
+        raw_bytes(&drilled),
+        "the rebuilt CT is not the drilled one"
+    );
     let log = read(&ended.folder);
     assert!(log.ticks.last().unwrap().state.removed_total >= seen["removed"].as_u64().unwrap());
     assert!(counts(&ended.folder.join("timing.mcap"))["/command/ros"] > 100);
@@ -138,9 +174,12 @@ fn a_cyclone_dds_program_pulls_the_tendon_pauses_and_resumes_and_what_is_wrong_i
     let domain = Domain::new();
     let bridge = Bridge::start(&run.session(), &domain.number, &["--controller", "pilot"]);
     let client = Client::join(&run.session());
-    let seen: Value =
-        serde_json::from_str(&output_within_limit(peer(&python, "cyclone.py", &domain.number).arg("4")))
-            .unwrap();
+    // With its default configuration, as ROS 2 uses it in `SUBNET`.
+    let mut defaults = peer(&python, "cyclone.py", &domain.number);
+    defaults.env_remove("CYCLONEDDS_URI");
+    let seen: Value = serde_json::from_str(&output_within_limit(defaults.arg("4"))).unwrap();
+    let is_reset = |(_, text): &(u32, String)| text.contains("began from the initial state");
+    assert!(client.events().iter().any(is_reset), "no event of a reset");
     let ended = client.stop(run);
     assert_eq!(bridge.end(), Some(0));
     assert_nothing_left(ended.pid);
@@ -278,4 +317,93 @@ fn a_datagram_that_claims_gigabytes_ends_the_bridge_at_worst_and_not_the_run() {
     let ended = stopped(run, client, ());
     assert_eq!(ended.code, Some(0), "{}", ended.err);
     assert_nothing_left(ended.pid);
+}
+
+/// The arrays that a program saw of a state are those that a replay computes, and the arm's Jacobian has the
+/// twist that the same state announces.
+fn assert_jacobians(folder: &Path, tick: u64, seen: &Value) {
+    let replayed = Sim::from_log(&folder.join("run.mcap"), Some(tick), &Drive::Nothing).unwrap();
+    let (state, expected) = (replayed.state(), replayed.tip_jacobian());
+    let numbers = |topic: &str| -> Vec<f64> {
+        seen["data"][topic].as_array().unwrap().iter().map(|number| number.as_f64().unwrap()).collect()
+    };
+    // To the last digit that the test's own JSON reader may change.
+    let assert_equal = |found: &[f64], expected: &[f64], what: &str| {
+        let is_near = |(one, other): (&f64, &f64)| (one - other).abs() <= 4.0 * f64::EPSILON * other.abs();
+        assert_eq!(found.len(), expected.len(), "{what}");
+        assert!(found.iter().zip(expected).all(is_near), "{what}: {found:?}, {expected:?}");
+    };
+    let tendons = state.tendon_count as usize;
+    let sizes = &seen["sizes"];
+    assert_eq!(sizes["/CM/jacobian"], serde_json::json!([6, tendons + 6]), "{seen}");
+    for (row, found) in numbers("/CM/jacobian").chunks_exact(tendons + 6).enumerate() {
+        assert_equal(&found[..tendons], &expected.per_tension[row * MAX_TENDONS..][..tendons], "per tension");
+        assert_equal(&found[tendons..], &expected.per_base[row * 6..][..6], "per twist of the base");
+    }
+    assert_equal(&numbers("/CM/compliance"), &expected.compliance, "compliance");
+    assert_eq!(sizes["/UR5/jacobian"], serde_json::json!([6, 6]));
+    for (row, found) in numbers("/UR5/jacobian").chunks_exact(6).enumerate() {
+        let rates = state.arm_joint_velocity_rad_per_s;
+        let twist: f64 = found.iter().zip(rates).map(|(entry, rate)| entry * rate).sum();
+        let announced = seen["twist"][row].as_f64().unwrap();
+        assert!((twist - announced).abs() < 1e-12, "row {row}: {twist}, {announced}");
+    }
+    assert!(seen["twist"][0].as_f64().unwrap().abs() > 1e-6, "the arm stands still: {seen}");
+}
+
+/// Runs a scene in lockstep with a program on ROS 2 that answers each state late; returns the last state's
+/// hash, what the program saw, and the bridge's last lines.
+fn exact_run(python: &Path, delay_ms: u32, manner: &str) -> ([u64; 2], Value, String) {
+    const STATES: u64 = 120;
+    let place = Place::new();
+    let more = "[manipulator]\ntip_jacobian = true\n";
+    let run = place.start(&scenes::piloted("lockstep", STATES as f64 * 1e-3, more));
+    let domain = Domain::new();
+    let mut bridge = Bridge::start(&run.session(), &domain.number, &["--controller", "pilot", "--lockstep"]);
+    let mut peer = peer(python, "lockstep.py", &domain.number);
+    peer.args([&delay_ms.to_string(), &STATES.to_string(), manner]);
+    let seen: Value = serde_json::from_str(&output_within_limit(&mut peer)).unwrap();
+    let ended = run.end_well();
+    let mut last = String::new();
+    bridge.process.0.stdout.take().unwrap().read_to_string(&mut last).unwrap();
+    assert_eq!(bridge.end(), Some(0));
+    let ticks = read(&ended.folder).ticks;
+    assert_eq!(ticks.len() as u64, STATES);
+    assert_replays(&ended.folder);
+    assert_jacobians(&ended.folder, STATES - 1, &seen);
+    (ticks.last().unwrap().state.hash, seen, last)
+}
+
+/// A controller anywhere on a network drives exact runs: delay, order, repetitions and losses of messages
+/// change no bit. The delays are the program's own, because the kernels of test machines lack netem.
+#[test]
+fn a_lockstep_run_over_ros_2_has_the_same_hash_at_0_1_and_20_ms_and_with_lost_and_repeated_messages() {
+    let Some(python) = python() else { return };
+    let (hash, seen, last) = exact_run(&python, 0, "plain");
+    assert!(seen["gaps"] == 0 && seen["first"] == serde_json::json!([0, 0]), "{seen}");
+    assert!(last.contains("round trip from a state to its command: median "), "{last}");
+    assert!(last.contains("(120 answers)") && last.contains("; 0 lost on the network"), "{last}");
+    for (delay_ms, manner) in [(1, "plain"), (20, "plain"), (0, "rough")] {
+        let (other, seen, last) = exact_run(&python, delay_ms, manner);
+        assert_eq!(other, hash, "{delay_ms} ms, {manner}: {seen}");
+        assert_eq!(seen["gaps"], 0, "{seen}");
+        assert_eq!(!last.contains(" 0 of them rejected"), manner == "rough", "{last}");
+    }
+}
+
+#[test]
+fn lockstep_is_refused_where_it_cannot_work() {
+    let place = Place::new();
+    let run = place.start(&scenes::piloted("realtime", LONG_S, "hold_ticks = 20"));
+    let session = run.session();
+    let refused =
+        trabecula(&[&"bridge", &"ros2", &"--controller", &"pilot", &"--lockstep", &"--session", &session]);
+    assert_eq!(refused.code, Some(2), "{}", refused.err);
+    assert!(refused.err.contains("runs in real time; set `run.mode = \"lockstep\"`"), "{}", refused.err);
+    let observer = trabecula(&[&"bridge", &"ros2", &"--lockstep", &"--session", &session]);
+    assert!(observer.code == Some(2) && observer.err.contains("--controller"), "{}", observer.err);
+    let bridge = Bridge::start(&session, &Domain::new().number, &["--controller", "pilot"]);
+    let client = joined(&run, "");
+    stopped(run, client, ());
+    assert_eq!(bridge.end(), Some(0));
 }

@@ -41,7 +41,7 @@ def wrong_values() -> None:
         (lambda: setattr(command, "tendon_force_n", "much"), "is 'much', expected 4 numbers"),
         (
             lambda: setattr(command, "tendon_mode", "servo"),
-            "expected a TendonMode: NONE, SERVO_JF, SERVO_JP, MOVE_JP",
+            "expected a TendonMode: NONE, SERVO_JF, SERVO_JP, MOVE_JP, SERVO_JV",
         ),
         (lambda: setattr(command, "burr_speed_rad_per_s", None), "is None, expected a number"),
         (
@@ -153,9 +153,19 @@ def steps_and_resets() -> None:
         command.tendon_mode, command.tendon_force_n[0] = t.TendonMode.SERVO_JF, 1.0
     assert client.step(60, LIMIT_S).tick == bent.tick + 60
     assert client.step().tendon_tension_n[0] < 2.0
+    # Rates: from the pulled length of that moment on, and held.
+    slack = client.step().copy()
+    with client.command() as command:
+        command.tendon_mode, command.tendon_velocity_m_per_s[:2] = t.TendonMode.SERVO_JV, (2e-3, -1e-3)
+    pulled = client.step(40, LIMIT_S)
+    moved_m = pulled.tendon_displacement_m - slack.tendon_displacement_m
+    assert np.allclose(moved_m, [80e-6, -40e-6], rtol=0.0, atol=1e-12), moved_m
+    with client.command() as command:
+        command.tendon_mode, command.tendon_force_n[0] = t.TendonMode.SERVO_JF, 1.0
+    client.step(27, LIMIT_S)
     client.run_control(t.ControlAction.PAUSE)
     at = client.step(7, LIMIT_S).tick
-    assert at == bent.tick + 68
+    assert at == bent.tick + 136
     status = client.status
     assert status is not None and status.phase is t.Phase.PAUSED
     client.run_control(t.ControlAction.RESUME)

@@ -3,7 +3,7 @@
 use messages::{ArmMode, BurrMode, Command, MAX_ARM_JOINTS, MAX_TENDONS, Pose, TendonMode, TubeMode};
 
 /// How long a velocity holds without being repeated, s: a program or network that has failed must not move
-/// joints or burr forever.
+/// joints, tendons or burr forever.
 pub const VELOCITY_HOLDS_S: f64 = 0.5;
 
 /// CRTK's operating states (Collaborative Robotics Toolkit, "Operating state").
@@ -50,6 +50,8 @@ pub enum Motion {
     TendonServoJp([f64; MAX_TENDONS]),
     /// `move_jp` of the tendons.
     TendonMoveJp([f64; MAX_TENDONS]),
+    /// `servo_jv` of the tendons.
+    TendonServoJv([f64; MAX_TENDONS]),
     /// `servo_jv` of the burr.
     BurrServoJv(f64),
     /// `move_jp` of the tube: deployed length, m, and roll, rad.
@@ -61,7 +63,8 @@ pub enum Motion {
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Commander {
     arm: Option<Arm>,
-    tendon: Option<Motion>,
+    /// The motion, and until when it holds if it is a rate.
+    tendon: Option<(Motion, f64)>,
     burr: Option<(f64, f64)>,
     tube: Option<Tube>,
     disabled: bool,
@@ -95,15 +98,16 @@ impl Commander {
                 self.arm = Some(Arm::Goes(motion))
             }
             Motion::TendonServoJf(_) | Motion::TendonServoJp(_) | Motion::TendonMoveJp(_) => {
-                self.tendon = Some(motion);
+                self.tendon = Some((motion, f64::INFINITY));
             }
+            Motion::TendonServoJv(_) => self.tendon = Some((motion, now_s + VELOCITY_HOLDS_S)),
             Motion::BurrServoJv(speed) => self.burr = Some((speed, now_s + VELOCITY_HOLDS_S)),
             Motion::TubeMoveJp(goal) => self.tube = Some(Tube::Goes(goal)),
         }
     }
 
-    /// Stops all motion: arm, tube and burr stop, the tension stays. Parts that have never been moved are
-    /// left alone.
+    /// Stops all motion: arm, tube, burr and tendon rates stop, the tension stays. Parts that have never been
+    /// moved are left alone.
     pub fn release(&mut self) {
         if self.arm.is_some() {
             self.arm = Some(Arm::Hold);
@@ -111,9 +115,17 @@ impl Commander {
         if self.tube.is_some() {
             self.tube = Some(Tube::Hold);
         }
+        if let Some((Motion::TendonServoJv(rates), _)) = &mut self.tendon {
+            *rates = [0.0; MAX_TENDONS];
+        }
         if let Some((speed, _)) = &mut self.burr {
             *speed = 0.0;
         }
+    }
+
+    /// Forgets all motion, for a reset: no part is driven until it is moved again.
+    pub fn forget(&mut self) {
+        *self = Commander { disabled: self.disabled, ..Commander::default() };
     }
 
     /// `disable`: like [`Commander::release`], and nothing moves until [`Commander::enable`].
@@ -141,6 +153,13 @@ impl Commander {
             self.arm = Some(Arm::Hold);
             ran_out = Some("servo_jv of the arm");
         }
+        if let Some((Motion::TendonServoJv(rates), until_s)) = &mut self.tendon
+            && now_s > *until_s
+            && rates.iter().any(|rate| *rate != 0.0)
+        {
+            *rates = [0.0; MAX_TENDONS];
+            ran_out = Some("servo_jv of the tendons");
+        }
         if let Some((speed, until_s)) = &mut self.burr
             && now_s > *until_s
             && *speed != 0.0
@@ -153,7 +172,7 @@ impl Commander {
             Some(Arm::Hold) => command.arm_mode = ArmMode::Hold.code(),
             Some(Arm::Goes(motion) | Arm::Turns(motion, _)) => motion.put_in(command),
         }
-        self.tendon.iter().for_each(|motion| motion.put_in(command));
+        self.tendon.iter().for_each(|(motion, _)| motion.put_in(command));
         if let Some((speed, _)) = self.burr {
             command.burr_mode = BurrMode::Speed.code();
             command.burr_speed_rad_per_s = speed;
@@ -179,6 +198,7 @@ impl Motion {
             Motion::ArmServoCp(pose) | Motion::ArmMoveCp(pose) => command.t_world_base = pose,
             Motion::TendonServoJf(forces) => command.tendon_force_n = forces,
             Motion::TendonServoJp(goal) | Motion::TendonMoveJp(goal) => command.tendon_displacement_m = goal,
+            Motion::TendonServoJv(rates) => command.tendon_velocity_m_per_s = rates,
             Motion::BurrServoJv(_) | Motion::TubeMoveJp(_) => {}
         }
         match self {
@@ -190,6 +210,7 @@ impl Motion {
             Motion::TendonServoJf(_) => command.tendon_mode = TendonMode::ServoJf.code(),
             Motion::TendonServoJp(_) => command.tendon_mode = TendonMode::ServoJp.code(),
             Motion::TendonMoveJp(_) => command.tendon_mode = TendonMode::MoveJp.code(),
+            Motion::TendonServoJv(_) => command.tendon_mode = TendonMode::ServoJv.code(),
             Motion::BurrServoJv(_) | Motion::TubeMoveJp(_) => {}
         }
     }
@@ -230,6 +251,27 @@ mod tests {
         assert_eq!(after.tendon_force_n[0], 5.0);
         commander.take(Motion::ArmServoJp([0.2; 7]), 11.0);
         assert_eq!(filled(&mut commander, 1e6).arm_mode(), Ok(ArmMode::ServoJp));
+    }
+
+    #[test]
+    fn tendon_rates_run_out_after_half_a_second_and_end_with_their_publisher() {
+        let mut commander = Commander::default();
+        let rates = [2e-3, -1e-3, 0.0, 0.0];
+        commander.take(Motion::TendonServoJv(rates), 10.0);
+        let before = filled(&mut commander, 10.4);
+        assert_eq!((before.tendon_mode(), before.tendon_velocity_m_per_s), (Ok(TendonMode::ServoJv), rates));
+        let mut after = Command::new_zeroed();
+        assert_eq!(commander.fill(10.6, &mut after), Some("servo_jv of the tendons"));
+        assert_eq!((after.tendon_mode(), after.tendon_velocity_m_per_s), (Ok(TendonMode::ServoJv), [0.0; 4]));
+        assert_eq!(commander.fill(10.7, &mut after), None, "reported once");
+        commander.take(Motion::TendonServoJv(rates), 11.0);
+        let mut forgotten = commander;
+        forgotten.forget();
+        assert_eq!(filled(&mut forgotten, 11.1).tendon_mode, 0);
+        commander.release();
+        assert_eq!(filled(&mut commander, 11.1).tendon_velocity_m_per_s, [0.0; 4]);
+        commander.take(Motion::TendonServoJf([5.0; 4]), 11.2);
+        assert_eq!(filled(&mut commander, 1e6).tendon_force_n, [5.0; 4]);
     }
 
     #[test]

@@ -7,12 +7,14 @@
 use std::borrow::Cow;
 
 use messages::{Frame, Pose};
-use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use simulation::pose;
 
-use crate::msg::{CameraInfo, Header, Image, RegionOfInterest, TfMessage, Time};
+use crate::msg::{
+    CameraInfo, Header, Image, PointStamped, RegionOfInterest, TfMessage, Time, Vector3 as RosVector,
+};
 use crate::outgoing::{Outgoing, push, transform};
-use crate::robot::{FrameInParent, WORLD};
+use crate::robot::{FrameInParent, WORLD, isometry};
 use crate::topics::Output;
 
 /// The C-arm's optical frame: +z from the source to the detector.
@@ -45,8 +47,9 @@ fn reduction(columns: usize, rows: usize, form: ImageForm) -> (bool, usize) {
     (false, side)
 }
 
-/// Converts a frame to image, camera and transform; empty if its pixels do not match its announced size.
-pub fn of_frame(frame: &Frame, pixels: &[u16], form: ImageForm) -> Vec<Outgoing> {
+/// Converts a frame to image, camera, burr and transform; empty if its pixels do not match its announced
+/// size. The burr's front is `front_m` before its centre.
+pub fn of_frame(frame: &Frame, pixels: &[u16], form: ImageForm, front_m: f64) -> Vec<Outgoing> {
     let (columns, rows) = (frame.geometry.columns as usize, frame.geometry.rows as usize);
     if pixels.len() != columns * rows || pixels.is_empty() {
         return Vec::new();
@@ -68,7 +71,11 @@ pub fn of_frame(frame: &Frame, pixels: &[u16], form: ImageForm) -> Vec<Outgoing>
         Image { header: header.clone(), height, width, encoding, is_bigendian: 0, step: width * bytes, data };
     let mut out = Vec::new();
     push(&mut out, Output::CArmImage, &image);
-    push(&mut out, Output::CArmInfo, &camera(frame, header, width, height, side));
+    let info = camera(frame, header, width, height, side);
+    push(&mut out, Output::CArmInfo, &info);
+    if let Some(point) = burr_tip(frame, &info, front_m) {
+        push(&mut out, Output::BurrTip, &PointStamped { header: info.header, point });
+    }
     let placed =
         FrameInParent { parent: WORLD.into(), child: C_ARM_FRAME.into(), pose: t_world_camera(frame) };
     push(&mut out, Output::Tf, &TfMessage { transforms: vec![transform(placed, stamp)] });
@@ -152,6 +159,16 @@ fn camera(frame: &Frame, header: Header, width: u32, height: u32, side: usize) -
     }
 }
 
+/// Returns the front of the burr: column and row in the sent image, pixels, and its depth, m. `None` if it is
+/// behind the source.
+fn burr_tip(frame: &Frame, info: &CameraInfo, front_m: f64) -> Option<RosVector> {
+    let front = isometry(&frame.t_world_burr) * Point3::new(0.0, 0.0, front_m);
+    let seen = isometry(&t_world_camera(frame)).inverse_transform_point(&front);
+    let k = &info.k;
+    let at = |row: usize| (k[3 * row] * seen.x + k[3 * row + 1] * seen.y) / seen.z + k[3 * row + 2];
+    (seen.z > 0.0).then(|| RosVector { x: at(0), y: at(1), z: seen.z })
+}
+
 /// Pose of the camera in the world, from x_camera = R x_world + t.
 fn t_world_camera(frame: &Frame) -> Pose {
     let rotation = Matrix3::from_row_slice(&frame.projection.rotation);
@@ -213,10 +230,33 @@ mod tests {
         }
     }
 
+    /// A camera at the origin that looks along +z, seen from the detector's side and merged two by two.
+    #[test]
+    fn the_burrs_front_is_where_the_sent_image_has_it() {
+        let mut frame = Frame::new_zeroed();
+        (frame.geometry.columns, frame.geometry.rows) = (100, 80);
+        frame.projection.intrinsics = [-1000.0, 0.0, 40.5, 0.0, 1000.0, 30.5, 0.0, 0.0, 1.0];
+        frame.projection.rotation = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
+        frame.t_world_burr = Pose { position_m: [0.01, 0.02, 0.997], orientation_xyzw: [0.0, 0.0, 0.0, 1.0] };
+        let at = |side: usize| {
+            let (width, height) = (100 / side as u32, 80 / side as u32);
+            burr_tip(&frame, &camera(&frame, Header::default(), width, height, side), 3e-3).unwrap()
+        };
+        // In the frame: column 40.5 - 10, row 30.5 + 20; mirrored: 99 - 30.5.
+        let near = |found: RosVector, x: f64, y: f64| {
+            assert!((found.x - x).abs() < 1e-9 && (found.y - y).abs() < 1e-9, "{found:?}");
+            assert!((found.z - 1.0).abs() < 1e-12, "{found:?}");
+        };
+        near(at(1), 68.5, 50.5);
+        near(at(2), 34.0, 25.0);
+        frame.t_world_burr.position_m[2] = -1.0;
+        assert_eq!(burr_tip(&frame, &camera(&frame, Header::default(), 100, 80, 1), 3e-3), None);
+    }
+
     #[test]
     fn a_frame_whose_pixels_are_missing_is_no_image() {
         let mut frame = Frame::new_zeroed();
         (frame.geometry.columns, frame.geometry.rows) = (4, 4);
-        assert!(of_frame(&frame, &[0; 15], ImageForm::Fitting).is_empty());
+        assert!(of_frame(&frame, &[0; 15], ImageForm::Fitting, 0.0).is_empty());
     }
 }

@@ -1,14 +1,14 @@
 //! Decodes and checks received messages and turns them into requests.
 
 use messages::{
-    MAX_BURR_SPEED_RAD_PER_S, MAX_DEPLOYED_M, MAX_DISPLACEMENT_M, MAX_POSITION_M, MAX_ROLL_RAD, MAX_TENDONS,
-    MAX_TENSION_N, Pose,
+    MAX_BURR_SPEED_RAD_PER_S, MAX_DEPLOYED_M, MAX_DISPLACEMENT_M, MAX_DISPLACEMENT_RATE_M_PER_S,
+    MAX_POSITION_M, MAX_ROLL_RAD, MAX_TENDONS, MAX_TENSION_N, Pose,
 };
 use thiserror::Error;
 
 use crate::cdr::{self, Order};
 use crate::commander::Motion;
-use crate::msg::{JointState, PoseStamped, StringStamped};
+use crate::msg::{JointState, PoseStamped, StringStamped, Time};
 use crate::robot::WORLD;
 use crate::topics::{Input, TUBE_JOINT_NAMES, joint_names};
 
@@ -27,6 +27,8 @@ pub enum Request {
     Move(Motion),
     /// A change of state.
     State(StateCommand),
+    /// An X-ray with the C-arm at this pose.
+    Take(Pose),
 }
 
 /// CRTK's state commands.
@@ -34,7 +36,7 @@ pub enum Request {
 pub enum StateCommand {
     /// Accept motion commands again.
     Enable,
-    /// Stop arm and burr, and reject motion commands.
+    /// Stop arm, burr and tendon rates, and reject motion commands.
     Disable,
     /// Pause the run.
     Pause,
@@ -42,10 +44,12 @@ pub enum StateCommand {
     Resume,
     /// No effect: the arm is always homed.
     Home,
+    /// Return to the initial state.
+    Reset,
 }
 
 /// Each state command, its word and its effect. `docs/ros2.md` lists them (a test compares).
-pub const STATE_COMMANDS: [(StateCommand, &str, &str); 5] = [
+pub const STATE_COMMANDS: [(StateCommand, &str, &str); 6] = [
     (
         StateCommand::Enable,
         "enable",
@@ -55,7 +59,7 @@ pub const STATE_COMMANDS: [(StateCommand, &str, &str); 5] = [
     (
         StateCommand::Disable,
         "disable",
-        "arm and burr stop, the tension stays; motion commands are refused until `enable`",
+        "arm, burr and tendon rates stop, the tension stays; motion commands are refused until `enable`",
     ),
     (
         StateCommand::Pause,
@@ -64,6 +68,12 @@ pub const STATE_COMMANDS: [(StateCommand, &str, &str); 5] = [
     ),
     (StateCommand::Resume, "resume", "the run continues"),
     (StateCommand::Home, "home", "nothing: a simulated arm is always homed"),
+    (
+        StateCommand::Reset,
+        "reset",
+        "arm, tool and bone return to their initial state and earlier motion commands are forgotten; \
+         simulated time goes on (not in CRTK)",
+    ),
 ];
 
 /// Why a message was rejected.
@@ -112,7 +122,7 @@ pub enum RequestError {
     #[error("orientation: length {0}, expected 1")]
     Quaternion(f64),
     /// Unknown state command.
-    #[error("unknown state command {0}; expected enable, disable, pause, resume or home")]
+    #[error("unknown state command {0}; expected enable, disable, pause, resume, home or reset")]
     Word(String),
     /// Motion while the run is paused.
     #[error("the run is paused")]
@@ -163,6 +173,10 @@ pub fn read(
         Input::TendonMoveJp => {
             Motion::TendonMoveJp(of_tendons(Field::Position, -MAX_DISPLACEMENT_M, MAX_DISPLACEMENT_M)?)
         }
+        Input::TendonServoJv => {
+            let limit = MAX_DISPLACEMENT_RATE_M_PER_S;
+            Motion::TendonServoJv(of_tendons(Field::Velocity, -limit, limit)?)
+        }
         Input::BurrServoJv => {
             let names = ["burr".to_owned()];
             let [speed] = values::<1>(&joints()?, Field::Velocity, &names, 0.0, MAX_BURR_SPEED_RAD_PER_S)?;
@@ -178,9 +192,15 @@ pub fn read(
             }
             Motion::TubeMoveJp(goal)
         }
+        Input::CArmTake => return Ok(Request::Take(pose()?)),
         Input::StateCommand => return state_command(&decode::<StringStamped>(bytes, order)?),
     };
     Ok(Request::Move(motion))
+}
+
+/// Returns a message's stamp, with which the header of every input begins; `None` if it is truncated.
+pub fn stamp(bytes: &[u8], order: Order) -> Option<Time> {
+    cdr::decode(bytes, order).ok()
 }
 
 fn decode<T: serde::de::DeserializeOwned>(bytes: &[u8], order: Order) -> Result<T, RequestError> {
@@ -316,6 +336,11 @@ mod tests {
         assert!(told(Input::ArmServoJp, &joints(&[], &values)).starts_with("position[3]: NaN, expected"));
         let force = JointState { effort: vec![-1.0], ..JointState::default() };
         assert_eq!(told(Input::TendonServoJf, &force), "effort[0]: -1, expected 0 to 60");
+        let rate = |rate: f64| JointState { velocity: vec![rate], ..JointState::default() };
+        let fast = told(Input::TendonServoJv, &rate(0.006));
+        assert_eq!(fast, "velocity[0]: 0.006, expected -0.005 to 0.005");
+        let wanted = Ok(Request::Move(Motion::TendonServoJv([-0.004, 0.0, 0.0, 0.0])));
+        assert_eq!(ask(Input::TendonServoJv, &rate(-0.004)), wanted);
         let tube = |values: [f64; 2]| joints(&["roll", "deployed"], &values);
         assert_eq!(
             ask(Input::TubeMoveJp, &tube([-0.5, 0.02])),
@@ -348,19 +373,26 @@ mod tests {
 
     #[test]
     fn state_commands_are_words() {
+        let stamped = StringStamped {
+            header: Header { stamp: Time { sec: 7, nanosec: 9 }, frame_id: "x".into() },
+            string: "pause".into(),
+        };
+        let bytes = cdr::encode(&stamped).unwrap();
+        assert_eq!(stamp(&bytes, Order::Little), Some(stamped.header.stamp));
+        assert_eq!(stamp(&bytes[..7], Order::Little), None);
         let say = |word: &str| {
             ask(Input::StateCommand, &StringStamped { header: Header::default(), string: word.into() })
         };
         assert_eq!(say("pause"), Ok(Request::State(StateCommand::Pause)));
         assert_eq!(
             say("fly").unwrap_err().to_string(),
-            "unknown state command fly; expected enable, disable, pause, resume or home"
+            "unknown state command fly; expected enable, disable, pause, resume, home or reset"
         );
     }
 
     proptest! {
         #[test]
-        fn no_bytes_do_harm(bytes in proptest::collection::vec(any::<u8>(), 0..400), topic in 0_usize..10, big: bool) {
+        fn no_bytes_do_harm(bytes in proptest::collection::vec(any::<u8>(), 0..400), topic in 0..crate::topics::INPUTS.len(), big: bool) {
             let topic = crate::topics::INPUTS[topic].topic;
             let order = if big { Order::Big } else { Order::Little };
             let names = ARM_JOINT_NAMES.map(str::to_owned);

@@ -28,16 +28,20 @@
 //! | [`topics`] | names, types and quality of service of all topics |
 //! | [`msg`], [`cdr`] | the messages and their bytes |
 //! | [`definition`] | any message by its definition as text |
-//! | [`outgoing`], [`image`], [`robot`], [`urdf`] | from states and frames to messages |
+//! | [`outgoing`], [`image`], [`bone`], [`robot`], [`urdf`] | from states, frames and voxels to messages |
 //! | [`incoming`], [`commander`] | from messages to commands |
+//! | [`lockstep`], [`round_trip`] | which messages answer a state, and how late they are |
 
+pub mod bone;
 pub mod cdr;
 pub mod commander;
 pub mod definition;
 pub mod image;
 pub mod incoming;
+pub mod lockstep;
 pub mod msg;
 pub mod outgoing;
 pub mod robot;
+pub mod round_trip;
 pub mod topics;
 pub mod urdf;

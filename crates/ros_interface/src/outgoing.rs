@@ -126,13 +126,13 @@ fn tool(out: &mut Vec<Outgoing>, robot: &Robot, state: &State, stamp: Time) {
 pub fn of_tip_jacobian(robot: &Robot, jacobian: &TipJacobian) -> Vec<Outgoing> {
     let mut out = Vec::new();
     let row = |matrix: &[f64], columns: usize, row: usize| matrix[row * columns..][..columns].to_vec();
-    let rows = core::array::from_fn(|at| {
+    let rows: [_; 6] = core::array::from_fn(|at| {
         let mut pulls = row(&jacobian.per_tension, MAX_TENDONS, at);
         pulls.truncate(robot.tendons());
         [pulls, row(&jacobian.per_base, 6, at)].concat()
     });
     push(&mut out, Output::TipJacobian, &Float64MultiArray::of_rows(rows));
-    let compliance = core::array::from_fn(|at| row(&jacobian.compliance, 6, at));
+    let compliance: [_; 6] = core::array::from_fn(|at| row(&jacobian.compliance, 6, at));
     push(&mut out, Output::TipCompliance, &Float64MultiArray::of_rows(compliance));
     out
 }

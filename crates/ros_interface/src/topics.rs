@@ -42,6 +42,9 @@ pub enum Qos {
     State,
     /// The same, but a late subscriber receives the last message (transient local).
     Latched,
+    /// Reliable, volatile, depth 64, and nothing is skipped: what a slow subscriber has no room for follows
+    /// later.
+    Lossless,
     /// Like [`Qos::State`]; few images are queued for a subscriber that acknowledges none.
     Image,
     /// Required of publishers of commands: reliable, volatile, depth 8.
@@ -53,6 +56,7 @@ impl Qos {
     pub fn words(self) -> &'static str {
         match self {
             Qos::State | Qos::Image => "reliable, volatile, keep last 1",
+            Qos::Lossless => "reliable, volatile, keep last 64",
             Qos::Latched => "reliable, transient local, keep last 1",
             Qos::Command => "reliable, volatile, keep last 8",
         }
@@ -151,10 +155,22 @@ topics! {
         "displacement of the tip in `world` per wrench on it; needs `manipulator.tip_jacobian`";
     RemovedVoxels "/removed_voxels" "std_msgs/UInt64" State
         "voxels removed since the start or the last reset";
+    RemovedPoints "/removed_voxels/points" "sensor_msgs/PointCloud2" Lossless
+        "voxels removed since the last cloud: place (x, y, z) and `index` in the CT; see \"Bone\"";
+    AnatomyPose "/anatomy/pose" "geometry_msgs/PoseStamped" Latched
+        "the centre of the CT's voxel (0, 0, 0), axes along i, j, k";
+    AnatomyVoxels "/anatomy/voxels" "std_msgs/Float64MultiArray" Latched
+        "numbers of voxels along i, j, k, then their sizes in m; the last is negative if the CT's axes are \
+         left-handed";
+    BoneSurface "/anatomy/surface" "visualization_msgs/Marker" Latched
+        "the bone's surface, decimated to 2400 triangles; at most once a second while it is drilled";
     CArmImage "/c_arm/image_raw" "sensor_msgs/Image" Image
         "the X-ray, `mono16`, or `mono8` if that would be too large";
     CArmInfo "/c_arm/camera_info" "sensor_msgs/CameraInfo" Image
         "the C-arm as a camera: K, P, size; with each image";
+    BurrTip "/c_arm/burr_tip" "geometry_msgs/PointStamped" Image
+        "the front of the burr in the image, if the source sees it: column and row in pixels, and its distance \
+         from the source along the optical axis in m; with each image";
 }
 
 topics! {
@@ -170,15 +186,20 @@ topics! {
     ArmMoveCp "/<arm>/move_cp" "geometry_msgs/PoseStamped" Command
         "moves the tool's base to a pose along a straight line, jerk-limited";
     StateCommand "/<arm>/state_command" "crtk_msgs/StringStamped" Command
-        "`enable`, `disable`, `pause`, `resume`, `home`: see below";
+        "`enable`, `disable`, `pause`, `resume`, `home`, `reset`: see below";
     TendonServoJf "/<cm>/bend_motor/servo_jf" "sensor_msgs/JointState" Command
         "tensions (`effort`, N, 0 to 60)";
     TendonServoJp "/<cm>/bend_motor/servo_jp" "sensor_msgs/JointState" Command
         "tendon displacements (`position`, m)";
     TendonMoveJp "/<cm>/bend_motor/move_jp" "sensor_msgs/JointState" Command
         "tendon displacements (`position`, m), jerk-limited";
+    TendonServoJv "/<cm>/bend_motor/servo_jv" "sensor_msgs/JointState" Command
+        "rates of tendon displacements (`velocity`, m/s, at most 0.005)";
     BurrServoJv "/<cm>/burr/servo_jv" "sensor_msgs/JointState" Command
         "speed of the burr (`velocity`, rad/s, 0 to 6283.2)";
+    CArmTake "/c_arm/take" "geometry_msgs/PoseStamped" Command
+        "takes an X-ray of the newest state with the isocentre at a pose in `world`, +x along the rows, +z to the \
+         source; it comes on `/c_arm/image_raw`";
     TubeMoveJp "/<cm>/tube/move_jp" "sensor_msgs/JointState" Command
         "deployed length of the tube and its roll (`position`, m and rad), jerk-limited";
 }
@@ -192,10 +213,12 @@ impl Input {
             | Input::ArmMoveJp
             | Input::ArmServoCp
             | Input::ArmMoveCp => Some(Drives::Arm),
-            Input::TendonServoJf | Input::TendonServoJp | Input::TendonMoveJp => Some(Drives::Tendon),
+            Input::TendonServoJf | Input::TendonServoJp | Input::TendonMoveJp | Input::TendonServoJv => {
+                Some(Drives::Tendon)
+            }
             Input::BurrServoJv => Some(Drives::Burr),
             Input::TubeMoveJp => Some(Drives::Tube),
-            Input::StateCommand => None,
+            Input::StateCommand | Input::CArmTake => None,
         }
     }
 }

@@ -25,7 +25,7 @@
 //! | [`live`] | a running session: messages, run control, driving |
 //! | [`log`] | logs on a time line |
 //! | [`plan`] | a scene before its run: shown, changed, saved, started |
-//! | [`surface`] | the bone's surface, block by block; links of the arm |
+//! | [`surface`], [`removals`] | the bone's surface, block by block, links of the arm; removed voxels |
 //! | [`mod@slice`] | planes through the CT, on request |
 //! | [`server`], [`protocol`], [`services`], [`calls`] | HTTP, WebSocket, client requests and their queue |
 //! | [`board`], [`channels`] | what clients subscribe to; [`delivery::viewer`] decides what each gets |
@@ -43,6 +43,7 @@ pub mod live;
 pub mod log;
 pub mod plan;
 pub mod protocol;
+pub mod removals;
 pub mod scene_update;
 pub mod server;
 pub mod services;

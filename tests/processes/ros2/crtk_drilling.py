@@ -1,9 +1,10 @@
 """A CRTK program: curved drilling through ROS 2 alone. Uses arm, bend motor and burr through CRTK's topics only.
 
-    python crtk_drilling.py INSERTION_M FEED_M_PER_S TENSION_N
+    python crtk_drilling.py INSERTION_M FEED_M_PER_S TENSION_N [CT DRILLED]
 
 Feeds the arm along the tool's axis with `servo_cp`, pulls the tendon with `servo_jf` as the tool goes in, and prints
-its measurements.
+its measurements. Rebuilds the drilled CT from the clouds of removed voxels: CT and DRILLED are files of int16, x
+fastest, before and after.
 """
 
 import json
@@ -12,10 +13,11 @@ import time
 
 import numpy as np
 import rclpy
-from geometry_msgs.msg import PoseStamped
+from geometry_msgs.msg import PointStamped, PoseStamped
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from sensor_msgs.msg import Image, JointState
-from std_msgs.msg import String, UInt64
+from sensor_msgs.msg import Image, JointState, PointCloud2
+from std_msgs.msg import Float64MultiArray, String, UInt64
+from visualization_msgs.msg import Marker
 
 LIMIT_S = 240.0
 insertion_m, feed_m_per_s, tension_n = map(float, sys.argv[1:4])
@@ -38,8 +40,34 @@ listen(JointState, "/CM/bend_motor/measured_js")
 listen(PoseStamped, "/CM/measured_cp")
 listen(UInt64, "/removed_voxels")
 listen(Image, "/c_arm/image_raw")
-listen(String, "/robot_description", QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL))
+listen(PointStamped, "/c_arm/burr_tip")
+latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+listen(String, "/robot_description", latched)
+listen(PoseStamped, "/anatomy/pose", latched)
+listen(Float64MultiArray, "/anatomy/voxels", latched)
+listen(Marker, "/anatomy/surface", latched)
+
+
+class Removed:
+    """Voxels removed according to the clouds, by their index in the CT, with their places."""
+
+    def __init__(self):
+        self.places, self.largest = {}, 0
+        node.create_subscription(PointCloud2, "/removed_voxels/points", self.take, QoSProfile(depth=1000))
+
+    def take(self, cloud):
+        self.largest = max(self.largest, len(cloud.data))
+        fields = [(field.name, field.offset, field.datatype) for field in cloud.fields]
+        assert fields == [("x", 0, 7), ("y", 4, 7), ("z", 8, 7), ("index", 12, 6)], fields
+        points = np.frombuffer(cloud.data, dtype=[("at", "<f4", 3), ("index", "<u4")])
+        if len(points) == 0:
+            self.places.clear()
+        self.places.update(zip(points["index"].tolist(), points["at"]))
+
+
+removed = Removed()
 servo_cp = node.create_publisher(PoseStamped, "/UR5/servo_cp", 10)
+take = node.create_publisher(PoseStamped, "/c_arm/take", 10)
 servo_jf = node.create_publisher(JointState, "/CM/bend_motor/servo_jf", 10)
 burr = node.create_publisher(JointState, "/CM/burr/servo_jv", 10)
 
@@ -95,6 +123,44 @@ last = None
 until("feed", lambda: (count["/UR5/measured_cp"] != last) and drill())
 settled_s = seconds(newest["/UR5/measured_cp"]) + 0.5
 until("rest", lambda: drill() and seconds(newest["/UR5/measured_cp"]) > settled_s)
+for stopped_s in (0.5, 1.0):
+    # The burr stands: nothing more is removed, and the last clouds are on their way.
+    burr.publish(JointState(name=["burr"], velocity=[0.0]))
+    until("standing", lambda: seconds(newest["/UR5/measured_cp"]) > settled_s + stopped_s)
+predrilled = len(removed.places) - newest["/removed_voxels"].data
+# A late subscriber gets everything so far.
+late = Removed()
+until("all clouds", lambda: len(late.places) >= len(removed.places))
+grid = newest["/anatomy/voxels"].data
+counts, sizes_m = np.array(grid[:3]).astype(int), np.array(grid[3:])
+index = np.array(sorted(removed.places))
+local = np.stack([index % counts[0], index // counts[0] % counts[1], index // (counts[0] * counts[1])], 1) * sizes_m
+pose = newest["/anatomy/pose"].pose
+w, v = pose.orientation.w, np.array([pose.orientation.x, pose.orientation.y, pose.orientation.z])
+turned = local + 2.0 * np.cross(v, np.cross(v, local) + w * local)
+off_m = np.abs(turned + place(pose) - np.array([removed.places[one] for one in index.tolist()])).max()
+if len(sys.argv) > 5:
+    ct = np.fromfile(sys.argv[4], "<i2")
+    assert len(ct) == counts.prod(), (len(ct), counts)
+    ct[index] = -1000
+    ct.tofile(sys.argv[5])
+until("surface", lambda: "/anatomy/surface" in newest)
+surface = newest["/anatomy/surface"]
+# An X-ray along the patient's y with the isocentre at the tip shows the tip in its middle.
+from_behind = PoseStamped(pose=newest["/CM/measured_cp"].pose)
+half = float(np.sqrt(0.5))
+turn = from_behind.pose.orientation
+turn.x, turn.y, turn.z, turn.w = -half, 0.0, 0.0, half
+
+
+def off_centre_px():
+    shown, at = newest["/c_arm/image_raw"], newest["/c_arm/burr_tip"].point
+    return float(np.hypot(at.x - (shown.width - 1) / 2, at.y - (shown.height - 1) / 2))
+
+
+before_px = off_centre_px()
+take.publish(from_behind)
+until("X-ray of the tip", lambda: off_centre_px() < 1.0)
 tool, tip = newest["/UR5/measured_cp"].pose, newest["/CM/measured_cp"].pose
 image = newest.get("/c_arm/image_raw")
 print(json.dumps({
@@ -108,5 +174,12 @@ print(json.dumps({
     "image": None if image is None else [image.encoding, image.height, image.width, len(image.data)],
     "images": count.get("/c_arm/image_raw", 0),
     "states": count["/UR5/measured_js"],
+    "predrilled": predrilled,
+    "off_centre_px": [before_px, off_centre_px()],
+    "late_equals": late.places.keys() == removed.places.keys(),
+    "largest_cloud": removed.largest,
+    "off_m": float(off_m),
+    "surface": [surface.type, len(surface.points), surface.header.frame_id],
+    "surfaces": count["/anatomy/surface"],
 }))
 rclpy.shutdown()

@@ -112,12 +112,18 @@ def chain(child):
 
 
 stamp = frames["CM/tip"].header.stamp
+shown, tip_m = sorted(frames), chain("CM/tip")
+# A reset forgets the tension.
+pull([tension_n, 0.0])
+until("tension again", lambda: abs(tension() - tension_n) < 0.05)
+say("reset")
+until("reset", lambda: tension() < 0.05)
 print(json.dumps({
     "states": states,
     "kept_n": kept_n,
     "stood": stood,
-    "frames": sorted(frames),
-    "tip_m": chain("CM/tip"),
+    "frames": shown,
+    "tip_m": tip_m,
     "tip_time_s": stamp.sec + 1e-9 * stamp.nanosec,
     "tendons": newest["motor"].name,
 }))

@@ -19,6 +19,15 @@ pub enum Ros2Error {
         /// The reason.
         cause: String,
     },
+    /// `--lockstep` with a run in real time.
+    #[error("--lockstep: session {0} runs in real time; set `run.mode = \"lockstep\"` in its scene")]
+    RealTime(String),
+    /// `--lockstep` as a controller that no topic can command.
+    #[error("--lockstep: controller `{0}` drives nothing that ROS 2 can command: arm, tendon, burr or tube")]
+    NothingToDrive(String),
+    /// The thread that publishes the bone cannot be started.
+    #[error("starting a thread: {0}")]
+    Thread(#[from] std::io::Error),
     /// The scene's tool cannot be described.
     #[error("robot_description: {0}")]
     Description(String),
@@ -32,7 +41,8 @@ impl Ros2Error {
                 error,
                 ClientError::NoSession { .. } | ClientError::Joining { .. } | ClientError::Session(_)
             ),
-            Ros2Error::Dds { .. } | Ros2Error::Description(_) => false,
+            Ros2Error::RealTime(_) | Ros2Error::NothingToDrive(_) => true,
+            Ros2Error::Dds { .. } | Ros2Error::Thread(_) | Ros2Error::Description(_) => false,
         }
     }
 }

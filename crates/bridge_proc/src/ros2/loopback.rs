@@ -1,57 +1,167 @@
-//! Restricts DDS to this machine. DDS binds its unicast sockets to every address, whatever networks it
-//! announces, so datagrams from elsewhere would be read. A socket bound to the device `lo` receives nothing
-//! else from the kernel, and sends nothing else.
+//! Restricts DDS to this machine, whatever networks it announces. DDS binds its sockets to every address. A
+//! filter in the kernel drops every datagram whose source is not an address of this machine, before DDS can
+//! read it; the kernel itself drops datagrams that come from outside with such a source ("martians"). With a
+//! multicast TTL of 0, announcements do not leave the machine.
+//!
+//! Sockets bound to the device `lo` are not enough: Cyclone DDS with its default configuration uses the first
+//! network, and ignores participants that announce loopback addresses only.
 
+use std::net::{IpAddr, Ipv4Addr, UdpSocket};
 use std::os::fd::OwnedFd;
 
 use rustix::process::{PidfdFlags, PidfdGetfdFlags, getpid, pidfd_getfd, pidfd_open};
-use socket2::{Domain, SockRef, Type};
+use socket2::{Domain, SockFilter, SockRef, Type};
 
-/// Binds every UDP socket of this process to the loopback device. Since Linux 5.7 any process may do that.
-///
-/// # Errors
-/// The kernel's error: an older kernel, or a container whose seccomp profile forbids `pidfd_getfd`.
-pub(crate) fn close_to_others() -> std::io::Result<usize> {
-    // Get a second descriptor of the same socket: options belong to the socket, whichever descriptor sets
-    // them.
-    let myself = pidfd_open(getpid(), PidfdFlags::empty())?;
-    let mut bound = 0;
-    for entry in std::fs::read_dir("/proc/self/fd")? {
-        let name = entry?.file_name();
-        let Some(number) = name.to_str().and_then(|name| name.parse().ok()) else { continue };
-        let link = std::fs::read_link(format!("/proc/self/fd/{number}"));
-        if !link.is_ok_and(|link| link.to_string_lossy().starts_with("socket:")) {
-            continue;
-        }
-        let descriptor: OwnedFd = pidfd_getfd(&myself, number, PidfdGetfdFlags::empty())?;
-        let socket = SockRef::from(&descriptor);
-        let is_udp =
-            socket.r#type()? == Type::DGRAM && matches!(socket.domain()?, Domain::IPV4 | Domain::IPV6);
-        if is_udp {
-            socket.bind_device(Some(b"lo"))?;
-            bound += 1;
-        }
+/// Number of addresses that a filter has room for: its jumps are bytes.
+const ADDRESS_COUNT: usize = 60;
+
+/// Returns the IPv4 addresses of this machine, that of loopback first.
+fn own_addresses() -> Vec<Ipv4Addr> {
+    let others = netdev::get_interfaces().into_iter().flat_map(|interface| interface.ipv4);
+    let others = others.map(|net| net.addr()).filter(|address| !address.is_loopback());
+    core::iter::once(Ipv4Addr::LOCALHOST).chain(others).take(ADDRESS_COUNT).collect()
+}
+
+/// How DDS is restricted.
+#[derive(Debug)]
+pub(crate) struct Loopback {
+    filter: Vec<SockFilter>,
+    addresses: Vec<Ipv4Addr>,
+}
+
+impl Loopback {
+    /// Prepares the restriction; `None` if the operating system does not allow it: an older kernel than 5.6,
+    /// or a container whose seccomp profile forbids `pidfd_getfd`.
+    pub(crate) fn prepare() -> Option<Loopback> {
+        let addresses = own_addresses();
+        let whole = |address: &Ipv4Addr| (*address, u32::MAX);
+        let loopback = (Ipv4Addr::new(127, 0, 0, 0), 0xff00_0000);
+        let sources: Vec<_> = core::iter::once(loopback).chain(addresses.iter().skip(1).map(whole)).collect();
+        let restriction = Loopback { filter: filter(&sources), addresses };
+        // Something to try it on.
+        let probe = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).ok()?;
+        let works = restriction.close_to_others().is_ok();
+        drop(probe);
+        works.then_some(restriction)
     }
-    Ok(bound)
+
+    /// The addresses that DDS may announce.
+    pub(crate) fn addresses(&self) -> impl Iterator<Item = IpAddr> + '_ {
+        self.addresses.iter().map(|address| IpAddr::V4(*address))
+    }
+
+    /// Restricts every UDP socket of this process; returns their number.
+    ///
+    /// # Errors
+    /// The kernel's error.
+    pub(crate) fn close_to_others(&self) -> std::io::Result<usize> {
+        // Get a second descriptor of the same socket: options belong to the socket, whichever descriptor sets
+        // them.
+        let myself = pidfd_open(getpid(), PidfdFlags::empty())?;
+        let mut closed = 0;
+        for entry in std::fs::read_dir("/proc/self/fd")? {
+            let name = entry?.file_name();
+            let Some(number) = name.to_str().and_then(|name| name.parse().ok()) else { continue };
+            let link = std::fs::read_link(format!("/proc/self/fd/{number}"));
+            if !link.is_ok_and(|link| link.to_string_lossy().starts_with("socket:")) {
+                continue;
+            }
+            let descriptor: OwnedFd = pidfd_getfd(&myself, number, PidfdGetfdFlags::empty())?;
+            let socket = SockRef::from(&descriptor);
+            if socket.r#type()? != Type::DGRAM {
+                continue;
+            }
+            match socket.domain()? {
+                Domain::IPV4 => socket.set_multicast_ttl_v4(0)?,
+                Domain::IPV6 => socket.set_multicast_hops_v6(0)?,
+                _ => continue,
+            }
+            socket.attach_filter(&self.filter)?;
+            closed += 1;
+        }
+        Ok(closed)
+    }
+}
+
+/// Returns a classic BPF program (socket(7), `SO_ATTACH_FILTER`) that accepts IPv4 datagrams whose source,
+/// masked, is one of these.
+fn filter(sources: &[(Ipv4Addr, u32)]) -> Vec<SockFilter> {
+    // BPF_LD | BPF_ABS with BPF_W and BPF_B, BPF_ALU | BPF_RSH and BPF_AND, BPF_JMP | BPF_JEQ, BPF_RET, all
+    // with BPF_K: linux/bpf_common.h.
+    const WORD: u16 = 0x20;
+    const BYTE: u16 = 0x30;
+    const SHIFT: u16 = 0x74;
+    const AND: u16 = 0x54;
+    const IF_EQUAL: u16 = 0x15;
+    const RETURN: u16 = 0x06;
+    /// `SKF_NET_OFF`: offsets from the IP header.
+    const IP_HEADER: u32 = 0xfff0_0000;
+    let plain = |code, value| SockFilter::new(code, 0, 0, value);
+    let count = sources.len().min(ADDRESS_COUNT) as u8;
+    let mut program =
+        vec![plain(BYTE, IP_HEADER), plain(SHIFT, 4), SockFilter::new(IF_EQUAL, 0, 3 * count, 4)];
+    for (number, (address, mask)) in (0..count).zip(sources) {
+        program.push(plain(WORD, IP_HEADER + 12));
+        program.push(plain(AND, *mask));
+        // To the last instruction.
+        let to_accept = 3 * (count - 1 - number) + 1;
+        program.push(SockFilter::new(IF_EQUAL, to_accept, 0, u32::from(*address)));
+    }
+    program.push(plain(RETURN, 0));
+    program.push(plain(RETURN, u32::MAX));
+    program
 }
 
 #[cfg(test)]
 mod tests {
-    use std::net::UdpSocket;
+    use std::time::Duration;
 
     use super::*;
 
-    #[test]
-    fn a_bound_socket_hears_this_machine() {
-        let socket = UdpSocket::bind("0.0.0.0:0").unwrap();
-        match close_to_others() {
-            Ok(bound) => assert!(bound >= 1),
-            Err(reason) => return println!("not here: {reason}"),
+    /// Returns the datagrams that a socket has received.
+    fn received(socket: &UdpSocket) -> Vec<u8> {
+        socket.set_read_timeout(Some(Duration::from_secs(10))).unwrap();
+        let mut all = Vec::new();
+        let mut buffer = [0; 8];
+        while let Ok(1) = socket.recv(&mut buffer) {
+            all.push(buffer[0]);
+            if buffer[0] == b'.' {
+                break;
+            }
         }
-        assert_eq!(SockRef::from(&socket).device().unwrap().as_deref(), Some(b"lo".as_slice()));
+        all
+    }
+
+    /// Other addresses of loopback stand for other machines. Datagrams on loopback arrive in order.
+    #[test]
+    fn a_filter_drops_what_comes_from_other_addresses() {
+        let from = |last: u8| UdpSocket::bind((Ipv4Addr::new(127, 0, 0, last), 0)).unwrap();
+        for (sources, expected) in [
+            (vec![(Ipv4Addr::LOCALHOST, u32::MAX)], "a."),
+            (vec![(Ipv4Addr::new(10, 0, 0, 1), u32::MAX), (Ipv4Addr::LOCALHOST, u32::MAX)], "a."),
+            (vec![(Ipv4Addr::LOCALHOST, u32::MAX), (Ipv4Addr::new(127, 0, 0, 2), u32::MAX)], "ab."),
+            (vec![(Ipv4Addr::new(127, 0, 0, 0), 0xff00_0000)], "abc."),
+        ] {
+            let socket = UdpSocket::bind("0.0.0.0:0").unwrap();
+            SockRef::from(&socket).attach_filter(&filter(&sources)).unwrap();
+            let port = socket.local_addr().unwrap().port();
+            for (last, text) in [(1, b"a"), (2, b"b"), (3, b"c"), (1, b".")] {
+                from(last).send_to(text, (Ipv4Addr::LOCALHOST, port)).unwrap();
+            }
+            assert_eq!(received(&socket), expected.as_bytes(), "{sources:?}");
+        }
+    }
+
+    #[test]
+    fn every_socket_of_the_process_hears_this_machine_at_each_of_its_addresses() {
+        let socket = UdpSocket::bind("0.0.0.0:0").unwrap();
+        let Some(loopback) = Loopback::prepare() else { return println!("not possible here") };
+        assert!(loopback.close_to_others().unwrap() >= 1);
+        assert_eq!(SockRef::from(&socket).multicast_ttl_v4().unwrap(), 0);
         let port = socket.local_addr().unwrap().port();
-        UdpSocket::bind("127.0.0.1:0").unwrap().send_to(b"x", ("127.0.0.1", port)).unwrap();
-        socket.set_read_timeout(Some(std::time::Duration::from_secs(10))).unwrap();
-        assert_eq!(socket.recv(&mut [0; 8]).unwrap(), 1);
+        for address in loopback.addresses() {
+            UdpSocket::bind((address, 0)).unwrap().send_to(b".", (address, port)).unwrap();
+            assert_eq!(received(&socket), b".", "{address}");
+        }
     }
 }

@@ -1,6 +1,7 @@
 //! The ROS 2 bridge over DDS: publishes states, images and transforms; receives CRTK commands. Needs no ROS
 //! installation.
 
+mod bone;
 mod error;
 mod listener;
 mod loopback;
@@ -14,6 +15,7 @@ use std::time::{Duration, Instant};
 
 use ipc_types::process::EndRequest;
 use ros_interface::image::ImageForm;
+use ros_interface::round_trip::RoundTrips;
 use ros_interface::topics::Names;
 
 pub use error::Ros2Error;
@@ -51,10 +53,12 @@ pub struct Ros2Options {
     pub rate_hz: f64,
     /// How images are sent.
     pub image: ImageForm,
+    /// Whether each state waits for the commands that carry its stamp.
+    pub lockstep: bool,
 }
 
 /// Statistics of a bridge.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct Summary {
     /// Messages published.
     pub published: u64,
@@ -64,6 +68,11 @@ pub struct Summary {
     pub received: u64,
     /// Received messages that were rejected.
     pub refused: u64,
+    /// Messages that publishers have sent and the bridge has not received.
+    pub lost: u64,
+    /// Times from a state to the command with its stamp: simulated time in real time, measured time in
+    /// lockstep.
+    pub round_trips: RoundTrips,
 }
 
 /// Reported when the bridge is ready.
@@ -103,14 +112,15 @@ pub fn serve(
     while !end.is_set() && joined.advance_until(due)? {
         joined.obey(&mut node, &mut notices);
         let now = Instant::now();
-        if now >= due {
+        if options.lockstep || now >= due {
             // The mean rate is kept, but longer delays are not made up for: subscribers want the newest
             // state.
             due = (due + period).max(now);
-            joined.publish(&mut node);
+            joined.publish(&mut node, &mut notices);
         }
     }
-    joined.publish(&mut node);
+    joined.publish(&mut node, &mut notices);
+    joined.publish_rest(&mut node, &mut notices);
     notices.close();
-    Ok(node.close())
+    Ok(Summary { round_trips: joined.round_trips(), ..node.close() })
 }

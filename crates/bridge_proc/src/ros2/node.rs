@@ -9,12 +9,14 @@ use ros_interface::topics::{INPUTS, Input, OUTPUTS, Output, Qos};
 use rustdds::no_key::{DataWriter, SimpleDataReader};
 use rustdds::policy::{Durability, History, Reliability, ResourceLimits};
 use rustdds::{
-    DataReaderStatus, DomainParticipant, DomainParticipantBuilder, Duration, GUID, Publisher, QosPolicies,
-    QosPolicyBuilder, RTPSEntity, StatusEvented, Subscriber, Timestamp, Topic, TopicKind,
+    DataReaderStatus, DataWriterStatus, DomainParticipant, DomainParticipantBuilder, Duration, GUID,
+    Publisher, QosPolicies, QosPolicyBuilder, RTPSEntity, StatusEvented, Subscriber, Timestamp, Topic,
+    TopicKind,
 };
 
+use super::loopback::Loopback;
 use super::payload::{CdrAdapter, OutgoingCdr, ReceivedCdr};
-use super::{NetworkScope, Ros2Error, Ros2Options, Summary, loopback};
+use super::{NetworkScope, Ros2Error, Ros2Options, Summary};
 
 /// The node's name, as `ros2 node list` shows it.
 pub(crate) const NODE: &str = "trabecula_bridge";
@@ -22,8 +24,14 @@ pub(crate) const NODE: &str = "trabecula_bridge";
 /// DDS and Cyclone DDS drop a silent participant (20 s and 10 s), so that a stopped subscriber does not
 /// affect the others.
 const STATE_WINDOW_S: f64 = 30.0;
+/// States per second for which queues are sized in lockstep.
+const LOCKSTEP_HZ: f64 = 1000.0;
 /// Number of images queued.
 const IMAGE_WINDOW: i32 = 16;
+/// Number of clouds queued; what has no room is sent later.
+const CLOUD_WINDOW: i32 = 64;
+/// How long the end waits for subscribers to acknowledge the last clouds.
+const LAST_CLOUDS: std::time::Duration = std::time::Duration::from_secs(2);
 /// Maximum number of messages of one topic processed in one turn.
 const MOST_A_TURN: usize = 64;
 
@@ -45,6 +53,8 @@ pub(crate) enum Incoming {
 /// The node's publishers and subscriptions. Dropping it leaves the domain.
 pub(crate) struct Node {
     writers: BTreeMap<Output, Writer>,
+    /// Sequence number of the last message of each publisher.
+    last: BTreeMap<GUID, i64>,
     readers: Vec<(Input, SimpleDataReader<ReceivedCdr, CdrAdapter>)>,
     /// Announces the node, for `ros2 node list`.
     _known: Writer,
@@ -57,21 +67,31 @@ pub(crate) struct Node {
 impl Node {
     pub(crate) fn open(options: &Ros2Options, inputs: &[Input]) -> Result<Node, Ros2Error> {
         let place = DdsDomain::open(options.domain_id, options.reach)?;
+        // In lockstep, states follow each other faster than at any rate.
+        let rate_hz = if options.lockstep { LOCKSTEP_HZ } else { options.rate_hz };
         let mut writers = BTreeMap::new();
         for row in OUTPUTS {
             let (name, kind) = (row.dds_name(&options.names), row.dds_type());
-            writers.insert(row.topic, place.writer(&name, &kind, &qos(row.qos, options.rate_hz))?);
+            writers.insert(row.topic, place.writer(&name, &kind, &qos(row.qos, rate_hz))?);
         }
         let mut readers = Vec::new();
         for row in INPUTS.iter().filter(|row| inputs.contains(&row.topic)) {
             let (name, kind) = (row.dds_name(&options.names), row.dds_type());
-            readers.push((row.topic, place.reader(&name, &kind, &qos(row.qos, options.rate_hz))?));
+            readers.push((row.topic, place.reader(&name, &kind, &qos(row.qos, rate_hz))?));
         }
         let known = place.make_known(&writers, &readers)?;
-        let is_closed =
-            (options.reach == NetworkScope::Localhost).then(|| loopback::close_to_others().is_ok());
+        let is_closed = place.close_again();
         let summary = Summary::default();
-        Ok(Node { writers, readers, _known: known, is_closed, summary, _participant: place.participant })
+        let last = BTreeMap::new();
+        Ok(Node {
+            writers,
+            last,
+            readers,
+            _known: known,
+            is_closed,
+            summary,
+            _participant: place.participant,
+        })
     }
 
     /// Whether the operating system keeps other machines out, if that was requested.
@@ -94,6 +114,34 @@ impl Node {
         }
     }
 
+    /// Publishes a message that must not be skipped. Returns false if there is no room for it yet.
+    pub(crate) fn offer(&mut self, message: &Outgoing) -> bool {
+        let Some(writer) = self.writers.get(&message.topic) else { return true };
+        let is_sent = writer.write(OutgoingCdr(message.cdr.clone().into()), Some(Timestamp::now())).is_ok();
+        self.summary.published += u64::from(is_sent);
+        is_sent
+    }
+
+    /// Returns whether a subscriber of a topic has joined since the last call, and the number of subscribers
+    /// if it has changed.
+    pub(crate) fn subscribers(&self, topic: Output) -> (bool, Option<i32>) {
+        let (mut has_joined, mut count) = (false, None);
+        while let Some(status) = self.writers.get(&topic).and_then(StatusEvented::try_recv_status) {
+            if let DataWriterStatus::PublicationMatched { current, .. } = status {
+                has_joined |= current.count_change() > 0;
+                count = Some(current.count());
+            }
+        }
+        (has_joined, count)
+    }
+
+    /// Waits until every subscriber has the last clouds, for a limited time.
+    pub(crate) fn await_clouds(&self) {
+        if let Some(writer) = self.writers.get(&Output::RemovedPoints) {
+            let _ = writer.wait_for_acknowledgments(LAST_CLOUDS);
+        }
+    }
+
     /// Returns everything received since the last call.
     pub(crate) fn take(&mut self) -> Vec<Incoming> {
         let mut all = Vec::new();
@@ -105,6 +153,10 @@ impl Node {
                 match reader.try_take_one() {
                     Ok(None) => break,
                     Ok(Some(came)) => {
+                        let number = i64::from(came.sequence_number);
+                        if let Some(before) = self.last.insert(came.writer_guid, number) {
+                            self.summary.lost += u64::try_from(number - before - 1).unwrap_or(0);
+                        }
                         let ReceivedCdr { cdr, order } = came.sample;
                         let message = Incoming::Message { topic, cdr, order, from: came.writer_guid };
                         arrived.push((came.receive_instant, message));
@@ -117,6 +169,7 @@ impl Node {
                     DataReaderStatus::SubscriptionMatched { current, writer, .. }
                         if current.count_change() < 0 =>
                     {
+                        self.last.remove(&writer);
                         all.push(Incoming::Gone { from: writer });
                     }
                     DataReaderStatus::RequestedIncompatibleQos { .. } => all.push(Incoming::Unfit { topic }),
@@ -147,6 +200,7 @@ pub(super) fn qos(kind: Qos, rate_hz: f64) -> QosPolicies {
     let (durability, depth, window) = match kind {
         Qos::State => (Durability::Volatile, 1, (STATE_WINDOW_S * rate_hz).clamp(64.0, 30_000.0) as i32),
         Qos::Latched => (Durability::TransientLocal, 1, 256),
+        Qos::Lossless => (Durability::Volatile, CLOUD_WINDOW, CLOUD_WINDOW),
         Qos::Image => (Durability::Volatile, 1, IMAGE_WINDOW),
         Qos::Command => (Durability::Volatile, 8, 64),
     };
@@ -169,24 +223,47 @@ pub(super) struct DdsDomain {
     pub(super) participant: DomainParticipant,
     publisher: Publisher,
     subscriber: Subscriber,
+    reach: NetworkScope,
+    /// `None` for other scopes, and where the operating system does not allow it.
+    loopback: Option<Loopback>,
 }
 
 impl DdsDomain {
     pub(super) fn open(domain: u16, reach: NetworkScope) -> Result<DdsDomain, Ros2Error> {
         let mut builder = DomainParticipantBuilder::new(domain).same_host_loopback(true);
-        if reach == NetworkScope::Localhost {
-            builder = builder.with_only_networks([std::net::Ipv4Addr::LOCALHOST]);
-        }
+        let loopback = if reach == NetworkScope::Localhost { Loopback::prepare() } else { None };
+        builder = match (reach, &loopback) {
+            (NetworkScope::Subnet, _) => builder,
+            (NetworkScope::Localhost, Some(loopback)) => builder.with_only_networks(loopback.addresses()),
+            // Others can reach the sockets, so only loopback is announced.
+            (NetworkScope::Localhost, None) => builder.with_only_networks([std::net::Ipv4Addr::LOCALHOST]),
+        };
         let failed = |what: &str, cause: rustdds::dds::CreateError| Ros2Error::Dds {
             domain,
             what: what.to_owned(),
             cause: cause.to_string(),
         };
         let participant = builder.build().map_err(|cause| failed("participant", cause))?;
+        // At once: the participant's sockets are open already.
+        if let Some(loopback) = &loopback {
+            let close = loopback.close_to_others();
+            close.map_err(|cause| Ros2Error::Dds {
+                domain,
+                what: "filter".into(),
+                cause: cause.to_string(),
+            })?;
+        }
         let none = QosPolicyBuilder::new().build();
         let publisher = participant.create_publisher(&none).map_err(|cause| failed("publisher", cause))?;
         let subscriber = participant.create_subscriber(&none).map_err(|cause| failed("subscriber", cause))?;
-        Ok(DdsDomain { domain, participant, publisher, subscriber })
+        Ok(DdsDomain { domain, participant, publisher, subscriber, reach, loopback })
+    }
+
+    /// Restricts sockets opened since. Returns whether the operating system keeps other machines out, if that
+    /// was requested.
+    fn close_again(&self) -> Option<bool> {
+        let is_closed = || self.loopback.as_ref().is_some_and(|it| it.close_to_others().is_ok());
+        (self.reach == NetworkScope::Localhost).then(is_closed)
     }
 
     fn topic(&self, name: &str, kind: &str, qos: &QosPolicies) -> Result<Topic, Ros2Error> {

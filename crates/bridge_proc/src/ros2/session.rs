@@ -4,16 +4,21 @@ use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
 
 use ipc_types::messages::{ControlAction, Phase, Severity};
+use ipc_types::scene::{Controller, Drives};
 use ros_interface::commander::{Commander, OperatingState};
 use ros_interface::image::{self, ImageForm};
 use ros_interface::incoming::{self, CommandedJoints, Request, RequestError, StateCommand};
-use ros_interface::outgoing;
+use ros_interface::lockstep::{Answer, Lockstep};
+use ros_interface::msg::Time;
+use ros_interface::outgoing::{self, Outgoing};
 use ros_interface::robot::Robot;
-use ros_interface::topics::{INPUTS, Input, Names};
+use ros_interface::round_trip::RoundTrips;
+use ros_interface::topics::{INPUTS, Input, Names, Output};
 use ros_interface::urdf;
 use rustdds::GUID;
 use trabecula_client::{Client, ClientError, Connection};
 
+use super::bone::Bone;
 use super::node::{Incoming, Node};
 use super::notices::Notices;
 use super::{Ros2Error, Ros2Options};
@@ -23,6 +28,10 @@ use crate::own_controller;
 const TURN: Duration = Duration::from_millis(5);
 /// Shortest interval between two polls of the subscriptions.
 const LOOK_PERIOD: Duration = Duration::from_millis(1);
+/// Interval between two polls while a state waits for its answer in lockstep.
+const ANSWER_LOOK_PERIOD: Duration = Duration::from_micros(50);
+/// How long the last clouds may wait for a subscriber that has no room for them.
+const REST_LIMIT: Duration = Duration::from_secs(2);
 /// Timeout for a reply of run control.
 const CONTROL_LIMIT: Duration = Duration::from_secs(2);
 /// How often an unchanged state, as in a pause, is sent again.
@@ -47,6 +56,21 @@ pub(crate) struct Ros2Session {
     told: Option<(OperatingState, bool)>,
     /// Velocities that timed out, to be reported.
     ran_out: Option<&'static str>,
+    /// In exact runs: the answers to the newest state.
+    exchange: Option<Exchange>,
+    round_trips: RoundTrips,
+    /// `None` without a volume.
+    bone: Option<Bone>,
+    /// A cloud for which there was no room.
+    unsent: Option<Outgoing>,
+}
+
+/// A state and its answers.
+#[derive(Debug)]
+struct Exchange {
+    lockstep: Lockstep,
+    /// When the state was received; `None` once it is answered.
+    begun: Option<Instant>,
 }
 
 impl Ros2Session {
@@ -57,8 +81,15 @@ impl Ros2Session {
             ..Connection::default()
         };
         let now = Instant::now();
+        let client = Client::connect(&connection)?;
+        let exchange = if options.lockstep { Some(Exchange::of(&client)?) } else { None };
+        let scene = client.scene();
+        let bone = match &scene.volume {
+            Some(volume) => Some(Bone::start(&client.info().folder, scene, volume.bone_threshold_hu)?),
+            None => None,
+        };
         Ok(Ros2Session {
-            client: Client::connect(&connection)?,
+            client,
             names: options.names.clone(),
             form: options.image,
             robot: None,
@@ -69,6 +100,10 @@ impl Ros2Session {
             sent: None,
             told: None,
             ran_out: None,
+            exchange,
+            round_trips: RoundTrips::default(),
+            bone,
+            unsent: None,
         })
     }
 
@@ -102,9 +137,12 @@ impl Ros2Session {
 
     /// Like `advance`; an observer sleeps until `due` if that is soon, since it needs no state in between.
     pub(crate) fn advance_until(&mut self, due: Instant) -> Result<bool, Ros2Error> {
+        if self.exchange.is_some() {
+            return self.advance_exchange();
+        }
         let outcome = if self.client.info().controller.is_some() {
+            let now_s = self.now_s();
             let (commander, ran_out) = (&mut self.commander, &mut self.ran_out);
-            let now_s = self.start.elapsed().as_secs_f64();
             self.client.answer(TURN, |_, command| {
                 let over = commander.fill(now_s, command);
                 *ran_out = over.or(*ran_out);
@@ -113,11 +151,45 @@ impl Ros2Session {
             std::thread::sleep(due.saturating_duration_since(Instant::now()).min(TURN));
             self.client.poll_state().map(|_| ())
         };
-        match outcome {
-            Ok(()) | Err(ClientError::TimedOut(_)) => Ok(true),
-            Err(ClientError::Ended) => Ok(false),
-            Err(other) => Err(other.into()),
+        goes_on(outcome)
+    }
+
+    /// Answers the newest state if every part has its command, and receives the next one.
+    fn advance_exchange(&mut self) -> Result<bool, Ros2Error> {
+        let now_s = self.now_s();
+        let Some(exchange) = &mut self.exchange else { return Ok(true) };
+        if let Some(begun) = exchange.begun {
+            if !exchange.lockstep.is_complete() {
+                std::thread::sleep(ANSWER_LOOK_PERIOD);
+                // No next state is expected; but the end is.
+                return match self.client.next_state(Duration::ZERO) {
+                    Ok(state) => {
+                        exchange.begin(state.sim_time_s);
+                        Ok(true)
+                    }
+                    Err(other) => goes_on(Err(other)),
+                };
+            }
+            exchange.begun = None;
+            self.round_trips.add(begun.elapsed().as_secs_f64());
+            self.commander.fill(now_s, self.client.command()?);
+            self.client.send()?;
         }
+        let next = self.client.next_state(TURN).map(|state| exchange.begin(state.sim_time_s));
+        goes_on(next)
+    }
+
+    /// Time by which velocities expire, s: simulated time in exact runs.
+    fn now_s(&self) -> f64 {
+        match (&self.exchange, self.client.state()) {
+            (Some(_), Some(state)) => state.sim_time_s,
+            _ => self.start.elapsed().as_secs_f64(),
+        }
+    }
+
+    /// Times from states to the commands that answer them.
+    pub(crate) fn round_trips(&self) -> RoundTrips {
+        self.round_trips.clone()
     }
 
     fn phase(&mut self) -> Phase {
@@ -126,7 +198,8 @@ impl Ros2Session {
     }
 
     /// Publishes what has changed since the last call.
-    pub(crate) fn publish(&mut self, node: &mut Node) {
+    pub(crate) fn publish(&mut self, node: &mut Node, notices: &mut Notices<impl FnMut(&str)>) {
+        self.publish_bone(node, notices);
         let phase = self.phase();
         let (Some(robot), Some(state)) = (&self.robot, self.client.state()) else { return };
         let is_new =
@@ -145,11 +218,58 @@ impl Ros2Session {
             node.publish(outgoing::of_tip_jacobian(robot, jacobian));
         }
         let mut newest = Vec::new();
+        let front_m = self.client.scene().manipulator.radii().cutter.front_radius_m();
         // Older queued frames are of no use to a subscriber.
         while let Ok(view) = self.client.wait_frame(0, Duration::ZERO) {
-            newest = image::of_frame(view.frame, view.pixels, self.form);
+            newest = image::of_frame(view.frame, view.pixels, self.form, front_m);
         }
         node.publish(newest);
+    }
+
+    /// Publishes removed voxels and the bone's surface, one message at a time: a burst of clouds would
+    /// overflow the receive buffers of Fast DDS.
+    fn publish_bone(&mut self, node: &mut Node, notices: &mut Notices<impl FnMut(&str)>) {
+        let Some(bone) = &self.bone else { return };
+        if node.subscribers(Output::RemovedPoints).0 {
+            bone.send_all();
+        }
+        if let (_, Some(count)) = node.subscribers(Output::BoneSurface) {
+            bone.set_surface_wanted(count > 0);
+        }
+        if let Some(cloud) = self.unsent.take() {
+            if !node.offer(&cloud) {
+                self.unsent = Some(cloud);
+            }
+            return;
+        }
+        match bone.next() {
+            Some(Ok(messages)) => self.unsent = offer_all(node, messages),
+            Some(Err(line)) => self.tell(&line, notices),
+            None => {}
+        }
+    }
+
+    /// Publishes the last clouds, once the run is over.
+    pub(crate) fn publish_rest(&mut self, node: &mut Node, notices: &mut Notices<impl FnMut(&str)>) {
+        let Some(mut bone) = self.bone.take() else { return };
+        let mut unsent = self.unsent.take();
+        let mut rest = bone.rest();
+        let begun = Instant::now();
+        while begun.elapsed() < REST_LIMIT {
+            if let Some(cloud) = unsent.take() {
+                unsent = (!node.offer(&cloud)).then_some(cloud);
+                std::thread::sleep(TURN);
+                continue;
+            }
+            match rest.next() {
+                Some(Ok(messages)) => unsent = offer_all(node, messages),
+                Some(Err(line)) => {
+                    notices.say(&line);
+                }
+                None => break,
+            }
+        }
+        node.await_clouds();
     }
 
     /// Executes the received commands, or reports why not.
@@ -161,7 +281,7 @@ impl Ros2Session {
             );
             self.tell(&line, notices);
         }
-        if self.looked.elapsed() < LOOK_PERIOD {
+        if self.exchange.is_none() && self.looked.elapsed() < LOOK_PERIOD {
             return;
         }
         self.looked = Instant::now();
@@ -172,9 +292,10 @@ impl Ros2Session {
                         arm: self.robot.as_ref().map_or(&[], Robot::arm_joints),
                         tendons: self.robot.as_ref().map_or(0, Robot::tendons),
                     };
+                    let stamp = incoming::stamp(&cdr, order).unwrap_or_default();
                     let done = incoming::read(topic, &cdr, order, commanded)
                         .map_err(|refused| refused.to_string())
-                        .and_then(|request| self.act(request, from));
+                        .and_then(|request| self.act_at(request, topic, stamp, from));
                     if let Err(why) = done {
                         self.refuse(topic, &why, node, notices);
                     }
@@ -189,20 +310,53 @@ impl Ros2Session {
         }
     }
 
+    /// Executes a request that carries a stamp; in exact runs, only the first motion of each part for the
+    /// newest state.
+    fn act_at(&mut self, request: Request, topic: Input, stamp: Time, from: GUID) -> Result<(), String> {
+        if let Request::Move(_) = request {
+            match (&mut self.exchange, self.client.state()) {
+                (Some(exchange), _) => {
+                    let answer =
+                        exchange.lockstep.answer(topic, stamp).map_err(|refused| refused.to_string())?;
+                    if answer == Answer::Repeated {
+                        return Ok(());
+                    }
+                }
+                (None, Some(state)) if stamp != Time::default() => {
+                    self.round_trips.add(state.sim_time_s - stamp.seconds());
+                }
+                _ => {}
+            }
+        }
+        self.act(request, from)
+    }
+
     fn act(&mut self, request: Request, from: GUID) -> Result<(), String> {
         match request {
             Request::Move(motion) => {
                 if self.commander.is_disabled() {
                     return Err(RequestError::Disabled.to_string());
                 }
-                if self.phase() == Phase::Paused {
+                // In exact runs a command answers the state that was published before the pause.
+                if self.exchange.is_none() && self.phase() == Phase::Paused {
                     return Err(RequestError::Paused.to_string());
                 }
-                self.commander.take(motion, self.start.elapsed().as_secs_f64());
+                self.commander.take(motion, self.now_s());
                 if self.commanding.len() < MOST_COMMANDING {
                     self.commanding.insert(from);
                 }
                 Ok(())
+            }
+            Request::Take(t_world_c_arm) => {
+                let own = own_controller(&self.client).map(|it| it.name.as_str());
+                let drives_c_arm = |it: &&Controller| it.drives.contains(&Drives::CArm);
+                let driver = self.client.scene().controller.iter().find(drives_c_arm);
+                if let Some(other) = driver.filter(|driver| Some(driver.name.as_str()) != own) {
+                    return Err(format!("controller `{}` drives the C-arm", other.name));
+                }
+                let tick = self.client.state().map_or(0, |state| state.tick);
+                let asked = self.client.request_frame(Some(&t_world_c_arm), tick);
+                asked.map(|_| ()).map_err(|error| error.to_string())
             }
             Request::State(StateCommand::Enable) => {
                 let drives_arm = self.inputs().contains(&Input::ArmMoveJp);
@@ -216,6 +370,15 @@ impl Ros2Session {
             Request::State(StateCommand::Pause) => self.control(ControlAction::Pause),
             Request::State(StateCommand::Resume) => self.control(ControlAction::Resume),
             Request::State(StateCommand::Home) => Ok(()),
+            Request::State(StateCommand::Reset) => {
+                self.commander.forget();
+                if self.exchange.is_none() {
+                    // Replaces the last command, which the first tick after the reset would apply again.
+                    let replaced = self.client.command().map(|_| ()).and_then(|()| self.client.send());
+                    replaced.map_err(|error| error.to_string())?;
+                }
+                self.control(ControlAction::Reset)
+            }
         }
     }
 
@@ -227,11 +390,12 @@ impl Ros2Session {
     /// Handles a publisher's disconnection. Once the last publisher whose motion commands were executed is
     /// gone, all motion stops.
     fn part_with(&mut self, from: GUID, notices: &mut Notices<impl FnMut(&str)>) {
-        if self.commanding.remove(&from) && self.commanding.is_empty() {
+        // An exact run waits for the next controller; when this one is missed must change nothing.
+        if self.commanding.remove(&from) && self.commanding.is_empty() && self.exchange.is_none() {
             self.commander.release();
             self.tell(
-                "the last publisher of commands has disconnected: arm and burr stopped, tension \
-                       kept",
+                "the last publisher of commands has disconnected: arm, burr and tendon rates stopped, \
+                 tension kept",
                 notices,
             );
         }
@@ -254,4 +418,35 @@ impl Ros2Session {
             let _ = self.client.remark(Severity::Warning.code(), &line);
         }
     }
+}
+
+impl Exchange {
+    /// Returns the exchange of a client, which waits for its first state.
+    fn of(client: &Client) -> Result<Exchange, Ros2Error> {
+        if !client.info().lockstep {
+            return Err(Ros2Error::RealTime(client.session_name()));
+        }
+        let (name, drives) = own_controller(client).map_or(("", &[][..]), |it| (&it.name, &it.drives));
+        let lockstep = Lockstep::new(drives).ok_or_else(|| Ros2Error::NothingToDrive(name.to_owned()))?;
+        Ok(Exchange { lockstep, begun: None })
+    }
+
+    fn begin(&mut self, sim_time_s: f64) {
+        self.lockstep.begin(Time::of_simulated(sim_time_s));
+        self.begun = Some(Instant::now());
+    }
+}
+
+/// Returns whether the run continues after an attempt to receive a state.
+fn goes_on(outcome: Result<(), ClientError>) -> Result<bool, Ros2Error> {
+    match outcome {
+        Ok(()) | Err(ClientError::TimedOut(_)) => Ok(true),
+        Err(ClientError::Ended) => Ok(false),
+        Err(other) => Err(other.into()),
+    }
+}
+
+/// Publishes messages; returns the cloud for which there was no room.
+fn offer_all(node: &mut Node, messages: Vec<Outgoing>) -> Option<Outgoing> {
+    messages.into_iter().find(|message| !node.offer(message))
 }

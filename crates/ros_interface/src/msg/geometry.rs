@@ -66,6 +66,15 @@ pub struct PoseStamped {
     pub pose: RosPose,
 }
 
+/// `geometry_msgs/msg/PointStamped`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct PointStamped {
+    /// Time and frame.
+    pub header: Header,
+    /// The point.
+    pub point: Vector3,
+}
+
 /// `geometry_msgs/msg/TwistStamped`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct TwistStamped {

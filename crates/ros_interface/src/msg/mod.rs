@@ -4,17 +4,19 @@
 mod control;
 mod geometry;
 mod sensor;
+mod visualization;
 
 pub use control::*;
 pub use geometry::*;
 pub use sensor::*;
+pub use visualization::*;
 
 use serde::{Deserialize, Serialize};
 
 const NS_PER_S: u64 = 1_000_000_000;
 
 /// `builtin_interfaces/msg/Time`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default, Serialize, Deserialize)]
 pub struct Time {
     /// Seconds.
     pub sec: i32,
@@ -29,6 +31,11 @@ impl Time {
         let ns = (seconds * NS_PER_S as f64).round() as u64;
         let sec = i32::try_from(ns / NS_PER_S).unwrap_or(i32::MAX);
         Time { sec, nanosec: (ns % NS_PER_S) as u32 }
+    }
+
+    /// Returns the time in seconds.
+    pub fn seconds(self) -> f64 {
+        f64::from(self.sec) + f64::from(self.nanosec) / NS_PER_S as f64
     }
 }
 
@@ -99,11 +106,12 @@ pub struct MultiArrayDimension {
 }
 
 impl Float64MultiArray {
-    /// Returns a matrix of six rows: linear, then angular.
-    pub fn of_rows(rows: [Vec<f64>; 6]) -> Float64MultiArray {
-        let columns = rows[0].len() as u32;
+    /// Returns a matrix; one of six rows has the linear rows first, then the angular ones.
+    pub fn of_rows<const ROWS: usize>(rows: [Vec<f64>; ROWS]) -> Float64MultiArray {
+        let columns = rows.first().map_or(0, Vec::len) as u32;
         let dimension = |label: &str, size, stride| MultiArrayDimension { label: label.into(), size, stride };
-        let dim = vec![dimension("rows", 6, 6 * columns), dimension("columns", columns, columns)];
+        let size = ROWS as u32;
+        let dim = vec![dimension("rows", size, size * columns), dimension("columns", columns, columns)];
         Float64MultiArray { layout: MultiArrayLayout { dim, data_offset: 0 }, data: rows.concat() }
     }
 }

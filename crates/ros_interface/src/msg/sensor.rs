@@ -39,6 +39,43 @@ pub struct Image {
     pub data: Vec<u8>,
 }
 
+/// `sensor_msgs/msg/PointField`.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct PointField {
+    /// Its name.
+    pub name: String,
+    /// Offset in a point, bytes.
+    pub offset: u32,
+    /// 7: float32, 6: uint32.
+    pub datatype: u8,
+    /// Number of elements.
+    pub count: u32,
+}
+
+/// `sensor_msgs/msg/PointCloud2`.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct PointCloud2 {
+    /// Time and frame.
+    pub header: Header,
+    /// 1: an unordered cloud.
+    pub height: u32,
+    /// Number of points.
+    pub width: u32,
+    /// Fields of a point.
+    pub fields: Vec<PointField>,
+    /// False: little-endian.
+    pub is_bigendian: bool,
+    /// Bytes of a point.
+    pub point_step: u32,
+    /// Bytes of all points.
+    pub row_step: u32,
+    /// The points.
+    #[serde(serialize_with = "whole")]
+    pub data: Vec<u8>,
+    /// Whether all points are valid.
+    pub is_dense: bool,
+}
+
 /// Serializes in one piece: byte by byte is a hundred times as slow.
 fn whole<S: Serializer>(data: &[u8], serializer: S) -> Result<S::Ok, S::Error> {
     serializer.serialize_bytes(data)

@@ -102,8 +102,8 @@ impl TendonDrive {
         };
     }
 
-    /// Commands rates of the displacements; `now_m` are the present ones, from which tendons start that had no
-    /// displacement setpoints.
+    /// Commands rates of the displacements; `now_m` are the present ones, from which tendons start that had
+    /// no displacement setpoints.
     pub(super) fn servo_velocity(
         &mut self,
         m_per_s: [f64; MAX_TENDONS],

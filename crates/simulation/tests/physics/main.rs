@@ -49,6 +49,7 @@ mod stops;
 mod structures;
 mod sudden_pulls;
 mod swings;
+mod tendon_rates;
 mod tendons;
 mod thin_bone;
 mod tip_jacobian;

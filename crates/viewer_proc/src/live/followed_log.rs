@@ -9,7 +9,7 @@ use crate::log::file::LogFile;
 
 /// Returns the folder in which a session is recorded, or `None` if it is not recorded or not yet known. The
 /// launcher writes it to the session's folder, which is deleted with the run.
-pub(super) fn recorded_in(session: &Path) -> Option<PathBuf> {
+pub(crate) fn recorded_in(session: &Path) -> Option<PathBuf> {
     std::fs::read_to_string(session.join(OUTPUT_FILE)).ok().map(PathBuf::from)
 }
 

@@ -34,6 +34,7 @@ use bone::BoneThread;
 use control::Control;
 use drive::Driver;
 use followed_log::FollowedLog;
+pub(crate) use followed_log::recorded_in;
 use subscriptions::Subscriptions;
 
 /// Time between two polls of the queues, which hold half a second.

@@ -34,11 +34,19 @@ impl CoarseBone {
     /// # Errors
     /// The coarse grid is invalid: never for a valid one.
     pub fn new(grid: &VoxelGrid, threshold_hu: i16) -> Result<CoarseBone, GridError> {
+        CoarseBone::with_cells(grid, threshold_hu, MAX_CELLS)
+    }
+
+    /// Creates a copy with at most `most` cells, or one.
+    ///
+    /// # Errors
+    /// As [`CoarseBone::new`].
+    pub fn with_cells(grid: &VoxelGrid, threshold_hu: i16, most: usize) -> Result<CoarseBone, GridError> {
         let (dims, spacing_m) = (grid.dims(), grid.spacing_m());
         let mut size_m = spacing_m.iter().copied().fold(f64::INFINITY, f64::min);
         let strides_at = |size_m: f64| spacing_m.map(|spacing| (size_m / spacing).round().max(1.0) as usize);
         let cells_at = |strides: [usize; 3]| core::array::from_fn(|axis| dims[axis].div_ceil(strides[axis]));
-        while cells_at(strides_at(size_m)).iter().product::<usize>() > MAX_CELLS {
+        while cells_at(strides_at(size_m)).iter().product::<usize>() > most.max(1) {
             size_m *= GROWTH;
         }
         let strides = strides_at(size_m);
@@ -49,6 +57,11 @@ impl CoarseBone {
         let blocks = Blocks::new(&cells);
         let cells = Field::new(cells, threshold_hu);
         Ok(CoarseBone { strides, threshold_hu, cells, hu, blocks, changed: None })
+    }
+
+    /// Number of cells.
+    pub fn cell_count(&self) -> usize {
+        self.hu.len()
     }
 
     /// Marks the cell of a voxel that was removed or restored.
