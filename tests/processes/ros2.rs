@@ -115,7 +115,7 @@ fn a_crtk_program_that_knows_nothing_of_us_drills_the_default_scene_and_the_log_
     let run = place.start(&default_scene(LONG_S));
     let domain = Domain::new();
     let bridge = Bridge::start(&run.session(), &domain.number, &["--controller", "ros"]);
-    assert!(bridge.said.contains("subscribed to 12 topics"), "{}", bridge.said);
+    assert!(bridge.said.contains("subscribed to 13 topics"), "{}", bridge.said);
     let client = Client::join(&run.session());
     // The program has the CT, as a surgeon does, and rebuilds the drilled one from what it receives.
     let [ct, rebuilt, drilled] = ["ct.nrrd", "rebuilt.raw", "drilled.nrrd"].map(|name| place.path(name));

@@ -2,6 +2,8 @@
 
 use messages::{ArmMode, BurrMode, Command, MAX_ARM_JOINTS, MAX_TENDONS, Pose, TendonMode, TubeMode};
 
+use crate::trajectory::Trajectory;
+
 /// How long a velocity holds without being repeated, s: a program or network that has failed must not move
 /// joints, tendons or burr forever.
 pub const VELOCITY_HOLDS_S: f64 = 0.5;
@@ -60,7 +62,7 @@ pub enum Motion {
 
 /// The newest request for each part, repeated in every command, so that a command that was late, and replaced
 /// by the safe one, takes effect again.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct Commander {
     arm: Option<Arm>,
     /// The motion, and until when it holds if it is a rate.
@@ -70,12 +72,14 @@ pub struct Commander {
     disabled: bool,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 enum Arm {
     Hold,
     Goes(Motion),
     /// Until this time.
     Turns(Motion, f64),
+    /// From these joint angles, at this time.
+    Follows(Trajectory, [f64; MAX_ARM_JOINTS], f64),
 }
 
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -104,6 +108,11 @@ impl Commander {
             Motion::BurrServoJv(speed) => self.burr = Some((speed, now_s + VELOCITY_HOLDS_S)),
             Motion::TubeMoveJp(goal) => self.tube = Some(Tube::Goes(goal)),
         }
+    }
+
+    /// Accepts a trajectory of the arm at a time, from the present joint angles of its drives.
+    pub fn follow(&mut self, trajectory: Trajectory, start_rad: [f64; MAX_ARM_JOINTS], now_s: f64) {
+        self.arm = Some(Arm::Follows(trajectory, start_rad, now_s));
     }
 
     /// Stops all motion: arm, tube, burr and tendon rates stop, the tension stays. Parts that have never been
@@ -167,10 +176,14 @@ impl Commander {
             *speed = 0.0;
             ran_out = Some("servo_jv of the burr");
         }
-        match self.arm {
+        match &self.arm {
             None => {}
             Some(Arm::Hold) => command.arm_mode = ArmMode::Hold.code(),
             Some(Arm::Goes(motion) | Arm::Turns(motion, _)) => motion.put_in(command),
+            Some(Arm::Follows(trajectory, start_rad, begun_s)) => {
+                let (joints_rad, _) = trajectory.at(start_rad, now_s - begun_s);
+                Motion::ArmServoJp(joints_rad).put_in(command);
+            }
         }
         self.tendon.iter().for_each(|(motion, _)| motion.put_in(command));
         if let Some((speed, _)) = self.burr {
@@ -221,6 +234,7 @@ mod tests {
     use zerocopy::FromZeros;
 
     use super::*;
+    use crate::trajectory::Waypoint;
 
     fn filled(commander: &mut Commander, now_s: f64) -> Command {
         let mut command = Command::new_zeroed();
@@ -254,6 +268,22 @@ mod tests {
     }
 
     #[test]
+    fn a_trajectory_is_followed_held_at_its_end_and_replaced_by_the_next_motion() {
+        let mut commander = Commander::default();
+        let points = vec![Waypoint { time_s: 2.0, joints_rad: [1.0; MAX_ARM_JOINTS] }];
+        commander.follow(Trajectory::new(points).unwrap(), [0.0; MAX_ARM_JOINTS], 10.0);
+        for (now_s, expected) in [(10.0, 0.0), (11.0, 0.5), (12.0, 1.0), (1e6, 1.0)] {
+            let command = filled(&mut commander, now_s);
+            assert_eq!(
+                (command.arm_mode(), command.arm_joint_position_rad[3]),
+                (Ok(ArmMode::ServoJp), expected)
+            );
+        }
+        commander.release();
+        assert_eq!(filled(&mut commander, 13.0).arm_mode(), Ok(ArmMode::Hold));
+    }
+
+    #[test]
     fn tendon_rates_run_out_after_half_a_second_and_end_with_their_publisher() {
         let mut commander = Commander::default();
         let rates = [2e-3, -1e-3, 0.0, 0.0];
@@ -265,7 +295,7 @@ mod tests {
         assert_eq!((after.tendon_mode(), after.tendon_velocity_m_per_s), (Ok(TendonMode::ServoJv), [0.0; 4]));
         assert_eq!(commander.fill(10.7, &mut after), None, "reported once");
         commander.take(Motion::TendonServoJv(rates), 11.0);
-        let mut forgotten = commander;
+        let mut forgotten = commander.clone();
         forgotten.forget();
         assert_eq!(filled(&mut forgotten, 11.1).tendon_mode, 0);
         commander.release();

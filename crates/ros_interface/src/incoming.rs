@@ -8,9 +8,10 @@ use thiserror::Error;
 
 use crate::cdr::{self, Order};
 use crate::commander::Motion;
-use crate::msg::{JointState, PoseStamped, StringStamped, Time};
+use crate::msg::{JointState, JointTrajectory, PoseStamped, StringStamped, Time};
 use crate::robot::WORLD;
 use crate::topics::{Input, TUBE_JOINT_NAMES, joint_names};
+use crate::trajectory::{Trajectory, Waypoint};
 
 /// Limit on commanded joint angles and rates (`hub::command_check`); the arm checks its own range.
 const MAX_JOINT_RAD: f64 = core::f64::consts::TAU;
@@ -21,10 +22,12 @@ const QUATERNION_TOLERANCE: f64 = 1e-3;
 pub const MAX_MESSAGE_BYTES: usize = 1 << 16;
 
 /// The request of a message.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub enum Request {
     /// Motion of arm, tendons or burr.
     Move(Motion),
+    /// A trajectory of the arm.
+    Follow(Trajectory),
     /// A change of state.
     State(StateCommand),
     /// An X-ray with the C-arm at this pose.
@@ -124,6 +127,12 @@ pub enum RequestError {
     /// Unknown state command.
     #[error("unknown state command {0}; expected enable, disable, pause, resume, home or reset")]
     Word(String),
+    /// A trajectory without points, or with times that do not increase.
+    #[error("points: expected at least one, with `time_from_start` 0 or more and increasing")]
+    Times,
+    /// A trajectory in an exact run, in which each state needs its own command.
+    #[error("exact runs (--lockstep) need one command per state: send `servo_jp`")]
+    NotStepwise,
     /// Motion while the run is paused.
     #[error("the run is paused")]
     Paused,
@@ -192,6 +201,7 @@ pub fn read(
             }
             Motion::TubeMoveJp(goal)
         }
+        Input::ArmTrajectory => return trajectory(decode(bytes, order)?, arm),
         Input::CArmTake => return Ok(Request::Take(pose()?)),
         Input::StateCommand => return state_command(&decode::<StringStamped>(bytes, order)?),
     };
@@ -205,6 +215,20 @@ pub fn stamp(bytes: &[u8], order: Order) -> Option<Time> {
 
 fn decode<T: serde::de::DeserializeOwned>(bytes: &[u8], order: Order) -> Result<T, RequestError> {
     cdr::decode(bytes, order).map_err(|error| RequestError::Malformed(error.to_string()))
+}
+
+fn trajectory(message: JointTrajectory, arm: &[String]) -> Result<Request, RequestError> {
+    let mut points = Vec::with_capacity(message.points.len());
+    for point in message.points {
+        let named = JointState {
+            name: message.joint_names.clone(),
+            position: point.positions,
+            ..JointState::default()
+        };
+        let joints_rad = values(&named, Field::Position, arm, -MAX_JOINT_RAD, MAX_JOINT_RAD)?;
+        points.push(Waypoint { time_s: point.time_from_start.seconds(), joints_rad });
+    }
+    Trajectory::new(points).map(Request::Follow).ok_or(RequestError::Times)
 }
 
 fn state_command(message: &StringStamped) -> Result<Request, RequestError> {
@@ -297,7 +321,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::msg::{Header, Quaternion, RosPose, Vector3};
+    use crate::msg::{Header, JointTrajectoryPoint, Quaternion, RosPose, Vector3};
     use crate::topics::ARM_JOINT_NAMES;
 
     fn ask<T: serde::Serialize>(topic: Input, message: &T) -> Result<Request, RequestError> {
@@ -351,6 +375,27 @@ mod tests {
         assert_eq!(short, "position of `deployed`: -0.01, expected 0 to 0.5");
         assert_eq!(far, "position of `deployed`: 0.6, expected 0 to 0.5");
         assert!(told(Input::TubeMoveJp, &tube([7.0, 0.0])).starts_with("position[0]: 7, expected -6.28"));
+    }
+
+    #[test]
+    fn a_trajectory_names_its_joints_and_its_times_increase() {
+        let point = |seconds: i32, positions: Vec<f64>| JointTrajectoryPoint {
+            positions,
+            time_from_start: Time { sec: seconds, nanosec: 500_000_000 },
+            ..JointTrajectoryPoint::default()
+        };
+        let mut message = JointTrajectory {
+            joint_names: ARM_JOINT_NAMES.iter().rev().map(|name| (*name).to_owned()).collect(),
+            points: vec![point(0, vec![6.0, 5.0, 4.0, 3.0, 2.0, 1.0]), point(2, vec![0.0; 6])],
+            ..JointTrajectory::default()
+        };
+        let Ok(Request::Follow(found)) = ask(Input::ArmTrajectory, &message) else { panic!() };
+        assert_eq!(found.at(&[0.0; 7], 0.5).0, [1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 0.0]);
+        message.points.swap(0, 1);
+        assert_eq!(ask(Input::ArmTrajectory, &message), Err(RequestError::Times));
+        message.points[0].positions.pop();
+        let short = ask(Input::ArmTrajectory, &message).unwrap_err().to_string();
+        assert_eq!(short, "position: 5 entries, expected 6");
     }
 
     #[test]

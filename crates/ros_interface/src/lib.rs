@@ -29,7 +29,7 @@
 //! | [`msg`], [`cdr`] | the messages and their bytes |
 //! | [`definition`] | any message by its definition as text |
 //! | [`outgoing`], [`image`], [`bone`], [`robot`], [`urdf`] | from states, frames and voxels to messages |
-//! | [`incoming`], [`commander`] | from messages to commands |
+//! | [`incoming`], [`commander`], [`trajectory`] | from messages to commands |
 //! | [`lockstep`], [`round_trip`] | which messages answer a state, and how late they are |
 
 pub mod bone;
@@ -44,4 +44,5 @@ pub mod outgoing;
 pub mod robot;
 pub mod round_trip;
 pub mod topics;
+pub mod trajectory;
 pub mod urdf;

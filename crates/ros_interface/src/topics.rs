@@ -181,6 +181,8 @@ topics! {
         "moves the joints at the given rates (`velocity`)";
     ArmMoveJp "/<arm>/move_jp" "sensor_msgs/JointState" Command
         "moves to joint angles (`position`), jerk-limited";
+    ArmTrajectory "/<arm>/joint_trajectory" "trajectory_msgs/JointTrajectory" Command
+        "passes joint angles (`positions`) at their times, on straight lines between them; starts on arrival";
     ArmServoCp "/<arm>/servo_cp" "geometry_msgs/PoseStamped" Command
         "follows a pose of the tool's base in `world`";
     ArmMoveCp "/<arm>/move_cp" "geometry_msgs/PoseStamped" Command
@@ -211,6 +213,7 @@ impl Input {
             Input::ArmServoJp
             | Input::ArmServoJv
             | Input::ArmMoveJp
+            | Input::ArmTrajectory
             | Input::ArmServoCp
             | Input::ArmMoveCp => Some(Drives::Arm),
             Input::TendonServoJf | Input::TendonServoJp | Input::TendonMoveJp | Input::TendonServoJv => {

@@ -12,13 +12,15 @@ import sys
 import time
 
 from cyclone_peer import (
-    Clock, Header, JointState, OperatingState, StringStamped, TFMessage, Time, best_effort, kept, plain, reader, writer
+    Clock, Header, JointState, JointTrajectory, JointTrajectoryPoint, OperatingState, StringStamped, TFMessage, Time,
+    best_effort, kept, plain, reader, writer
 )
 
 LIMIT_S = 60.0
 
 tf, tf_static = reader(TFMessage, "/tf", best_effort), reader(TFMessage, "/tf_static", kept)
 clock, motor = reader(Clock, "/clock", plain), reader(JointState, "/CM/bend_motor/measured_js", best_effort)
+arm, follow = reader(JointState, "/UR5/measured_js", best_effort), writer(JointTrajectory, "/UR5/joint_trajectory")
 operating = reader(OperatingState, "/UR5/operating_state", kept)
 servo_jf, move_jp = writer(JointState, "/CM/bend_motor/servo_jf"), writer(JointState, "/UR5/move_jp")
 state_command = writer(StringStamped, "/UR5/state_command")
@@ -27,7 +29,7 @@ newest, states, frames = {}, [], {}
 
 
 def look():
-    for name, source in (("clock", clock), ("motor", motor)):
+    for name, source in (("clock", clock), ("motor", motor), ("arm", arm)):
         for sample in source.take(50):
             newest[name] = sample
     for sample in operating.take(50):
@@ -64,8 +66,8 @@ def matched(source):
 
 
 tension_n = float(sys.argv[1])
-until("subscriptions", lambda: all(map(matched, (servo_jf, move_jp, state_command))))
-until("first state", lambda: "clock" in newest and "motor" in newest and "CM/tip" in frames and "UR5/base" in frames and states)
+until("subscriptions", lambda: all(map(matched, (servo_jf, move_jp, state_command, follow))))
+until("first state", lambda: {"clock", "motor", "arm"} <= newest.keys() and "CM/tip" in frames and "UR5/base" in frames and states)
 pull([math.nan, 0.0])
 pull([1.0])
 pull([1.0, 0.0], ["tendon_0", "elbow"])
@@ -73,6 +75,15 @@ move_jp.write(JointState(header, [], [0.0] * 7, [], []))
 say("fly")
 pull([tension_n, 0.0], ["tendon_0", "tendon_1"])
 until("tension", lambda: abs(tension() - tension_n) < 0.05)
+
+# A trajectory of the last joint, by name: out, and half-way back.
+begin, joint = list(newest["arm"].position), len(newest["arm"].position) - 1
+out, back = ([*begin[:joint], begin[joint] + by_rad] for by_rad in (0.04, 0.02))
+points = [JointTrajectoryPoint(at, [], [], [], Time(second, 0)) for second, at in ((1, out), (2, back))]
+follow.write(JointTrajectory(header, newest["arm"].name, points))
+turned = []
+until("trajectory", lambda: turned.append(newest["arm"].position[joint] - begin[joint]) or (
+    max(turned) > 0.035 and abs(turned[-1] - 0.02) < 1e-4 and abs(newest["arm"].velocity[joint]) < 1e-6))
 
 say("disable")
 until("DISABLED", lambda: states[-1][0] == "DISABLED")
@@ -121,6 +132,7 @@ until("reset", lambda: tension() < 0.05)
 print(json.dumps({
     "states": states,
     "kept_n": kept_n,
+    "turned_rad": [max(turned), turned[-1]],
     "stood": stood,
     "frames": shown,
     "tip_m": tip_m,

@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
 
-use ipc_types::messages::{ControlAction, Phase, Severity};
+use ipc_types::messages::{ControlAction, MAX_ARM_JOINTS, Phase, Severity};
 use ipc_types::scene::{Controller, Drives};
 use ros_interface::commander::{Commander, OperatingState};
 use ros_interface::image::{self, ImageForm};
@@ -334,17 +334,23 @@ impl Ros2Session {
     fn act(&mut self, request: Request, from: GUID) -> Result<(), String> {
         match request {
             Request::Move(motion) => {
-                if self.commander.is_disabled() {
-                    return Err(RequestError::Disabled.to_string());
-                }
-                // In exact runs a command answers the state that was published before the pause.
-                if self.exchange.is_none() && self.phase() == Phase::Paused {
-                    return Err(RequestError::Paused.to_string());
-                }
+                self.check_moves()?;
                 self.commander.take(motion, self.now_s());
-                if self.commanding.len() < MOST_COMMANDING {
-                    self.commanding.insert(from);
+                self.remember(from);
+                Ok(())
+            }
+            Request::Follow(trajectory) => {
+                if self.exchange.is_some() {
+                    return Err(RequestError::NotStepwise.to_string());
                 }
+                self.check_moves()?;
+                let state = self.client.state();
+                let start_rad = state.map_or([0.0; MAX_ARM_JOINTS], |state| {
+                    let (joints, bent) = (&state.arm_joint_position_rad, &state.arm_joint_deflection_rad);
+                    core::array::from_fn(|joint| joints[joint] - bent[joint])
+                });
+                self.commander.follow(trajectory, start_rad, self.now_s());
+                self.remember(from);
                 Ok(())
             }
             Request::Take(t_world_c_arm) => {
@@ -379,6 +385,25 @@ impl Ros2Session {
                 }
                 self.control(ControlAction::Reset)
             }
+        }
+    }
+
+    /// Fails while motion is refused.
+    fn check_moves(&mut self) -> Result<(), String> {
+        if self.commander.is_disabled() {
+            return Err(RequestError::Disabled.to_string());
+        }
+        // In exact runs a command answers the state that was published before the pause.
+        if self.exchange.is_none() && self.phase() == Phase::Paused {
+            return Err(RequestError::Paused.to_string());
+        }
+        Ok(())
+    }
+
+    /// Remembers a publisher whose motion was executed.
+    fn remember(&mut self, from: GUID) {
+        if self.commanding.len() < MOST_COMMANDING {
+            self.commanding.insert(from);
         }
     }
 

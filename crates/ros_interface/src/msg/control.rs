@@ -1,8 +1,8 @@
-//! `crtk_msgs`, and `rmw_dds_common`, with which a ROS 2 node announces itself.
+//! `crtk_msgs`, `trajectory_msgs`, and `rmw_dds_common`, with which a ROS 2 node announces itself.
 
 use serde::{Deserialize, Serialize};
 
-use super::Header;
+use super::{Header, Time};
 
 /// `crtk_msgs/msg/OperatingState`.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -24,6 +24,32 @@ pub struct StringStamped {
     pub header: Header,
     /// The text.
     pub string: String,
+}
+
+/// `trajectory_msgs/msg/JointTrajectoryPoint`.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct JointTrajectoryPoint {
+    /// Joint angles, rad.
+    pub positions: Vec<f64>,
+    /// Ignored, like all that follows but the time.
+    pub velocities: Vec<f64>,
+    /// Ignored.
+    pub accelerations: Vec<f64>,
+    /// Ignored.
+    pub effort: Vec<f64>,
+    /// Time after the start. A `Duration` has the fields of a time.
+    pub time_from_start: Time,
+}
+
+/// `trajectory_msgs/msg/JointTrajectory`.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct JointTrajectory {
+    /// The stamp is ignored: a trajectory starts when it arrives.
+    pub header: Header,
+    /// Names of the joints.
+    pub joint_names: Vec<String>,
+    /// The points.
+    pub points: Vec<JointTrajectoryPoint>,
 }
 
 /// `rmw_dds_common/msg/Gid` since Iron: the DDS GUID.
