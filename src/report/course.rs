@@ -138,8 +138,8 @@ impl Course {
         }
     }
 
-    /// Notes that the start of the run is not in the log (`recording.ring_s`), so that the run is not compared
-    /// with its plan.
+    /// Notes that the start of the run is not in the log (`recording.ring_s`), so that the run is not
+    /// compared with its plan.
     pub fn begin_late(&mut self) {
         (self.begins_late, self.target_m, self.watch) = (true, None, PlanWatch::default());
     }

@@ -217,8 +217,8 @@ pub struct LogSummary {
     /// Ticks missing from the log: first and last of each gap.
     #[serde(default)]
     pub missing_ticks: Vec<[u64; 2]>,
-    /// First tick of `run.mcap`: above 0 if only the end of the run was kept (`recording.ring_s`), of which all
-    /// numbers then are except those that are counted from the start.
+    /// First tick of `run.mcap`: above 0 if only the end of the run was kept (`recording.ring_s`), of which
+    /// all numbers then are except those that are counted from the start.
     #[serde(default)]
     pub first_tick: u64,
     /// Folders of the logs that triggers saved.

@@ -1,8 +1,8 @@
 //! The files of a flight recorder: a thread that creates, closes, names and removes them, so that a stalled
 //! disk does not stall the recorder.
 //!
-//! An open log is a folder `ring-N` with both lanes. When it is saved, it is renamed `saved-N`; the log of the
-//! end of the run moves to `run.mcap` and `timing.mcap`. So a log under its final name is complete.
+//! An open log is a folder `ring-N` with both lanes. When it is saved, it is renamed `saved-N`; the log of
+//! the end of the run moves to `run.mcap` and `timing.mcap`. So a log under its final name is complete.
 
 use std::fs;
 use std::io::{self, ErrorKind};

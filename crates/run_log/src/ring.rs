@@ -140,8 +140,8 @@ impl Ring {
         Triggered::Saving { number, first_tick: log.first_tick, until, is_extended }
     }
 
-    /// Returns the place of an open log that is to be saved and complete at this tick, and forgets it. As long
-    /// as no other log reaches back a period, it continues: the next trigger may need it.
+    /// Returns the place of an open log that is to be saved and complete at this tick, and forgets it. As
+    /// long as no other log reaches back a period, it continues: the next trigger may need it.
     pub fn complete(&mut self, tick: Tick) -> Option<(usize, Save)> {
         let is_complete = |(place, log): (usize, &OpenLog)| {
             let others = || self.open.iter().enumerate().filter(|(other, _)| *other != place);
@@ -152,8 +152,8 @@ impl Ring {
         Some((place, self.open.remove(place).save?))
     }
 
-    /// Returns what becomes of each open log at the end of the run. The log of the end is one that reaches back
-    /// a period, if there is one, and preferably one that is not saved.
+    /// Returns what becomes of each open log at the end of the run. The log of the end is one that reaches
+    /// back a period, if there is one, and preferably one that is not saved.
     pub fn end(self, tick: Tick) -> Vec<Fate> {
         let covering = self.open.iter().rposition(|log| self.covers(log, tick));
         let last = self.unsaved_since_a_period(tick).or(covering).unwrap_or(0);

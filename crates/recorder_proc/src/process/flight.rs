@@ -110,7 +110,7 @@ impl Flight {
         }))
     }
 
-    /// Begins, saves and drops logs, as far as due. `timing_lost` counts the messages that the timing lane lacks.
+    /// Begins, saves and drops logs, as far as due. `timing_lost` counts what the timing lane lacks.
     pub fn tend(
         &mut self,
         lanes: &mut Lanes,

@@ -1,4 +1,4 @@
-//! Logs that begin later than their run: where they are cut, which are saved, and that each replays by itself.
+//! Logs that begin later than their run: where they are cut, which are saved, and that each replays.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, missing_docs)]
 
 use std::collections::BTreeMap;

@@ -28,8 +28,8 @@ pub struct Recording {
     #[schemars(range(min = 0.0, max = 3600.0))]
     pub after_s: f64,
     /// What saves the ring: an event by its code (`"breach"`, `"controller"` for a controller's remark), a
-    /// tick that began late (`"missed_tick"`, or by its main cause: `"missed_tick:run_queue"`), a field of the
-    /// state beyond a value (`"burr_force_n > 20"`).
+    /// tick that began late (`"missed_tick"`, or by its main cause: `"missed_tick:run_queue"`), a field of
+    /// the state beyond a value (`"burr_force_n > 20"`).
     pub triggers: Vec<String>,
     /// Largest number of logs that triggers save; later triggers are only reported.
     #[schemars(range(min = 1, max = 10_000))]
