@@ -124,6 +124,7 @@ extern "C" {
 #define TRB_CONTROL_STEP 3
 #define TRB_CONTROL_RESET 4
 #define TRB_CONTROL_STOP 5
+#define TRB_CONTROL_SAVE 6
 #define TRB_CONTROL_DONE 0
 #define TRB_CONTROL_REFUSED 1
 #define TRB_GEOMETRY_SCENE 0
@@ -164,6 +165,7 @@ extern "C" {
 #define TRB_EVENT_PROTECTIVE_STOP 18
 #define TRB_EVENT_STRUCTURE_MARGIN 19
 #define TRB_EVENT_STRUCTURE_BREACH 20
+#define TRB_EVENT_LOG_SAVED 21
 #define TRB_SENDER_LAUNCHER 0
 #define TRB_SENDER_PHYSICS 1
 #define TRB_SENDER_DRR 2
@@ -829,9 +831,9 @@ TRB_ASSERT(sizeof(trb_drr_reply) == 152, "trb_drr_reply");
 typedef struct trb_run_control {
     /* Chosen by the sender and returned in the reply. */
     uint64_t request_id;
-    /* Number of ticks of a step. */
+    /* Number of ticks of a step, or after a save. */
     uint64_t ticks;
-    /* 1 pause, 2 resume, 3 step, 4 reset, 5 stop. */
+    /* 1 pause, 2 resume, 3 step, 4 reset, 5 stop, 6 save. */
     uint32_t action;
     /* Always 0. */
     uint32_t reserved;

@@ -6,8 +6,8 @@ correct:
 
 - the built-in controller with shape feedback (without noise), and without feedback;
 - a linear-quadratic regulator with a Kalman observer (python-control). A linear model of a tick holds the bone
-  as it is, and in a hole its burr hardly moves: the model is the drift of the burr per newton, measured on
-  branches of the nominal drilling. Whatever else moves the burr is a drift that the observer estimates;
+  as it is, and in a hole its burr hardly moves: the model is the first-order response of the burr to a newton,
+  fitted to branches of the nominal drilling. Whatever else moves the burr is an offset that the observer estimates;
 - a model-predictive controller: the best of several tensions, each tried for 0.4 s on a branch.
 
     pip install control==0.10.2
@@ -35,7 +35,6 @@ START_MM, BEGIN_MM, TARGET_MM = -14.0, -12.0, np.array([5.0, 8.0])
 INSERTION_M, FEED_M_PER_S, BURR_RAD_PER_S = 0.023, 0.002, 8000.0 * 2.0 * np.pi / 60.0
 #: Ticks in a control period, and periods in a drilling.
 TICKS, PERIODS = 200, 62
-PERIOD_S = 1e-3 * TICKS
 NOISE_MM, MOST_N = 0.05, 5.0
 NOMINAL: dict[str, Any] = {
     "truth.manipulator.stiffness_scale": 1.0,
@@ -100,7 +99,9 @@ def pull(sim: Sim, tension_n: float) -> None:
 
 
 class Nominal:
-    """The drilling as planned: its tensions, the burr's places, and the drift per newton on branches."""
+    """The drilling as planned: its tensions, and the burr's response to a newton on branches, from period to
+    period response[k + 1] = a response[k] + b.
+    """
 
     def __init__(self) -> None:
         plan = simulation({"controller.0.curved_drilling.feedback": "none"})
@@ -108,40 +109,46 @@ class Nominal:
         self.sim = simulation({}, drive=True)
         self.start = self.sim.snapshot()
         batch = Batch(SCENE, n=2, overrides=NOMINAL, drive=True)
-        drifts = []
+        before_mm, after_mm = [], []
         for period, tension_n in enumerate(self.tension_n):
             if period in (15, 30, 45):
                 batch.restore(self.sim.snapshot())
                 commands = batch.commands()
-                for later in self.tension_n[period : period + 5]:
+                response_mm = [0.0]
+                for later in self.tension_n[period : period + 6]:
                     fill(commands[:, 0], later + np.array([0.0, 0.5]))
                     states = batch.step(commands, ticks=TICKS)
-                drifts.append(float(np.diff(burrs_mm(states)[:, 0])[0]) / 0.5 / (5 * PERIOD_S))
+                    response_mm.append(float(np.diff(burrs_mm(states)[:, 0])[0]) / 0.5)
+                before_mm += response_mm[:-1]
+                after_mm += response_mm[1:]
             pull(self.sim, float(tension_n))
-        self.drift_mm_per_ns = float(np.median(drifts))
+        columns = np.stack([before_mm, np.ones(len(before_mm))], axis=1)
+        self.a, self.b = np.linalg.lstsq(columns, np.array(after_mm), rcond=None)[0]
 
 
 class Regulator:
-    """A linear-quadratic regulator of the burr's distance from the curve, with a Kalman observer of it and of
-    the drift that tension and plan do not explain.
+    """A linear-quadratic regulator of the burr's distance from the curve, with a Kalman observer of the response
+    to its corrections and of the offset that they do not explain.
     """
 
     def __init__(self, nominal: Nominal) -> None:
-        self.b = nominal.drift_mm_per_ns * PERIOD_S
-        self.feedback = float(control.dlqr([[1.0]], [[self.b]], [[1.0 / 0.1**2]], [[1.0 / 0.5**2]])[0][0, 0])
-        self.a = np.array([[1.0, PERIOD_S], [0.0, 1.0]])
-        noise = np.diag([0.02**2, 0.05**2])
-        self.gain = control.dlqe(self.a, np.eye(2), [[1.0, 0.0]], noise, [[NOISE_MM**2]])[0][:, 0]
-        self.state, self.more_n = np.zeros(2), 0.0
+        self.a, self.b = nominal.a, nominal.b
+        self.feedback = float(control.dlqr([[self.a]], [[self.b]], [[1.0 / 0.1**2]], [[1.0 / 0.5**2]])[0][0, 0])
+        noise = np.diag([0.02**2, 0.03**2])
+        whole = np.diag([self.a, 1.0])
+        self.gain = control.dlqe(whole, np.eye(2), [[1.0, 1.0]], noise, [[NOISE_MM**2]])[0][:, 0]
+        self.response_mm, self.offset_mm = 0.0, 0.0
 
     def choose(self, seen_mm: Floats, planned_n: float) -> float:
         """Returns the tension for the next period."""
         off_mm = float(seen_mm[0] - planned_mm(seen_mm[1]))
-        self.state = self.state + self.gain * (off_mm - self.state[0])
-        wanted_n = -self.feedback * self.state[0] - self.state[1] * PERIOD_S / self.b
-        tension_n = within(planned_n + wanted_n) if planned_n > 0.0 else 0.0
-        self.state = self.a @ self.state
-        self.state[0] += self.b * (tension_n - planned_n)
+        surprise_mm = off_mm - self.response_mm - self.offset_mm
+        self.response_mm += self.gain[0] * surprise_mm
+        self.offset_mm += self.gain[1] * surprise_mm
+        steady_n = -self.offset_mm * (1.0 - self.a) / self.b
+        more_n = steady_n - self.feedback * (self.response_mm + self.offset_mm)
+        tension_n = within(planned_n + more_n) if planned_n > 0.0 else 0.0
+        self.response_mm = self.a * self.response_mm + self.b * (tension_n - planned_n)
         return tension_n
 
 
@@ -211,7 +218,7 @@ def main() -> None:
             misses_mm[feedback].append(miss_mm(plant, point))
         for name, kind in kinds.items():
             misses_mm[name].append(drilled_mm(point, kind, nominal, seed))
-    print(f"drift {nominal.drift_mm_per_ns:.2f} mm/s per newton; miss of the target, {given.points} points, mm")
+    print(f"response a {nominal.a:.2f}, b {nominal.b:.2f} mm/N; miss of the target, {given.points} points, mm")
     for name, misses in misses_mm.items():
         print(f"{name}: lowest {min(misses):.2f}, median {np.median(misses):.2f}, highest {max(misses):.2f}")
 

@@ -228,6 +228,7 @@ class ControlAction(IntEnum):
     STEP = 3
     RESET = 4
     STOP = 5
+    SAVE = 6
 
 
 CONTROL_PAUSE = ControlAction.PAUSE
@@ -235,6 +236,7 @@ CONTROL_RESUME = ControlAction.RESUME
 CONTROL_STEP = ControlAction.STEP
 CONTROL_RESET = ControlAction.RESET
 CONTROL_STOP = ControlAction.STOP
+CONTROL_SAVE = ControlAction.SAVE
 
 
 class ControlStatus(IntEnum):
@@ -342,6 +344,7 @@ class EventCode(IntEnum):
     PROTECTIVE_STOP = 18
     STRUCTURE_MARGIN = 19
     STRUCTURE_BREACH = 20
+    LOG_SAVED = 21
 
 
 EVENT_COMMAND_REFUSED = EventCode.COMMAND_REFUSED
@@ -364,6 +367,7 @@ EVENT_BREACH = EventCode.BREACH
 EVENT_PROTECTIVE_STOP = EventCode.PROTECTIVE_STOP
 EVENT_STRUCTURE_MARGIN = EventCode.STRUCTURE_MARGIN
 EVENT_STRUCTURE_BREACH = EventCode.STRUCTURE_BREACH
+EVENT_LOG_SAVED = EventCode.LOG_SAVED
 
 
 class Pose(View):
@@ -875,8 +879,8 @@ class RunControl(View):
         }
     )
     request_id: int = field("<Q", 0, "Chosen by the sender and returned in the reply.")
-    ticks: int = field("<Q", 8, "Number of ticks of a step.")
-    action: ControlAction = field("<I", 16, "1 pause, 2 resume, 3 step, 4 reset, 5 stop.", ControlAction)
+    ticks: int = field("<Q", 8, "Number of ticks of a step, or after a save.")
+    action: ControlAction = field("<I", 16, "1 pause, 2 resume, 3 step, 4 reset, 5 stop, 6 save.", ControlAction)
     reserved: int = field("<I", 20, "Always 0.")
 
 
@@ -1238,6 +1242,7 @@ __all__ = [
     "CONTROL_STEP",
     "CONTROL_RESET",
     "CONTROL_STOP",
+    "CONTROL_SAVE",
     "CONTROL_DONE",
     "CONTROL_REFUSED",
     "GEOMETRY_SCENE",
@@ -1278,6 +1283,7 @@ __all__ = [
     "EVENT_PROTECTIVE_STOP",
     "EVENT_STRUCTURE_MARGIN",
     "EVENT_STRUCTURE_BREACH",
+    "EVENT_LOG_SAVED",
     "SENDER_LAUNCHER",
     "SENDER_PHYSICS",
     "SENDER_DRR",

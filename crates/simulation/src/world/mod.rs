@@ -7,8 +7,8 @@
 //!    outer tube slides and rolls;
 //! 3. find the contact planes between the manipulator's proxy spheres and the bone and rigid bodies;
 //! 4. step the manipulator with these planes and the tendon tensions, contact impulses inside its implicit
-//!    solve; free and driven bodies step with it; without bodies, repeat from 3 if a sphere moved farther than
-//!    its planes were searched for, or into bone that supports more force;
+//!    solve; free and driven bodies step with it; without bodies, repeat from 3 if a sphere moved farther
+//!    than its planes were searched for, or into bone that supports more force;
 //! 5. let bone that was pressed beyond its strength recede, and remove bone with the burr, using the contact
 //!    normal forces of that solve; measure the clearance of critical structures, which may stop the arm;
 //! 6. extend the hash chain with commands, state and removed voxels; sample the sensors.

@@ -58,21 +58,21 @@ const GOLDEN: [Golden; 3] = [
         in_bone: true,
         command: |_, start| feed_along_z(start),
         ticks: 1000,
-        hash: "7ac138617fe3a94ed8c9fe73eb4635a7",
+        hash: "e46f95d702859a318a98a96742cce086",
     },
     Golden {
         scene: BODIES,
         in_bone: false,
         command: |_, start| feed_along_z(start),
         ticks: 600,
-        hash: "17153fd695b17bcdedd45ef4ff2bc3f9",
+        hash: "1b7a719d953b69fa45e86a773229c657",
     },
     Golden {
         scene: FREE,
         in_bone: false,
         command: wander,
         ticks: 2000,
-        hash: "59c032c2473064c3f6260bb1da4b0fd3",
+        hash: "dec4d82e09161db0acc069ddc29611d5",
     },
 ];
 

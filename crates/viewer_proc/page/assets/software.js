@@ -1,5 +1,5 @@
 // Whether the browser renders in software: then pictures have fewer triangles and pixels (scene_view.js), 2D
-// canvases are drawn by the processor at once instead of by an emulated graphics card, and each tick's messages
+// canvases are drawn by the processor at once instead of by an emulated graphics card, and messages of each tick
 // are thinned out (connection.js).
 
 export const SOFTWARE = (() => {
