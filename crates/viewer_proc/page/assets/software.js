@@ -1,6 +1,6 @@
 // Whether the browser renders in software: then pictures have fewer triangles and pixels (scene_view.js), 2D
-// canvases are drawn by the processor at once instead of by an emulated graphics card, and messages of each tick
-// are thinned out (connection.js).
+// canvases are drawn by the processor at once instead of by an emulated graphics card, and messages of each
+// tick are thinned out (connection.js).
 
 export const SOFTWARE = (() => {
   const gl = document.createElement("canvas").getContext("webgl2");
