@@ -10,6 +10,8 @@ use rustix::process::{Resource, getrlimit};
 use super::confine::control_group;
 
 const MIB: u64 = 1 << 20;
+/// What an empty `tmpfs` uses itself, rounded up.
+const FILE_SYSTEM_BYTES: u64 = 64 << 10;
 
 /// Private address space of the recorder, whose indexes have up to 64 MiB.
 const RECORDER_BYTES: u64 = 95 * MIB;
@@ -114,7 +116,9 @@ pub struct MemoryShortage {
 
 impl Display for MemoryShortage {
     fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
-        let [needed, left] = [self.needed.div_ceil(MIB), self.left / MIB];
+        // A file system of the size that is named has less than that free.
+        let own = if self.place == MemoryPlace::SharedMemory { FILE_SYSTEM_BYTES } else { 0 };
+        let [needed, left] = [(self.needed + own).div_ceil(MIB), self.left / MIB];
         let kib = self.needed.div_ceil(1024);
         match &self.place {
             MemoryPlace::SharedMemory => write!(

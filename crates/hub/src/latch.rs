@@ -157,7 +157,7 @@ impl Slot {
     }
 
     /// Returns the safe command: burr off, arm and tube stopped, tension held at its current value; only for
-    /// the parts that the controller drives.
+    /// the parts that the controller drives. The plant ends the rates of tendons and the wrench on a body.
     fn safe_command(&self, last: &Command) -> Command {
         let mut safe = Command { sequence: last.sequence, state_tick: last.state_tick, ..Command::zeroed() };
         if self.drives.contains(&Drives::Burr) {

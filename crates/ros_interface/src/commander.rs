@@ -110,9 +110,9 @@ impl Commander {
         }
     }
 
-    /// Accepts a trajectory of the arm at a time, from the present joint angles of its drives.
-    pub fn follow(&mut self, trajectory: Trajectory, start_rad: [f64; MAX_ARM_JOINTS], now_s: f64) {
-        self.arm = Some(Arm::Follows(trajectory, start_rad, now_s));
+    /// Accepts a trajectory of the arm at a simulated time, from the present joint angles of its drives.
+    pub fn follow(&mut self, trajectory: Trajectory, start_rad: [f64; MAX_ARM_JOINTS], sim_time_s: f64) {
+        self.arm = Some(Arm::Follows(trajectory, start_rad, sim_time_s));
     }
 
     /// Stops all motion: arm, tube, burr and tendon rates stop, the tension stays. Parts that have never been
@@ -154,7 +154,7 @@ impl Commander {
 
     /// Fills in the command that answers a state at a time (on the clock of [`Commander::take`]). Returns
     /// which velocities have just timed out.
-    pub fn fill(&mut self, now_s: f64, command: &mut Command) -> Option<&'static str> {
+    pub fn fill(&mut self, now_s: f64, sim_time_s: f64, command: &mut Command) -> Option<&'static str> {
         let mut ran_out = None;
         if let Some(Arm::Turns(_, until_s)) = self.arm
             && now_s > until_s
@@ -181,7 +181,7 @@ impl Commander {
             Some(Arm::Hold) => command.arm_mode = ArmMode::Hold.code(),
             Some(Arm::Goes(motion) | Arm::Turns(motion, _)) => motion.put_in(command),
             Some(Arm::Follows(trajectory, start_rad, begun_s)) => {
-                let (joints_rad, _) = trajectory.at(start_rad, now_s - begun_s);
+                let (joints_rad, _) = trajectory.at(start_rad, sim_time_s - begun_s);
                 Motion::ArmServoJp(joints_rad).put_in(command);
             }
         }
@@ -238,7 +238,7 @@ mod tests {
 
     fn filled(commander: &mut Commander, now_s: f64) -> Command {
         let mut command = Command::new_zeroed();
-        commander.fill(now_s, &mut command);
+        commander.fill(now_s, now_s, &mut command);
         command
     }
 
@@ -291,9 +291,9 @@ mod tests {
         let before = filled(&mut commander, 10.4);
         assert_eq!((before.tendon_mode(), before.tendon_velocity_m_per_s), (Ok(TendonMode::ServoJv), rates));
         let mut after = Command::new_zeroed();
-        assert_eq!(commander.fill(10.6, &mut after), Some("servo_jv of the tendons"));
+        assert_eq!(commander.fill(10.6, 10.6, &mut after), Some("servo_jv of the tendons"));
         assert_eq!((after.tendon_mode(), after.tendon_velocity_m_per_s), (Ok(TendonMode::ServoJv), [0.0; 4]));
-        assert_eq!(commander.fill(10.7, &mut after), None, "reported once");
+        assert_eq!(commander.fill(10.7, 10.7, &mut after), None, "reported once");
         commander.take(Motion::TendonServoJv(rates), 11.0);
         let mut forgotten = commander.clone();
         forgotten.forget();

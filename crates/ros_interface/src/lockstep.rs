@@ -39,16 +39,18 @@ pub enum Answer {
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Lockstep {
     stamp: Time,
+    dt_ns: u64,
     /// Parts that the controller drives, and whether they have answered.
     parts: Vec<(Drives, bool)>,
 }
 
 impl Lockstep {
-    /// Returns the exchange of a controller that drives these parts; `None` if no topic commands any of them.
-    pub fn new(drives: &[Drives]) -> Option<Lockstep> {
+    /// Returns the exchange of a controller that drives these parts, with a state every `dt_ns`; `None` if no
+    /// topic commands any of them.
+    pub fn new(drives: &[Drives], dt_ns: u64) -> Option<Lockstep> {
         let has_topic = |part: &&Drives| INPUTS.iter().any(|row| row.topic.needs() == Some(**part));
         let parts: Vec<_> = drives.iter().filter(has_topic).map(|part| (*part, false)).collect();
-        (!parts.is_empty()).then_some(Lockstep { stamp: Time::default(), parts })
+        (!parts.is_empty()).then_some(Lockstep { stamp: Time::default(), dt_ns, parts })
     }
 
     /// Begins to wait for the answers to a state.
@@ -63,7 +65,8 @@ impl Lockstep {
     /// Its stamp is not one of a published state.
     pub fn answer(&mut self, topic: Input, stamp: Time) -> Result<Answer, StampError> {
         // A stamp of zero is that of the first state, or missing.
-        if stamp > self.stamp || (stamp == Time::default() && self.stamp != stamp) {
+        let is_of_a_state = stamp.nanoseconds().is_some_and(|ns| ns.is_multiple_of(self.dt_ns));
+        if !is_of_a_state || stamp > self.stamp || (stamp == Time::default() && self.stamp != stamp) {
             return Err(StampError::Unknown { given: stamp, newest: self.stamp });
         }
         let part = self.parts.iter_mut().find(|(part, _)| topic.needs() == Some(*part));
@@ -95,7 +98,7 @@ mod tests {
     #[test]
     fn a_state_is_answered_once_each_part_has_a_command_with_its_stamp_in_any_order() {
         for topics in [[Input::TendonServoJf, Input::ArmMoveCp], [Input::ArmServoJv, Input::TendonServoJv]] {
-            let mut lockstep = Lockstep::new(&PARTS).unwrap();
+            let mut lockstep = Lockstep::new(&PARTS, 1_000_000).unwrap();
             lockstep.begin(at(5));
             assert_eq!(lockstep.answer(topics[0], at(5)), Ok(Answer::First));
             assert!(!lockstep.is_complete());
@@ -111,9 +114,12 @@ mod tests {
 
     #[test]
     fn stamps_of_no_state_are_refused_and_parts_without_topics_do_not_count() {
-        let mut lockstep = Lockstep::new(&PARTS).unwrap();
+        let mut lockstep = Lockstep::new(&PARTS, 1_000_000).unwrap();
         lockstep.begin(at(5));
-        for given in [at(6), Time::default()] {
+        let rounded = Time { sec: 1, nanosec: 3_999_999 };
+        let negative = Time { sec: -1, nanosec: 0 };
+        let overflowed = Time { sec: 0, nanosec: 1_000_000_000 };
+        for given in [at(6), Time::default(), rounded, negative, overflowed] {
             let refused = lockstep.answer(Input::TendonServoJf, given);
             assert_eq!(refused, Err(StampError::Unknown { given, newest: at(5) }));
         }
@@ -125,6 +131,6 @@ mod tests {
             Ok(Answer::First),
             "the first state's"
         );
-        assert_eq!(Lockstep::new(&[Drives::CArm]), None);
+        assert_eq!(Lockstep::new(&[Drives::CArm], 1_000_000), None);
     }
 }

@@ -231,6 +231,14 @@ fn input_columns(scene: &Scene, state: &State, names: &[String]) -> Result<Vec<I
             let controller = scene.controller.iter().position(drives).ok_or_else(|| {
                 refused("input", name, "no controller of the scene drives what it belongs to".to_owned())
             })?;
+            if part == Some(Drives::Body) && scene.controller.iter().filter(|entry| drives(entry)).count() > 1
+            {
+                return Err(refused(
+                    "input",
+                    name,
+                    "several controllers of the scene drive bodies".to_owned(),
+                ));
+            }
             inputs.push(Input { column, controller });
         }
     }

@@ -40,6 +40,15 @@ impl Client {
         lock(&self.state).take(bytes)
     }
 
+    /// Takes everything that is queued, each newest message once.
+    pub fn take_all(&self, bytes: usize) -> Vec<OutgoingMessage> {
+        let mut state = lock(&self.state);
+        core::iter::repeat_with(|| state.take(bytes))
+            .take_while(|batch| !batch.is_empty())
+            .flatten()
+            .collect()
+    }
+
     /// Returns the number of dropped messages to report to the client now
     /// ([`viewer::Client::drops_to_tell`]).
     pub fn drops_to_tell(&self) -> Option<u64> {

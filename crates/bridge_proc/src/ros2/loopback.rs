@@ -34,10 +34,7 @@ impl Loopback {
     /// or a container whose seccomp profile forbids `pidfd_getfd`.
     pub(crate) fn prepare() -> Option<Loopback> {
         let addresses = own_addresses();
-        let whole = |address: &Ipv4Addr| (*address, u32::MAX);
-        let loopback = (Ipv4Addr::new(127, 0, 0, 0), 0xff00_0000);
-        let sources: Vec<_> = core::iter::once(loopback).chain(addresses.iter().skip(1).map(whole)).collect();
-        let restriction = Loopback { filter: filter(&sources), addresses };
+        let restriction = Loopback { filter: filter(&addresses), addresses };
         // Something to try it on.
         let probe = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).ok()?;
         let works = restriction.close_to_others().is_ok();
@@ -83,15 +80,15 @@ impl Loopback {
     }
 }
 
-/// Returns a classic BPF program (socket(7), `SO_ATTACH_FILTER`) that accepts IPv4 datagrams whose source,
-/// masked, is one of these.
-fn filter(sources: &[(Ipv4Addr, u32)]) -> Vec<SockFilter> {
-    // BPF_LD | BPF_ABS with BPF_W and BPF_B, BPF_ALU | BPF_RSH and BPF_AND, BPF_JMP | BPF_JEQ, BPF_RET, all
-    // with BPF_K: linux/bpf_common.h.
+/// Returns a classic BPF program (socket(7), `SO_ATTACH_FILTER`) that accepts IPv4 datagrams whose source is one
+/// of these. Of loopback only 127.0.0.1 is safe: with `route_localnet` the kernel lets datagrams with another
+/// source of 127/8 in from outside.
+fn filter(sources: &[Ipv4Addr]) -> Vec<SockFilter> {
+    // BPF_LD | BPF_ABS with BPF_W and BPF_B, BPF_ALU | BPF_RSH, BPF_JMP | BPF_JEQ, BPF_RET, all with BPF_K:
+    // linux/bpf_common.h.
     const WORD: u16 = 0x20;
     const BYTE: u16 = 0x30;
     const SHIFT: u16 = 0x74;
-    const AND: u16 = 0x54;
     const IF_EQUAL: u16 = 0x15;
     const RETURN: u16 = 0x06;
     /// `SKF_NET_OFF`: offsets from the IP header.
@@ -99,13 +96,11 @@ fn filter(sources: &[(Ipv4Addr, u32)]) -> Vec<SockFilter> {
     let plain = |code, value| SockFilter::new(code, 0, 0, value);
     let count = sources.len().min(ADDRESS_COUNT) as u8;
     let mut program =
-        vec![plain(BYTE, IP_HEADER), plain(SHIFT, 4), SockFilter::new(IF_EQUAL, 0, 3 * count, 4)];
-    for (number, (address, mask)) in (0..count).zip(sources) {
-        program.push(plain(WORD, IP_HEADER + 12));
-        program.push(plain(AND, *mask));
+        vec![plain(BYTE, IP_HEADER), plain(SHIFT, 4), SockFilter::new(IF_EQUAL, 0, count + 1, 4)];
+    program.push(plain(WORD, IP_HEADER + 12));
+    for (number, address) in (0..count).zip(sources) {
         // To the last instruction.
-        let to_accept = 3 * (count - 1 - number) + 1;
-        program.push(SockFilter::new(IF_EQUAL, to_accept, 0, u32::from(*address)));
+        program.push(SockFilter::new(IF_EQUAL, count - number, 0, u32::from(*address)));
     }
     program.push(plain(RETURN, 0));
     program.push(plain(RETURN, u32::MAX));
@@ -137,10 +132,10 @@ mod tests {
     fn a_filter_drops_what_comes_from_other_addresses() {
         let from = |last: u8| UdpSocket::bind((Ipv4Addr::new(127, 0, 0, last), 0)).unwrap();
         for (sources, expected) in [
-            (vec![(Ipv4Addr::LOCALHOST, u32::MAX)], "a."),
-            (vec![(Ipv4Addr::new(10, 0, 0, 1), u32::MAX), (Ipv4Addr::LOCALHOST, u32::MAX)], "a."),
-            (vec![(Ipv4Addr::LOCALHOST, u32::MAX), (Ipv4Addr::new(127, 0, 0, 2), u32::MAX)], "ab."),
-            (vec![(Ipv4Addr::new(127, 0, 0, 0), 0xff00_0000)], "abc."),
+            (vec![Ipv4Addr::LOCALHOST], "a."),
+            (vec![Ipv4Addr::new(10, 0, 0, 1), Ipv4Addr::LOCALHOST], "a."),
+            (vec![Ipv4Addr::LOCALHOST, Ipv4Addr::new(127, 0, 0, 2)], "ab."),
+            (vec![Ipv4Addr::new(127, 0, 0, 3), Ipv4Addr::LOCALHOST, Ipv4Addr::new(127, 0, 0, 2)], "abc."),
         ] {
             let socket = UdpSocket::bind("0.0.0.0:0").unwrap();
             SockRef::from(&socket).attach_filter(&filter(&sources)).unwrap();

@@ -143,8 +143,8 @@ impl Ros2Session {
         let outcome = if self.client.info().controller.is_some() {
             let now_s = self.now_s();
             let (commander, ran_out) = (&mut self.commander, &mut self.ran_out);
-            self.client.answer(TURN, |_, command| {
-                let over = commander.fill(now_s, command);
+            self.client.answer(TURN, |state, command| {
+                let over = commander.fill(now_s, state.sim_time_s, command);
                 *ran_out = over.or(*ran_out);
             })
         } else {
@@ -172,7 +172,8 @@ impl Ros2Session {
             }
             exchange.begun = None;
             self.round_trips.add(begun.elapsed().as_secs_f64());
-            self.commander.fill(now_s, self.client.command()?);
+            // In an exact run this is simulated time.
+            self.commander.fill(now_s, now_s, self.client.command()?);
             self.client.send()?;
         }
         let next = self.client.next_state(TURN).map(|state| exchange.begin(state.sim_time_s));
@@ -349,7 +350,8 @@ impl Ros2Session {
                     let (joints, bent) = (&state.arm_joint_position_rad, &state.arm_joint_deflection_rad);
                     core::array::from_fn(|joint| joints[joint] - bent[joint])
                 });
-                self.commander.follow(trajectory, start_rad, self.now_s());
+                let begins_s = state.map_or(0.0, |state| state.sim_time_s);
+                self.commander.follow(trajectory, start_rad, begins_s);
                 self.remember(from);
                 Ok(())
             }
@@ -452,7 +454,9 @@ impl Exchange {
             return Err(Ros2Error::RealTime(client.session_name()));
         }
         let (name, drives) = own_controller(client).map_or(("", &[][..]), |it| (&it.name, &it.drives));
-        let lockstep = Lockstep::new(drives).ok_or_else(|| Ros2Error::NothingToDrive(name.to_owned()))?;
+        let dt_ns = (client.info().dt_s * 1e9).round() as u64;
+        let lockstep =
+            Lockstep::new(drives, dt_ns).ok_or_else(|| Ros2Error::NothingToDrive(name.to_owned()))?;
         Ok(Exchange { lockstep, begun: None })
     }
 

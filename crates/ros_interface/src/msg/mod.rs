@@ -33,6 +33,13 @@ impl Time {
         Time { sec, nanosec: (ns % NS_PER_S) as u32 }
     }
 
+    /// Returns the time in nanoseconds; `None` if it is negative or not normalised.
+    pub fn nanoseconds(self) -> Option<u64> {
+        let sec = u64::try_from(self.sec).ok()?;
+        let nanosec = u64::from(self.nanosec);
+        (nanosec < NS_PER_S).then_some(sec * NS_PER_S + nanosec)
+    }
+
     /// Returns the time in seconds.
     pub fn seconds(self) -> f64 {
         f64::from(self.sec) + f64::from(self.nanosec) / NS_PER_S as f64

@@ -104,6 +104,12 @@ fn check_body(controller: &Controller, scene: &Scene, checker: &Checker) -> Resu
         }
         Some(name) => name,
     };
+    if !controller.external && !controller.is_program() {
+        return invalid(
+            "needs a controller with `external`, `command` or `fmu`: none that is built in drives a body"
+                .into(),
+        );
+    }
     let Some(body) = scene.body.iter().find(|body| body.name == *name) else {
         let names: Vec<&str> = scene.body.iter().map(|body| body.name.as_str()).collect();
         return invalid(format!("is `{name}`; expected the name of a `[[body]]`: {names:?}"));

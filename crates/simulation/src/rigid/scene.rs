@@ -138,6 +138,13 @@ impl RigidScene {
         Ok(())
     }
 
+    /// Ends the commanded wrench on a free body.
+    pub fn end_wrench(&mut self, body: usize) {
+        if let Some(body) = self.bodies.get(body).filter(|body| body.kind == BodyMotion::Free) {
+            self.world.set_wrench(body.handle, &Wrench::zero());
+        }
+    }
+
     /// Plans the motion of driven bodies in the next step.
     fn plan_driven(&mut self) {
         for body in self.bodies.iter_mut().filter(|body| body.kind == BodyMotion::Driven) {

@@ -28,6 +28,9 @@ impl Simulation<'_> {
                 self.apply_tube(command),
                 self.apply_body(controller, command),
             ];
+            if entry.source() == Ok(CommandSource::Safe) {
+                self.end_motion(controller);
+            }
             if entry.command.arm_mode() != Ok(ArmMode::None) && outcomes[1].is_ok() {
                 self.arm_driver = Driver { controller, sequence: entry.command.sequence };
             }
@@ -46,6 +49,18 @@ impl Simulation<'_> {
                     stopped_later: false,
                 });
             }
+        }
+    }
+
+    /// Ends what a controller that is late or gone set in motion and its safe command cannot name: the rates of
+    /// tendons and the wrench on a body. Tendons and a driven body stay where they are.
+    fn end_motion(&mut self, controller: ControllerIndex) {
+        if self.tendon_driver.controller == controller {
+            self.tendon.end_rates();
+        }
+        let body = self.driven_bodies.get(controller.slot()).copied().flatten();
+        if let (Some(rigid), Some(body)) = (&mut self.rigid, body) {
+            rigid.end_wrench(body);
         }
     }
 

@@ -114,6 +114,13 @@ impl TendonDrive {
         self.state = TendonDriveState::Velocity { rate: m_per_s, now, is_slowed: false };
     }
 
+    /// Stops tendons that move at given rates.
+    pub(super) fn end_rates(&mut self) {
+        if let TendonDriveState::Velocity { rate, .. } = &mut self.state {
+            *rate = [0.0; MAX_TENDONS];
+        }
+    }
+
     /// Returns the displacement setpoints with their motion; `None` if tensions are controlled.
     fn displacement_setpoints(&mut self, dt_s: f64) -> Option<AxisState<MAX_TENDONS>> {
         match self.state {

@@ -359,7 +359,7 @@ fn drives_last_through_keyframes_and_end_with_a_reset() {
     let (mut whole, mut other) = (simulation(), simulation());
     let far = [place(-0.004), push([1e-3, 0.0, 0.0], 3.0)];
     whole.step(&latched(0, CommandSource::Fresh, far)).unwrap();
-    whole.step(&latched(1, CommandSource::Safe, [Command::zeroed(); 2])).unwrap();
+    whole.step(&latched(1, CommandSource::Fresh, [Command::zeroed(); 2])).unwrap();
     let mut bytes = vec![0; 1 << 20];
     let length = whole.write_keyframe(&mut bytes).unwrap();
     let saved = whole.snapshot();
@@ -393,6 +393,23 @@ fn drives_last_through_keyframes_and_end_with_a_reset() {
     }
     let poses = |state: &State| [state.t_world_body[0], state.t_world_body[1]];
     assert_eq!(poses(whole.state()), poses(simulation().state()));
+}
+
+/// Regression: a ball that a controller had pushed went on to gain speed after the controller's end.
+#[test]
+fn the_safe_command_ends_a_wrench_and_leaves_a_driven_body_where_it_goes() {
+    let mut simulation = simulation();
+    let far = [place(-0.004), push([1e-3, 0.0, 0.0], 0.0)];
+    simulation.step(&latched(0, CommandSource::Fresh, far)).unwrap();
+    let speed = |simulation: &mut Simulation<'_>, tick| {
+        let before_m = simulation.state().t_world_body[1].position_m[0];
+        simulation.step(&latched(tick, CommandSource::Safe, [Command::zeroed(); 2])).unwrap();
+        simulation.state().t_world_body[1].position_m[0] - before_m
+    };
+    let first = speed(&mut simulation, 1);
+    let last = (2..100).map(|tick| speed(&mut simulation, tick)).last().unwrap();
+    assert!(first > 0.0 && (last / first - 1.0).abs() < 1e-9, "{first} m a tick, then {last}");
+    assert_eq!(simulation.state().t_world_body[0].position_m, [0.006 - 0.004, 0.0, 0.0]);
 }
 
 #[test]

@@ -4,7 +4,7 @@
 
 use messages::{
     Command, MAX_DISPLACEMENT_M, MAX_DISPLACEMENT_RATE_M_PER_S, MAX_TENDONS, SOURCE_FRESH, SOURCE_HELD,
-    State, TendonMode,
+    SOURCE_SAFE, State, TendonMode,
 };
 use simulation::Simulation;
 use zerocopy::IntoBytes;
@@ -205,4 +205,20 @@ fn a_keyframe_and_a_snapshot_continue_rates_bit_for_bit() {
         assert_eq!(pulled_m > 2.5e-3, text == SCENE, "{pulled_m}");
         assert!(pulled_m > 0.5e-3, "{pulled_m}");
     }
+}
+
+/// Regression: tendons went on to wind after the controller's end, up to 20 mm.
+#[test]
+fn the_safe_command_ends_rates() {
+    let mut simulation = simulation(SCENE);
+    hold(&mut simulation, rates([1e-3, -1e-3]), 50);
+    // The last command of the controller drives no tendon; the rates continue.
+    hold(&mut simulation, Command { sequence: 2, ..Command::zeroed() }, 50);
+    let before = pulled_m(simulation.state());
+    assert!((before[0] - 1e-4).abs() < 1e-9, "{before:?}");
+    for age in 0..50 {
+        let tick = simulation.state().tick;
+        simulation.step(&latched(tick, SOURCE_SAFE, age, Command::zeroed())).unwrap();
+    }
+    assert_eq!(pulled_m(simulation.state()), before);
 }

@@ -244,9 +244,12 @@ struct ClientSession<'a> {
 impl ClientSession<'_> {
     /// Sends one batch of queued messages; returns whether there may be more.
     async fn send_waiting(&mut self, socket: &mut Socket) -> Result<bool, End> {
-        let messages = self.client.take(BATCH_BYTES);
-        let more = !messages.is_empty();
-        if more {
+        let messages = match self.wants_newest {
+            true => self.client.take_all(BATCH_BYTES),
+            false => self.client.take(BATCH_BYTES),
+        };
+        let has_messages = !messages.is_empty();
+        if has_messages {
             say(socket, Message::binary(protocol::time(self.shared.board.time_ns()))).await?;
         }
         let feed = async {
@@ -258,7 +261,7 @@ impl ClientSession<'_> {
         };
         tokio::time::timeout(WRITE_LIMIT, feed).await.map_err(|_| End::Gone)?.map_err(End::from)?;
         self.tell_dropped(socket, self.client.drops_to_tell()).await?;
-        Ok(more)
+        Ok(has_messages && !self.wants_newest)
     }
 
     async fn tell_dropped(&self, socket: &mut Socket, dropped: Option<u64>) -> Result<(), End> {
