@@ -206,7 +206,7 @@ def main() -> None:
     arguments = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    arguments.add_argument("--points", type=int, default=20)
+    arguments.add_argument("--points", type=int, default=8)
     given = arguments.parse_args()
     nominal = Nominal()
     kinds: dict[str, type[Regulator] | type[Predictor]] = {"LQR and Kalman": Regulator, "branches": Predictor}
