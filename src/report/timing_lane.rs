@@ -5,7 +5,7 @@ use std::path::Path;
 
 use ipc_types::messages::layout::Message;
 use ipc_types::messages::{
-    Command, Event, EventCode, FrameTiming, Part, Participant, RunStatus, Severity, TickTiming,
+    Command, Event, EventCode, FrameTiming, Part, Participant, RunStatus, Severity, Tick, TickTiming,
 };
 use ipc_types::process::FIFO_REFUSED;
 use recorder_proc::log_file::LogFile;
@@ -54,6 +54,8 @@ pub struct TimingLane {
     pub commands: u64,
     /// Commands rejected, completely or in part.
     pub refused_commands: u64,
+    /// The physics' count of rejected commands when the log began; `None` before it is known.
+    refused_before: Option<u64>,
     /// Number of events by kind.
     pub events: BTreeMap<String, u64>,
     /// The physics' report that it runs without the `SCHED_FIFO` that was asked for.
@@ -81,6 +83,9 @@ impl TimingLane {
         };
         let header = stream.header().clone();
         let mut lane = TimingLane::empty(header.controllers.len(), header.dt_ns)?;
+        if header.first_tick > Tick::START {
+            (lane.misses, lane.refused_before) = (Misses::from_tick(header.first_tick), None);
+        }
         lane.header = Some(header);
         if let Err(error) = lane.read_messages(stream) {
             lane.notes.push(error.to_string());
@@ -105,6 +110,7 @@ impl TimingLane {
             full_frames: 0,
             commands: 0,
             refused_commands: 0,
+            refused_before: Some(0),
             events: BTreeMap::new(),
             fifo_refused: None,
             breaches: Vec::new(),
@@ -144,7 +150,9 @@ impl TimingLane {
             }
             Some(Topic::RunStatus) => {
                 if let Ok(status) = RunStatus::read_from_bytes(message.body) {
-                    self.refused_commands = self.refused_commands.max(status.refused_commands);
+                    let before = *self.refused_before.get_or_insert(status.refused_commands);
+                    let refused = status.refused_commands.saturating_sub(before);
+                    self.refused_commands = self.refused_commands.max(refused);
                 }
             }
             None if message.description.name == Command::DESCRIPTION.name => self.commands += 1,
