@@ -96,6 +96,22 @@ fn late_log() -> Vec<u8> {
     log.end(0, EndReason::Completed).unwrap().1
 }
 
+/// Regression: keyframes and frames were compared in order, so that those of a late log differed from the first
+/// ones of its run.
+#[test]
+fn a_late_log_is_compared_with_its_part_of_the_run() {
+    let mut log = RunLog::create(Vec::new(), &header()).unwrap();
+    feed_with_keyframes(&mut log, &run_messages(300, None), |state| keyframe(state, 100));
+    let whole = log.finish(EndReason::Completed, &BTreeMap::new()).unwrap().1;
+    let (whole, late) = (named("whole.mcap", &whole), named("late.mcap", &late_log()));
+    for (first, second) in [(&whole, &late), (&late, &whole)] {
+        let report = run_log::diff::diff(first, second, ReadOptions::default()).unwrap();
+        assert!(report.frames.is_none() && report.messages.is_empty(), "{report:?}");
+        assert!(report.identical_ticks == 200 && report.identical_frames > 0, "{report:?}");
+        assert_eq!(report.remarks, ["100 ticks are only in whole.mcap"]);
+    }
+}
+
 /// The header says where a log begins: what is lost behind that is still a fault.
 #[test]
 fn a_late_log_that_lost_its_start_is_not_intact() {
