@@ -1,6 +1,6 @@
 //! Extracts the report's data from a `timing.mcap`.
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::path::Path;
 
 use ipc_types::messages::layout::Message;
@@ -9,6 +9,7 @@ use ipc_types::messages::{
 };
 use ipc_types::process::FIFO_REFUSED;
 use recorder_proc::log_file::LogFile;
+use recorder_proc::ring_files::SAVED_PREFIX;
 use run_log::misses::Misses;
 use run_log::{LogError, LogHeader, LogMessage, MessageStream, ReadOptions, Topic};
 use zerocopy::FromBytes;
@@ -62,6 +63,8 @@ pub struct TimingLane {
     pub fifo_refused: Option<String>,
     /// The physics' reports that the tool has left the bone, with their ticks.
     pub breaches: Vec<(u64, String)>,
+    /// Names of the logs that the recorder announced to save.
+    pub announced: BTreeSet<String>,
     /// The last warnings and errors, one line each.
     pub warnings: VecDeque<String>,
     /// Messages lost, by topic, according to the end marker.
@@ -114,6 +117,7 @@ impl TimingLane {
             events: BTreeMap::new(),
             fifo_refused: None,
             breaches: Vec::new(),
+            announced: BTreeSet::new(),
             warnings: VecDeque::new(),
             lost: BTreeMap::new(),
             notes: Vec::new(),
@@ -194,6 +198,13 @@ impl TimingLane {
             event.code() == Ok(EventCode::Breach) && event.sender() == Some(Participant::Part(Part::Physics));
         if is_breach {
             self.breaches.push((event.tick, text.clone()));
+        }
+        let is_saved = event.code() == Ok(EventCode::LogSaved)
+            && event.sender() == Some(Participant::Part(Part::Recorder));
+        if let Some((name, _)) = text.split_once(':').filter(|_| is_saved)
+            && name.starts_with(SAVED_PREFIX)
+        {
+            self.announced.insert(name.to_owned());
         }
         if event.severity >= Severity::Warning.code() {
             if self.warnings.len() == KEPT_WARNINGS {

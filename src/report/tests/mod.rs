@@ -8,8 +8,8 @@ use std::path::Path;
 use super::*;
 use fastrand::Rng;
 use ipc_types::messages::{
-    ArmProtectiveStop, Command, EVENT_BREACH, Latched, Pose, RunStatus, SENDER_CONTROLLER, SENDER_PHYSICS,
-    SEVERITY_WARNING, State, Tick,
+    ArmProtectiveStop, Command, EVENT_BREACH, EVENT_LOG_SAVED, Latched, Pose, RunStatus, SENDER_CONTROLLER,
+    SENDER_PHYSICS, SENDER_RECORDER, SEVERITY_INFO, SEVERITY_WARNING, State, Tick,
 };
 use recorder_proc::log_file::{create_run, create_timing};
 use run_log::{EndReason, LogHeader, RunMode, Topic, command_topic};
@@ -250,9 +250,15 @@ fn a_log_that_begins_late_is_reported_as_what_it_is() {
         let status = RunStatus { refused_commands: counted, missed_ticks: counted, ..RunStatus::zeroed() };
         lane.message(Topic::RunStatus, Tick(tick), status.as_bytes()).unwrap();
     }
+    for text in ["saved-1: ticks 0 to 90 or later: breach", "saved-2: ticks 100 to 300 or later: breach"] {
+        let event = synthetic::event(200, SEVERITY_INFO, EVENT_LOG_SAVED, SENDER_RECORDER, text);
+        lane.message(Topic::Event, Tick(200), &event).unwrap();
+    }
+    fs::create_dir(folder.path().join("saved-1")).unwrap();
     run.finish(EndReason::Completed, &BTreeMap::new()).unwrap();
     lane.finish(EndReason::Completed, &BTreeMap::new()).unwrap();
     let summary = write(folder.path(), &facts()).unwrap();
+    assert_eq!(summary.logs.saved, ["saved-1", "saved-2 as run.mcap"]);
     let cautions: Vec<&str> = summary.cautions.iter().map(String::as_str).collect();
     let unchecked = "`tolerance.target_mm` and `tolerance.path_deviation_mm` not checked: \
                      the start of the run was not kept";
