@@ -111,10 +111,19 @@ pub fn run(arguments: &ReplayArguments) -> Result<(), Failure> {
         volume_files: arguments.volume_files,
     };
     let log = OpenedLog::open(&arguments.log, &overrides)?;
-    let dt_ns = log.reader()?.header().dt_ns;
+    let (dt_ns, begin) = {
+        let reader = log.reader()?;
+        (reader.header().dt_ns, reader.header().first_tick)
+    };
     let first = arguments.from.map_or(Tick::START, |moment| moment.tick(dt_ns));
     let last = arguments.to.map(|moment| moment.tick(dt_ns));
     let ticks = in_order(TickRange { first, last })?;
+    for (option, tick) in [("--from", arguments.from.map(|_| first)), ("--to", last)] {
+        if let Some(tick) = tick.filter(|tick| *tick < begin) {
+            let why = format!("{option} is tick {tick}, but the log begins at tick {begin}");
+            return Err(Failure::bad_input(why));
+        }
+    }
     if !arguments.controller.is_empty() {
         return live(arguments, &log, last.unwrap_or(Tick(u64::MAX)));
     }
@@ -316,6 +325,7 @@ fn tell_recorded(recorded: &ReplayRecording, log: &OpenedLog, figures: Figures) 
 }
 
 fn live(arguments: &ReplayArguments, log: &OpenedLog, to_tick: Tick) -> Result<(), Failure> {
+    log.require_start("replayed with programs")?;
     let controllers = arguments.controller.iter().map(|text| controller(text, log));
     let plan = LivePlan {
         controllers: controllers.collect::<Result<_, _>>()?,

@@ -9,7 +9,8 @@ use std::time::{Duration, Instant};
 /// Interval between checks.
 const CHECK_PERIOD: Duration = Duration::from_millis(250);
 
-/// Watches `run.mcap`; otherwise the recorder would silently keep writing to an unlinked file.
+/// Watches `run.mcap`, or the run's folder if a flight recorder replaces the logs in it; otherwise the recorder
+/// would silently keep writing to an unlinked file.
 #[derive(Debug)]
 pub(super) struct LogWatch {
     log: PathBuf,
@@ -19,8 +20,9 @@ pub(super) struct LogWatch {
 }
 
 impl LogWatch {
-    pub(super) fn new(folder: &Path) -> LogWatch {
-        LogWatch { log: folder.join("run.mcap"), file: None, looked: Instant::now() }
+    pub(super) fn new(folder: &Path, has_ring: bool) -> LogWatch {
+        let log = if has_ring { folder.to_owned() } else { folder.join("run.mcap") };
+        LogWatch { log, file: None, looked: Instant::now() }
     }
 
     /// Returns what happened to the log if it is no longer in place.
@@ -54,7 +56,7 @@ mod tests {
     #[test]
     fn a_log_that_is_removed_or_moved_is_noticed() {
         let folder = tempfile::tempdir().unwrap();
-        let mut watch = LogWatch::new(folder.path());
+        let mut watch = LogWatch::new(folder.path(), false);
         let mut look = || {
             watch.looked -= CHECK_PERIOD;
             watch.check()
@@ -72,5 +74,23 @@ mod tests {
         // A different file under the same name is not the log.
         std::fs::write(&log, "y").unwrap();
         assert!(look().is_some_and(|said| said.contains("removed")));
+    }
+
+    /// Regression: with a flight recorder there is no `run.mcap` before the end, so nothing was watched.
+    #[test]
+    fn a_moved_folder_of_a_flight_recorder_is_noticed() {
+        let folder = tempfile::tempdir().unwrap();
+        let [run, other] = ["run", "other"].map(|name| folder.path().join(name));
+        std::fs::create_dir(&run).unwrap();
+        let mut watch = LogWatch::new(&run, true);
+        let mut look = || {
+            watch.looked -= CHECK_PERIOD;
+            watch.check()
+        };
+        assert_eq!((look(), look()), (None, None));
+        std::fs::rename(&run, &other).unwrap();
+        assert!(
+            look().is_some_and(|said| said.contains("moved to") && said.ends_with("other during the run"))
+        );
     }
 }

@@ -315,7 +315,8 @@ impl Running<'_> {
     /// Watches the parts until something ends the run.
     fn watch(&mut self, show: &mut impl FnMut(&RunSnapshot)) -> Result<Outcome, RunError> {
         let awaited = awaited(&self.plan.scene, self.hub);
-        let mut log = self.plan.output.as_deref().map(LogWatch::new);
+        let has_ring = self.plan.scene.recording.ring_s > 0.0;
+        let mut log = self.plan.output.as_deref().map(|folder| LogWatch::new(folder, has_ring));
         loop {
             self.hub.serve_late_joiners()?;
             self.subscriptions.poll()?;

@@ -151,7 +151,12 @@ impl Course {
                 self.ticks += 1;
                 first
             }
-            None => self.first.insert(Box::new(*state)),
+            None => {
+                if self.begins_late {
+                    self.watch.begin_late(state);
+                }
+                self.first.insert(Box::new(*state))
+            }
         };
         self.peaks.add(state, first.t_world_tip.position_m, self.stop_rad.unwrap_or(f64::INFINITY));
         self.watch.add(state);

@@ -39,7 +39,7 @@ use std::path::Path;
 use figures::FigureError;
 use inputs::failure::Failure;
 use ipc_types::messages::Tick;
-use recorder_proc::ring_files::{OPEN_PREFIX, SAVED_PREFIX};
+use recorder_proc::ring_files::{LANES, OPEN_PREFIX, SAVED_PREFIX};
 use structures::Regions;
 
 pub use run_log::timeline;
@@ -141,13 +141,19 @@ pub fn write(folder: &Path, facts: &RunFacts) -> Result<Report, ReportError> {
         run.course.note_drilled(regions, &drilled);
     }
     timing.breaches.iter().for_each(|(tick, text)| run.course.add_breach(*tick, text));
-    let open = logs_in(folder, OPEN_PREFIX);
+    let mut open = logs_in(folder, OPEN_PREFIX);
+    // The files of a log that has not begun are empty.
+    open.retain(|name| folder.join(name).join(LANES[0]).metadata().is_ok_and(|file| file.len() > 0));
     if !open.is_empty() {
         run.notes.push(format!("{} were not finished; replay them one by one", open.join(", ")));
     }
     let bytes = paths.map(|path| path.metadata().map_or(0, |metadata| metadata.len()));
     let frames = [("before", &run.frames.before), ("half", &run.frames.half), ("after", &run.frames.after)];
-    let summary = Summary::new(&run, &timing, facts, (bytes, logs_in(folder, SAVED_PREFIX)));
+    let mut saved = logs_in(folder, SAVED_PREFIX);
+    // The run ended while this one was to be continued.
+    let became_last = timing.announced.iter().filter(|name| !saved.contains(name));
+    saved.extend(became_last.map(|name| format!("{name} as run.mcap")).collect::<Vec<_>>());
+    let summary = Summary::new(&run, &timing, facts, (bytes, saved));
     let mut missing: Vec<FigureError> = Vec::new();
     // Write the numbers first: they need the least space on a nearly full disk.
     missing.extend(write_json(&folder.join("summary.json"), &summary).err());

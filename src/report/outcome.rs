@@ -298,11 +298,16 @@ impl PlanWatch {
         PlanWatch { path, pitch_m, summary, ..PlanWatch::default() }
     }
 
+    /// Notes the first state of a log that begins later than its run: what it shows may have begun before.
+    pub(super) fn begin_late(&mut self, state: &State) {
+        self.is_stopped = is_stopped(state);
+    }
+
     /// Adds a state.
     pub(super) fn add(&mut self, state: &State) {
         self.summary.forces.add(state);
         self.summary.ticks_at_strength += u64::from(state.strength_share >= 1.0);
-        let is_stopped = state.arm_protective_stop() == Ok(ArmProtectiveStop::Stopped);
+        let is_stopped = is_stopped(state);
         if is_stopped && !std::mem::replace(&mut self.is_stopped, is_stopped) {
             self.summary.protective_stops += 1;
             self.summary.first_stop_tick.get_or_insert(state.tick);
@@ -341,6 +346,10 @@ impl PlanWatch {
     }
 }
 
+fn is_stopped(state: &State) -> bool {
+    state.arm_protective_stop() == Ok(ArmProtectiveStop::Stopped)
+}
+
 /// Returns the radius of the arc from the start of the ramp to the target of curved drilling.
 fn planned_radius_mm(scene: &Scene) -> Option<f64> {
     let plan = scene.controller.iter().find_map(|controller| controller.curved_drilling.as_ref())?;
@@ -358,6 +367,7 @@ fn planned_radius_mm(scene: &Scene) -> Option<f64> {
 pub fn findings(scene: &Scene, course: &Course) -> Vec<String> {
     let plan = course.plan();
     let mut found = beyond_tolerance(scene, course);
+    found.extend(unchecked_tolerance(scene, course));
     found.extend(course.breaches.iter().cloned());
     found.extend(course.clearances.summaries().iter().filter_map(StructureSummary::finding));
     found.extend(
@@ -387,6 +397,16 @@ pub fn beyond_tolerance(scene: &Scene, course: &Course) -> Vec<String> {
         (most_mm > allowed_mm).then_some(text)
     });
     target.into_iter().chain(path).collect()
+}
+
+/// Returns which tolerances of the scene were not checked, if the start of the run is not in the log.
+fn unchecked_tolerance(scene: &Scene, course: &Course) -> Option<String> {
+    let tolerance = scene.tolerance.filter(|_| course.begins_late)?;
+    let set = [("target_mm", tolerance.target_mm), ("path_deviation_mm", tolerance.path_deviation_mm)];
+    let set = set.into_iter().filter(|(_, most_mm)| most_mm.is_some());
+    let named: Vec<String> = set.map(|(key, _)| format!("`tolerance.{key}`")).collect();
+    (!named.is_empty())
+        .then(|| format!("{} not checked: the start of the run was not kept", named.join(" and ")))
 }
 
 /// Whether the burr came within `tolerance.target_mm`, or else 2 mm, of the scene's target; false without
@@ -480,7 +500,8 @@ fn on_stops(course: &Course) -> Option<String> {
 
 fn idle_end(scene: &Scene, course: &Course, plan: &PlanSummary) -> Option<String> {
     let (ticks, dt_s) = (course.ticks, scene.dt_s());
-    let moved_s = plan.moved_until_tick as f64 * dt_s;
+    let first_tick = course.first.as_ref().map_or(0, |state| state.tick);
+    let moved_s = plan.moved_until_tick.saturating_sub(first_tick) as f64 * dt_s;
     let idle_s = ticks as f64 * dt_s - moved_s;
     (idle_s > IDLE_S && idle_s > moved_s)
         .then(|| format!("nothing moved in the last {idle_s:.0} s of {:.0} s", ticks as f64 * dt_s))

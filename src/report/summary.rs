@@ -221,7 +221,8 @@ pub struct LogSummary {
     /// all numbers then are except those that are counted from the start.
     #[serde(default)]
     pub first_tick: u64,
-    /// Folders of the logs that triggers saved.
+    /// Folders of the logs that triggers saved; `saved-N as run.mcap` is the one that the end of the run cut
+    /// short.
     #[serde(default)]
     pub saved: Vec<String>,
     /// Faults of the files: truncated, damaged, missing.

@@ -1,14 +1,15 @@
 //! Extracts the report's data from a `timing.mcap`.
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::path::Path;
 
 use ipc_types::messages::layout::Message;
 use ipc_types::messages::{
-    Command, Event, EventCode, FrameTiming, Part, Participant, RunStatus, Severity, TickTiming,
+    Command, Event, EventCode, FrameTiming, Part, Participant, RunStatus, Severity, Tick, TickTiming,
 };
 use ipc_types::process::FIFO_REFUSED;
 use recorder_proc::log_file::LogFile;
+use recorder_proc::ring_files::SAVED_PREFIX;
 use run_log::misses::Misses;
 use run_log::{LogError, LogHeader, LogMessage, MessageStream, ReadOptions, Topic};
 use zerocopy::FromBytes;
@@ -54,12 +55,16 @@ pub struct TimingLane {
     pub commands: u64,
     /// Commands rejected, completely or in part.
     pub refused_commands: u64,
+    /// The physics' count of rejected commands when the log began; `None` before it is known.
+    refused_before: Option<u64>,
     /// Number of events by kind.
     pub events: BTreeMap<String, u64>,
     /// The physics' report that it runs without the `SCHED_FIFO` that was asked for.
     pub fifo_refused: Option<String>,
     /// The physics' reports that the tool has left the bone, with their ticks.
     pub breaches: Vec<(u64, String)>,
+    /// Names of the logs that the recorder announced to save.
+    pub announced: BTreeSet<String>,
     /// The last warnings and errors, one line each.
     pub warnings: VecDeque<String>,
     /// Messages lost, by topic, according to the end marker.
@@ -81,6 +86,9 @@ impl TimingLane {
         };
         let header = stream.header().clone();
         let mut lane = TimingLane::empty(header.controllers.len(), header.dt_ns)?;
+        if header.first_tick > Tick::START {
+            (lane.misses, lane.refused_before) = (Misses::from_tick(header.first_tick), None);
+        }
         lane.header = Some(header);
         if let Err(error) = lane.read_messages(stream) {
             lane.notes.push(error.to_string());
@@ -105,9 +113,11 @@ impl TimingLane {
             full_frames: 0,
             commands: 0,
             refused_commands: 0,
+            refused_before: Some(0),
             events: BTreeMap::new(),
             fifo_refused: None,
             breaches: Vec::new(),
+            announced: BTreeSet::new(),
             warnings: VecDeque::new(),
             lost: BTreeMap::new(),
             notes: Vec::new(),
@@ -144,7 +154,9 @@ impl TimingLane {
             }
             Some(Topic::RunStatus) => {
                 if let Ok(status) = RunStatus::read_from_bytes(message.body) {
-                    self.refused_commands = self.refused_commands.max(status.refused_commands);
+                    let before = *self.refused_before.get_or_insert(status.refused_commands);
+                    let refused = status.refused_commands.saturating_sub(before);
+                    self.refused_commands = self.refused_commands.max(refused);
                 }
             }
             None if message.description.name == Command::DESCRIPTION.name => self.commands += 1,
@@ -186,6 +198,13 @@ impl TimingLane {
             event.code() == Ok(EventCode::Breach) && event.sender() == Some(Participant::Part(Part::Physics));
         if is_breach {
             self.breaches.push((event.tick, text.clone()));
+        }
+        let is_saved = event.code() == Ok(EventCode::LogSaved)
+            && event.sender() == Some(Participant::Part(Part::Recorder));
+        if let Some((name, _)) = text.split_once(':').filter(|_| is_saved)
+            && name.starts_with(SAVED_PREFIX)
+        {
+            self.announced.insert(name.to_owned());
         }
         if event.severity >= Severity::Warning.code() {
             if self.warnings.len() == KEPT_WARNINGS {

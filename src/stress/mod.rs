@@ -20,6 +20,7 @@ use fastrand::Rng;
 use ipc_types::process::EndRequest;
 use ipc_types::scene::Scene;
 use output_file::SavedFile;
+use recorder_proc::ring_files::{LANES, OPEN_PREFIX, SAVED_PREFIX};
 
 use crate::failure::Failure;
 use crate::launcher::part::{PartProcess, ProgramOutput};
@@ -234,6 +235,15 @@ fn remove(logs: &Path, keeps_logs: bool) {
     }
     // Anything that cannot be removed stays in the output folder under a recognizable name.
     for folder in std::fs::read_dir(logs).into_iter().flatten().flatten().map(|entry| entry.path()) {
+        let of_ring = |log: &PathBuf| {
+            let name = log.file_name().and_then(|name| name.to_str());
+            name.is_some_and(|name| name.starts_with(SAVED_PREFIX) || name.starts_with(OPEN_PREFIX))
+        };
+        let within = std::fs::read_dir(&folder).into_iter().flatten().flatten().map(|entry| entry.path());
+        for log in within.filter(of_ring) {
+            LANES.iter().for_each(|name| drop(std::fs::remove_file(log.join(name))));
+            let _ = std::fs::remove_dir(log);
+        }
         crate::report::FILES.iter().for_each(|name| drop(std::fs::remove_file(folder.join(name))));
         let _ = std::fs::remove_dir(folder);
     }
@@ -254,10 +264,12 @@ mod tests {
         for folder in [&ours, &mixed] {
             fs::create_dir(folder).unwrap();
             crate::report::FILES.iter().for_each(|name| fs::write(folder.join(name), name).unwrap());
+            fs::create_dir(folder.join("saved-1")).unwrap();
+            LANES.iter().for_each(|name| fs::write(folder.join("saved-1").join(name), name).unwrap());
         }
         fs::write(mixed.join("notes.txt"), "a user's own").unwrap();
         remove(logs.path(), true);
-        assert_eq!(fs::read_dir(&ours).unwrap().count(), crate::report::FILES.len());
+        assert_eq!(fs::read_dir(&ours).unwrap().count(), crate::report::FILES.len() + 1);
         remove(logs.path(), false);
         assert!(!ours.exists());
         let left: Vec<_> = fs::read_dir(&mixed).unwrap().flatten().map(|entry| entry.file_name()).collect();

@@ -73,7 +73,7 @@ pub enum ClientError {
         how: &'static str,
     },
     /// Run control refused an action.
-    #[error("run control refused action {action} (a step needs a paused run; actions are 1 to 5)")]
+    #[error("run control refused action {action} (a step needs a paused run; actions are 1 to 6)")]
     ControlRefused {
         /// The action.
         action: u32,

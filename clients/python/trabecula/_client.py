@@ -386,7 +386,7 @@ class Client:
             known = ", ".join(f"{known.value} {known.name}" for known in g.ControlAction)
             raise ArgumentError(f"`action` is {action!r}, expected a ControlAction: {known}")
         if action == 0:
-            raise Error(g.ERROR_REFUSED, "unknown run-control action 0; actions are 1 to 5")
+            raise Error(g.ERROR_REFUSED, "unknown run-control action 0; actions are 1 to 6")
         ticks = whole("ticks", ticks)
         reply = g.RunControlReply()
         address, status = reply.array.ctypes.data, g.TIMEOUT

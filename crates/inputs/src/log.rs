@@ -87,6 +87,21 @@ impl OpenedLog {
         Ok(LogReader::open_with(&LogFile::at(&self.path), self.options)?)
     }
 
+    /// Refuses a log that begins later than its run: the physics at tick 0 is not that of its first command.
+    ///
+    /// # Errors
+    /// Bad input: it begins later; `done` says what cannot be done with it. The file can no longer be opened.
+    pub fn require_start(&self, done: &str) -> Result<(), Failure> {
+        match self.reader()?.beginning() {
+            None => Ok(()),
+            Some(start) => Err(Failure::bad_input(format!(
+                "{}: begins at tick {}; only a log from the start of its run can be {done}",
+                self.path.display(),
+                start.tick
+            ))),
+        }
+    }
+
     /// How to read the log.
     pub fn options(&self) -> ReadOptions {
         self.options

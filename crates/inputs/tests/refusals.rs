@@ -2,10 +2,17 @@
 
 #![allow(clippy::unwrap_used, reason = "tests fail")]
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
+use inputs::log::Overrides;
 use inputs::scenes::SceneSource;
 use inputs::{feasibility, plan};
+use ipc_types::messages::{Keyframe, Latched, State, Tick};
+use recorder_proc::build_info;
+use recorder_proc::log_file::create_run;
+use run_log::{EndReason, LogHeader, RunMode};
+use zerocopy::IntoBytes;
 
 const HOLD: &str = r#"
 name = "hold"
@@ -58,4 +65,37 @@ fn every_refusal_names_the_scenes_file() {
         let named = refusal.message.lines().all(|line| line.starts_with(file.to_str().unwrap()));
         assert!(named, "{refusal}");
     }
+}
+
+/// Regression: `plan --check` stepped the commands of a log that begins at tick 100 from the state of tick 0,
+/// and reported the distance of the two runs as an error.
+#[test]
+fn a_log_that_begins_later_than_its_run_is_compared_with_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("run.mcap");
+    let header = LogHeader {
+        scene_toml: HOLD.to_owned(),
+        calibration_json: None,
+        scene_name: "hold".to_owned(),
+        volume_sha256: None,
+        volume_dimensions: [0; 3],
+        dt_ns: 1_000_000,
+        mode: RunMode::Lockstep,
+        controllers: vec!["a".to_owned()],
+        build: build_info::current(),
+        first_tick: Tick(100),
+    };
+    let mut log = create_run(&path, &header).unwrap();
+    let state = |tick| State { tick, ..State::zeroed() };
+    log.state(&state(100)).unwrap();
+    let keyframe = Keyframe { tick: 100, sequence: 1, total_bytes: 1, data_length: 1, ..Keyframe::zeroed() };
+    log.keyframe(&[keyframe.as_bytes(), &[0]].concat()).unwrap();
+    for tick in 100..200 {
+        log.latched(&Latched { tick, ..Latched::zeroed() }).unwrap();
+        log.state(&state(tick + 1)).unwrap();
+    }
+    log.finish(EndReason::Completed, &BTreeMap::new()).unwrap();
+    let refusal = plan::check::check(&path, &Overrides::default(), 10, u64::MAX).unwrap_err();
+    let why = "begins at tick 100; only a log from the start of its run can be compared";
+    assert!(refusal.code == 2 && refusal.message.contains(why), "{refusal}");
 }

@@ -13,10 +13,11 @@ use crate::difference::{Divergence, compare, compare_removed};
 use crate::end::EndReason;
 use crate::error::LogError;
 use crate::frames::{FrameReader, FrameRecord, frames};
+use crate::header::LogHeader;
 use crate::reader::{LogReader, TickRecord};
 use crate::seal::SEAL;
 use crate::source::LogSource;
-use crate::stream::{MessageStream, ReadOptions};
+use crate::stream::{LogMessage, MessageStream, ReadOptions};
 use crate::topics::{Logged, Topic};
 use crate::verdict::Verdict;
 use crate::verify::{compare_readings, compare_state};
@@ -232,8 +233,17 @@ fn compare_frames(
     out: &mut DiffReport,
 ) -> Result<(), LogError> {
     let (mut a, mut b) = (frames(first, options)?, frames(second, options)?);
+    let mut start = SharedStart::of(a.header(), b.header());
     while out.frames.is_none() {
-        match (next_frame(&mut a)?, next_frame(&mut b)?) {
+        let (mut x, mut y) = (next_frame(&mut a)?, next_frame(&mut b)?);
+        let tick = |frame: &Option<FrameRecord>| frame.as_ref().map(|frame| Tick(frame.frame.tick));
+        while let Some(behind) = start.behind(tick(&x), tick(&y)) {
+            match behind {
+                Side::First => x = next_frame(&mut a)?,
+                Side::Second => y = next_frame(&mut b)?,
+            }
+        }
+        match (x, y) {
             (Some(x), Some(y)) => {
                 out.frames = compare_frame(&x, &y);
                 out.identical_frames += u64::from(out.frames.is_none());
@@ -247,6 +257,39 @@ fn compare_frames(
         }
     }
     Ok(())
+}
+
+/// Where to start comparing two logs of which one begins later.
+struct SharedStart {
+    first_tick: Tick,
+    is_found: bool,
+}
+
+enum Side {
+    First,
+    Second,
+}
+
+impl SharedStart {
+    fn of(a: &LogHeader, b: &LogHeader) -> SharedStart {
+        SharedStart { first_tick: a.first_tick.max(b.first_tick), is_found: a.first_tick == b.first_tick }
+    }
+
+    /// Returns the log whose message precedes the shared part, given the ticks of the next messages.
+    fn behind(&mut self, x: Option<Tick>, y: Option<Tick>) -> Option<Side> {
+        let precedes = |tick: Option<Tick>, other: Option<Tick>| {
+            tick.is_some_and(|tick| tick < self.first_tick || other.is_some_and(|other| tick < other))
+        };
+        let behind = if self.is_found {
+            None
+        } else if precedes(x, y) {
+            Some(Side::First)
+        } else {
+            precedes(y, x).then_some(Side::Second)
+        };
+        self.is_found = behind.is_none();
+        behind
+    }
 }
 
 /// Returns the next frame, skipping a gap if necessary.
@@ -269,8 +312,19 @@ fn compare_messages<M: Logged>(
     let open = |log: &dyn LogSource| MessageStream::open_topics(log, &[M::TOPIC.name().to_owned()], options);
     let (mut a, mut b) = (open(first)?, open(second)?);
     let dt_ns = a.header().dt_ns.max(1);
+    let mut start = SharedStart::of(a.header(), b.header());
     loop {
-        match (a.next_message()?, b.next_message()?) {
+        let (mut x, mut y) = (a.next_message()?, b.next_message()?);
+        let tick = |message: &Option<LogMessage<'_>>| {
+            message.as_ref().map(|message| Tick(message.log_time_ns / dt_ns))
+        };
+        while let Some(behind) = start.behind(tick(&x), tick(&y)) {
+            match behind {
+                Side::First => x = a.next_message()?,
+                Side::Second => y = b.next_message()?,
+            }
+        }
+        match (x, y) {
             (Some(x), Some(y)) => {
                 let tick = Tick(x.log_time_ns / dt_ns);
                 if let Some(divergence) = compare(M::TOPIC, tick, M::DESCRIPTION, x.body, y.body) {

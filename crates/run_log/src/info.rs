@@ -40,7 +40,7 @@ pub struct LogInfo {
 /// Reads a whole log of either lane and summarizes it. Damage is reported in the summary, not as an error.
 pub fn info(log: &dyn LogSource, options: ReadOptions) -> Result<LogInfo, LogError> {
     let mut stream = MessageStream::open(log, options)?;
-    let (mut end_ns, mut misses) = (0, Misses::default());
+    let (mut end_ns, mut misses) = (0, Misses::from_tick(stream.header().first_tick));
     let log_error = loop {
         match stream.next_message() {
             Ok(Some(message)) => {

@@ -1,8 +1,8 @@
 //! Decides which logs of a flight recorder begin, are saved and are dropped.
 //!
 //! A new log begins at the first keyframe a *period* after the last one, and every message goes to all open
-//! logs. So the older one always reaches back at least a period. Once it is no longer needed for that it is
-//! dropped, unless a trigger has chosen it: then it continues until the ticks after the trigger are recorded.
+//! logs. So the older one always reaches back at least a period. Once it is no longer needed for that, not even
+//! by a trigger that is read late, it is dropped, unless a trigger has chosen it: then it continues until the ticks after the trigger are recorded.
 //! Open logs are thus bounded in number and length, and each saved log is a single file.
 
 use std::fmt;
@@ -18,6 +18,7 @@ const CAUSES_NAMED: usize = 8;
 #[derive(Debug, Clone)]
 pub struct Ring {
     period_ticks: u64,
+    late_ticks: u64,
     saved_at_most: u64,
     saved: u64,
     open: Vec<OpenLog>,
@@ -92,10 +93,11 @@ pub enum Fate {
 }
 
 impl Ring {
-    /// Returns the logs of a run with one open log, which begins with the run.
-    pub fn new(period_ticks: u64, saved_at_most: u64) -> Ring {
+    /// Returns the logs of a run with one open log, which begins with the run. A trigger may be read up to
+    /// `late_ticks` later than its tick.
+    pub fn new(period_ticks: u64, late_ticks: u64, saved_at_most: u64) -> Ring {
         let open = vec![OpenLog { first_tick: Tick::START, save: None }];
-        Ring { period_ticks: period_ticks.max(1), saved_at_most, saved: 0, open }
+        Ring { period_ticks: period_ticks.max(1), late_ticks, saved_at_most, saved: 0, open }
     }
 
     /// The tick from which the next log may begin.
@@ -103,10 +105,17 @@ impl Ring {
         self.open.last().map_or(Tick::START, |log| log.first_tick.saturating_add(self.period_ticks))
     }
 
-    /// Notes that another log has begun; returns the places of the open logs to drop, last first.
-    pub fn begun(&mut self, first_tick: Tick) -> Vec<usize> {
+    /// Notes that another log has begun.
+    pub fn begun(&mut self, first_tick: Tick) {
         self.open.push(OpenLog { first_tick, save: None });
-        let Some(needed) = self.unsaved_since_a_period(first_tick) else { return Vec::new() };
+    }
+
+    /// Forgets the open logs that no trigger needs once this tick is recorded; returns their places, last
+    /// first.
+    pub fn unneeded(&mut self, tick: Tick) -> Vec<usize> {
+        let Some(needed) = self.unsaved_since_a_period(self.earliest_trigger(tick)) else {
+            return Vec::new();
+        };
         let dropped: Vec<usize> =
             (0..needed).rev().filter(|place| self.open[*place].save.is_none()).collect();
         dropped.iter().for_each(|place| drop(self.open.remove(*place)));
@@ -146,7 +155,7 @@ impl Ring {
         let is_complete = |(place, log): (usize, &OpenLog)| {
             let others = || self.open.iter().enumerate().filter(|(other, _)| *other != place);
             log.save.as_ref().is_some_and(|save| save.until <= tick)
-                && others().any(|(_, other)| self.covers(other, tick))
+                && others().any(|(_, other)| self.covers(other, self.earliest_trigger(tick)))
         };
         let place = self.open.iter().enumerate().position(is_complete)?;
         Some((place, self.open.remove(place).save?))
@@ -163,6 +172,11 @@ impl Ring {
             None => Fate::Dropped,
         };
         self.open.into_iter().enumerate().map(fate).collect()
+    }
+
+    /// Returns the earliest tick whose trigger may still be read.
+    fn earliest_trigger(&self, tick: Tick) -> Tick {
+        Tick(tick.0.saturating_sub(self.late_ticks))
     }
 
     /// Returns whether a log reaches back a period from this tick, or to the start of the run.

@@ -8,7 +8,8 @@ use std::path::Path;
 use super::*;
 use fastrand::Rng;
 use ipc_types::messages::{
-    Command, EVENT_BREACH, Pose, RunStatus, SENDER_CONTROLLER, SENDER_PHYSICS, SEVERITY_WARNING, State, Tick,
+    ArmProtectiveStop, Command, EVENT_BREACH, EVENT_LOG_SAVED, Latched, Pose, RunStatus, SENDER_CONTROLLER,
+    SENDER_PHYSICS, SENDER_RECORDER, SEVERITY_INFO, SEVERITY_WARNING, State, Tick,
 };
 use recorder_proc::log_file::{create_run, create_timing};
 use run_log::{EndReason, LogHeader, RunMode, Topic, command_topic};
@@ -224,6 +225,46 @@ fn the_share_of_refused_commands_is_said() {
     lane.finish(EndReason::Completed, &BTreeMap::new()).unwrap();
     let summary = write(folder.path(), &facts()).unwrap();
     assert_eq!(summary.cautions[0], "10 of 40 commands rejected (25.0 %)");
+}
+
+/// Regression: with `recording.ring_s` the tolerance was silently not checked, the counters of the whole run
+/// were those of the kept ticks ("4529 of 990 commands rejected"), and a stop before them was a stop in them.
+#[test]
+fn a_log_that_begins_late_is_reported_as_what_it_is() {
+    let header = LogHeader { first_tick: Tick(100), ..synthetic::header() };
+    let folder = tempfile::tempdir().unwrap();
+    let mut run = create_run(&folder.path().join("run.mcap"), &header).unwrap();
+    let mut lane = create_timing(&folder.path().join("timing.mcap"), &header).unwrap();
+    let stopped = |tick: u64| {
+        let mut state = synthetic::state(tick, 200, &mut Rng::with_seed(1));
+        state.arm_protective_stop = ArmProtectiveStop::Stopped.code();
+        state
+    };
+    run.state(&stopped(100)).unwrap();
+    for tick in 100..200 {
+        run.latched(&Latched { tick, ..Latched::zeroed() }).unwrap();
+        run.state(&stopped(tick + 1)).unwrap();
+        let sent = Command { sequence: tick, ..Command::zeroed() };
+        lane.command(&command_topic("guide"), Tick(tick), sent.as_bytes()).unwrap();
+        let counted = 4000 + tick / 10;
+        let status = RunStatus { refused_commands: counted, missed_ticks: counted, ..RunStatus::zeroed() };
+        lane.message(Topic::RunStatus, Tick(tick), status.as_bytes()).unwrap();
+    }
+    for text in ["saved-1: ticks 0 to 90 or later: breach", "saved-2: ticks 100 to 300 or later: breach"] {
+        let event = synthetic::event(200, SEVERITY_INFO, EVENT_LOG_SAVED, SENDER_RECORDER, text);
+        lane.message(Topic::Event, Tick(200), &event).unwrap();
+    }
+    fs::create_dir(folder.path().join("saved-1")).unwrap();
+    run.finish(EndReason::Completed, &BTreeMap::new()).unwrap();
+    lane.finish(EndReason::Completed, &BTreeMap::new()).unwrap();
+    let summary = write(folder.path(), &facts()).unwrap();
+    assert_eq!(summary.logs.saved, ["saved-1", "saved-2 as run.mcap"]);
+    let cautions: Vec<&str> = summary.cautions.iter().map(String::as_str).collect();
+    let unchecked = "`tolerance.target_mm` and `tolerance.path_deviation_mm` not checked: \
+                     the start of the run was not kept";
+    assert_eq!(cautions[..2], ["9 of 100 commands rejected (9.0 %)", unchecked]);
+    assert_eq!((summary.outcome.as_str(), summary.timing.missed_ticks), ("completed", 9));
+    assert_eq!(summary.plan.unwrap().protective_stops, 0);
 }
 
 #[test]

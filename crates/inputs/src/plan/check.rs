@@ -31,8 +31,8 @@ pub struct ModelErrorCheck {
 /// Re-runs a log up to tick `to` and compares the tip at about `samples` ticks.
 ///
 /// # Errors
-/// Bad input (2): a log that this build cannot replay, or one without ticks. The reference refuses the scene
-/// (1).
+/// Bad input (2): a log that this build cannot replay, or without ticks, or that begins later than its run. The
+/// reference refuses the scene (1).
 pub fn check(
     log: &Path,
     overrides: &Overrides,
@@ -40,6 +40,7 @@ pub fn check(
     to: u64,
 ) -> Result<(Scene, ModelErrorCheck), Failure> {
     let log = OpenedLog::open(log, overrides)?;
+    log.require_start("compared")?;
     let ct = log.ct.as_ref().map(|ct| CtView::from(&ct.volume));
     let failed = Failure::failed;
     let mut reference = Reference::new(&log.scene, ct).map_err(failed)?;

@@ -16,6 +16,7 @@ use run_log::triggers::Triggers;
 use run_log::{EndMarker, EndReason, LogError, LogHeader, RunLog, TimingLog, frame_lag_ticks};
 
 use super::RecorderError;
+use super::recorder::LATE_TICKS;
 use crate::background::BackgroundFile;
 use crate::log_file::index_beside;
 use crate::ring_files::{Disposal, LANES, LogFiles, RingFiles};
@@ -93,7 +94,7 @@ impl Flight {
         let period_ticks = ticks(recording.ring_s);
         Ok(Some(Flight {
             triggers,
-            ring: Ring::new(period_ticks, recording.saved_at_most),
+            ring: Ring::new(period_ticks, LATE_TICKS, recording.saved_at_most),
             files,
             folders: vec![folder.to_owned()],
             asked: 1,
@@ -110,22 +111,33 @@ impl Flight {
         }))
     }
 
-    /// Begins, saves and drops logs, as far as due. `timing_lost` counts what the timing lane lacks.
-    pub fn tend(
+    /// Begins logs, as far as due. `timing_lost` counts what the timing lane lacks.
+    pub fn begin(
         &mut self,
         lanes: &mut Lanes,
         timing_lost: &BTreeMap<String, u64>,
     ) -> Result<(), RecorderError> {
         self.note_begun(lanes, timing_lost)?;
-        self.provide_next(lanes)?;
+        self.provide_next(lanes)
+    }
+
+    /// Saves and drops logs, as far as due, once both lanes have what belongs to the last state.
+    pub fn end_due(
+        &mut self,
+        lanes: &mut Lanes,
+        timing_lost: &BTreeMap<String, u64>,
+    ) -> Result<(), RecorderError> {
         let tick = lanes.run.last_state().map_or(Tick::START, |state| Tick(state.tick));
+        for place in self.ring.unneeded(tick) {
+            self.remove(lanes, place);
+        }
         while let Some((place, save)) = self.ring.complete(tick) {
             self.save(lanes, place, &save, timing_lost)?;
         }
         Ok(())
     }
 
-    /// Begins the timing lane of a log whose run lane has begun, and drops the logs that it replaces.
+    /// Begins the timing lane of a log whose run lane has begun.
     fn note_begun(
         &mut self,
         lanes: &mut Lanes,
@@ -139,9 +151,7 @@ impl Flight {
         let path = folder.join(LANES[1]);
         lanes.timing.begin_another(first_tick, timing, &path, index_beside(&path), timing_lost)?;
         self.folders.push(folder);
-        for place in self.ring.begun(first_tick) {
-            self.remove(lanes, place);
-        }
+        self.ring.begun(first_tick);
         Ok(())
     }
 
@@ -263,7 +273,7 @@ impl Flight {
         let last = lanes.run.last_state().map(|state| Tick(state.tick));
         // An interrupted run without a state leaves nothing to replay.
         let is_kept = last.is_some() || *reason != EndReason::Interrupted;
-        let ring = std::mem::replace(&mut self.ring, Ring::new(1, 0));
+        let ring = std::mem::replace(&mut self.ring, Ring::new(1, 0, 0));
         let fates = ring.end(last.unwrap_or(Tick::START));
         for (place, fate) in fates.into_iter().enumerate().rev() {
             match fate {

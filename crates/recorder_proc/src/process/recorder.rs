@@ -8,6 +8,7 @@ use std::time::{Duration, Instant};
 use hub::rate_limit::WarningLimit;
 use ipc_types::clock::now_ns;
 use ipc_types::messages::layout::Message;
+use ipc_types::messages::services::RECORDER_QUEUE_TICKS;
 use ipc_types::messages::{EventCode, Part, Participant, Phase, Progress, RunControl, RunControlReply, Tick};
 use ipc_types::ports::Subscriber;
 use ipc_types::process::EndRequest;
@@ -34,6 +35,9 @@ const TICKS_PER_ROUND: usize = 16;
 const CLIENT_MESSAGES_PER_ROUND: usize = 256;
 /// Rounds after the run's end, enough to drain the longest client queue (2048 events).
 const LAST_ROUNDS: usize = 8;
+/// How much later than its tick a trigger may be read. A round reads its states before the events, an event may
+/// arrive just after its round has read the events, and a full queue of events takes [`LAST_ROUNDS`] rounds.
+pub(super) const LATE_TICKS: u64 = ((LAST_ROUNDS + 2) * TICKS_PER_ROUND) as u64;
 /// Time limit for an orphaned physics, whose launcher was killed, to end.
 const ORPHANED_LIMIT: Duration = Duration::from_secs(5);
 /// Time without a state after which the timing lane is flushed to its file.
@@ -121,6 +125,9 @@ impl Recorder {
         let came = self.take_ticks()?;
         self.take_frames()?;
         self.take_timing()?;
+        if let Some(flight) = &mut self.flight {
+            flight.end_due(&mut self.lanes, self.gaps.lost())?;
+        }
         Ok(came)
     }
 
@@ -138,7 +145,7 @@ impl Recorder {
                     let event = TriggerEvent { tick: Tick(tick), cause, after_ticks: None };
                     flight.trigger(event, &mut self.ports.events_sent)?;
                 }
-                flight.tend(&mut self.lanes, self.gaps.lost())?;
+                flight.begin(&mut self.lanes, self.gaps.lost())?;
             }
             drop(state);
             let missing = self.newest_tick + 1..tick;
@@ -220,7 +227,9 @@ impl Recorder {
             self.gaps.see(Topic::Event, message.message().sender, message.message().sequence);
             timing.message(Topic::Event, tick, message.bytes())?;
             let cause = flight.as_ref().and_then(|flight| flight.triggers.event(message.message()));
-            met.extend(cause.map(|cause| TriggerEvent::of(Tick(message.message().tick).min(tick), cause)));
+            // Its sender may be ahead of the states read, but not further than they can be queued.
+            let of_tick = Tick(message.message().tick).min(tick.saturating_add(RECORDER_QUEUE_TICKS));
+            met.extend(cause.map(|cause| TriggerEvent::of(of_tick, cause)));
         }
         copy_all(&ports.controls, |message| {
             if let (Some(flight), Ok(request)) = (&mut flight, RunControl::read_from_bytes(message)) {

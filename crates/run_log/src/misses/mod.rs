@@ -22,7 +22,7 @@
 //! thread's processor time. Other kernels charge stolen time to the thread; there, whatever the counter shows
 //! beyond its step of 10 ms is subtracted from the computation.
 
-use messages::{RunStatus, TickTiming};
+use messages::{RunStatus, Tick, TickTiming};
 use zerocopy::FromBytes;
 
 use crate::topics::Topic;
@@ -47,8 +47,11 @@ pub struct Misses {
     pub ticks: u64,
     /// Misses with recorded readings, hence with a cause.
     pub recorded: u64,
-    /// Misses counted by the physics itself, from its status.
+    /// Misses counted by the physics itself, from its status, since the log began.
     counted: u64,
+    /// The physics' count before the log began; unknown until the first status of a log that begins late.
+    counted_before: u64,
+    is_before_unknown: bool,
     /// Misses by their main cause, in the order of [`Cause::ALL`].
     pub by_cause: [u64; CAUSES],
     /// Lost time over all misses.
@@ -66,6 +69,11 @@ pub struct Misses {
 }
 
 impl Misses {
+    /// Returns no misses of a log that begins at this tick; the physics' count includes those before it.
+    pub fn from_tick(first: Tick) -> Misses {
+        Misses { is_before_unknown: first > Tick::START, ..Misses::default() }
+    }
+
     /// Adds a tick; returns its lost time if it missed its deadline.
     pub fn add(&mut self, timing: &TickTiming) -> Option<LostTime> {
         self.ticks += 1;
@@ -124,7 +132,10 @@ impl Misses {
 
     /// Adds the physics' own count, which also covers misses inside a gap of the log.
     pub fn add_status(&mut self, status: &RunStatus) {
-        self.counted = self.counted.max(status.missed_ticks);
+        if std::mem::take(&mut self.is_before_unknown) {
+            self.counted_before = status.missed_ticks.saturating_sub(self.recorded);
+        }
+        self.counted = self.counted.max(status.missed_ticks.saturating_sub(self.counted_before));
     }
 
     /// Ticks that began more than a period late, including those without readings.
@@ -301,6 +312,20 @@ mod tests {
         assert_eq!((misses.missed(), misses.not_recorded()), (436, 81));
         let said = misses.describe();
         assert!(said.contains("436 missed") && said.contains("355 run queue, 81 not recorded"), "{said}");
+    }
+
+    /// Regression: the misses before a log that begins late were called "not recorded".
+    #[test]
+    fn misses_before_a_late_log_are_not_its_own() {
+        let queued = TickTiming { run_queue_wait_ns: 3 * MS, ..missed(3, -1) };
+        let mut misses = Misses::from_tick(Tick(100));
+        let status = |missed_ticks| RunStatus { missed_ticks, ..RunStatus::zeroed() };
+        misses.add(&queued);
+        misses.add_status(&status(101));
+        assert_eq!((misses.missed(), misses.not_recorded()), (1, 0));
+        misses.add(&queued);
+        misses.add_status(&status(105));
+        assert_eq!((misses.missed(), misses.not_recorded()), (5, 3));
     }
 
     #[test]
