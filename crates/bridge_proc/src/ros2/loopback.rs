@@ -80,9 +80,9 @@ impl Loopback {
     }
 }
 
-/// Returns a classic BPF program (socket(7), `SO_ATTACH_FILTER`) that accepts IPv4 datagrams whose source is one
-/// of these. Of loopback only 127.0.0.1 is safe: with `route_localnet` the kernel lets datagrams with another
-/// source of 127/8 in from outside.
+/// Returns a classic BPF program (socket(7), `SO_ATTACH_FILTER`) that accepts IPv4 datagrams whose source
+/// is one of these. Of loopback only 127.0.0.1 is safe: with `route_localnet` the kernel lets datagrams
+/// with another source of 127/8 in from outside.
 fn filter(sources: &[Ipv4Addr]) -> Vec<SockFilter> {
     // BPF_LD | BPF_ABS with BPF_W and BPF_B, BPF_ALU | BPF_RSH, BPF_JMP | BPF_JEQ, BPF_RET, all with BPF_K:
     // linux/bpf_common.h.

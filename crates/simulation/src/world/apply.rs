@@ -52,8 +52,8 @@ impl Simulation<'_> {
         }
     }
 
-    /// Ends what a controller that is late or gone set in motion and its safe command cannot name: the rates of
-    /// tendons and the wrench on a body. Tendons and a driven body stay where they are.
+    /// Ends what a controller that is late or gone set in motion and its safe command cannot name: the
+    /// rates of tendons and the wrench on a body. Tendons and a driven body stay where they are.
     fn end_motion(&mut self, controller: ControllerIndex) {
         if self.tendon_driver.controller == controller {
             self.tendon.end_rates();
