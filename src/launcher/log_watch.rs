@@ -9,8 +9,8 @@ use std::time::{Duration, Instant};
 /// Interval between checks.
 const CHECK_PERIOD: Duration = Duration::from_millis(250);
 
-/// Watches `run.mcap`, or the run's folder if a flight recorder replaces the logs in it; otherwise the recorder
-/// would silently keep writing to an unlinked file.
+/// Watches `run.mcap`, or the run's folder if a flight recorder replaces the logs in it; otherwise the
+/// recorder would silently keep writing to an unlinked file.
 #[derive(Debug)]
 pub(super) struct LogWatch {
     log: PathBuf,

@@ -96,8 +96,8 @@ fn late_log() -> Vec<u8> {
     log.end(0, EndReason::Completed).unwrap().1
 }
 
-/// Regression: keyframes and frames were compared in order, so that those of a late log differed from the first
-/// ones of its run.
+/// Regression: keyframes and frames were compared in order, so that those of a late log differed from the
+/// first ones of its run.
 #[test]
 fn a_late_log_is_compared_with_its_part_of_the_run() {
     let mut log = RunLog::create(Vec::new(), &header()).unwrap();
