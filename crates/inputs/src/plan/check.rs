@@ -31,8 +31,8 @@ pub struct ModelErrorCheck {
 /// Re-runs a log up to tick `to` and compares the tip at about `samples` ticks.
 ///
 /// # Errors
-/// Bad input (2): a log that this build cannot replay, or without ticks, or that begins later than its run. The
-/// reference refuses the scene (1).
+/// Bad input (2): a log that this build cannot replay, or without ticks, or that begins later than its run.
+/// The reference refuses the scene (1).
 pub fn check(
     log: &Path,
     overrides: &Overrides,
