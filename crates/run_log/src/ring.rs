@@ -2,9 +2,9 @@
 //!
 //! A new log begins at the first keyframe a *period* after the last one, and every message goes to all open
 //! logs. So the older one always reaches back at least a period. Once it is no longer needed for that, not
-//! even by a trigger that is read late, it is dropped, unless a trigger has chosen it: then it continues until
-//! the ticks after the trigger are recorded. Open logs are thus bounded in number and length, and each saved
-//! log is a single file.
+//! even by a trigger that is read late, it is dropped, unless a trigger has chosen it: then it continues
+//! until the ticks after the trigger are recorded. Open logs are thus bounded in number and length, and each
+//! saved log is a single file.
 
 use std::fmt;
 

@@ -36,7 +36,8 @@ const CLIENT_MESSAGES_PER_ROUND: usize = 256;
 /// Rounds after the run's end, enough to drain the longest client queue (2048 events).
 const LAST_ROUNDS: usize = 8;
 /// How much later than its tick a trigger may be read. A round reads its states before the events, an event
-/// may arrive just after its round has read the events, and a full queue of events takes [`LAST_ROUNDS`] rounds.
+/// may arrive just after its round has read the events, and a full queue of events takes [`LAST_ROUNDS`]
+/// rounds.
 pub(super) const LATE_TICKS: u64 = ((LAST_ROUNDS + 2) * TICKS_PER_ROUND) as u64;
 /// Time limit for an orphaned physics, whose launcher was killed, to end.
 const ORPHANED_LIMIT: Duration = Duration::from_secs(5);
