@@ -120,6 +120,17 @@ fn three_triggers_save_three_logs_that_replay_and_the_end_is_kept() {
         "{}",
         differs.out
     );
+    let late = output.join("saved-2");
+    let refusals: [(&[&dyn AsRef<std::ffi::OsStr>], &str); 4] = [
+        (&[&"plan", &"--check", &late], "only a log from the start of its run can be compared"),
+        (&[&"replay", &late, &"--controller", &"true"], "can be replayed with programs"),
+        (&[&"replay", &late, &"--to", &"5"], "--to is tick 5, but the log begins at tick"),
+        (&[&"replay", &late, &"--from", &"5"], "--from is tick 5, but the log begins at tick"),
+    ];
+    for (arguments, part) in refusals {
+        let done = trabecula(arguments);
+        assert!(done.code == Some(2) && done.err.contains(part), "{}{}", done.out, done.err);
+    }
     let refused = events(&output, EventCode::LogSaved);
     assert!(refused.iter().any(|(_, text)| text.contains("not saved: controller")), "{refused:?}");
     let logs = &ended.summary()["logs"];

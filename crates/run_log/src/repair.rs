@@ -136,7 +136,7 @@ impl RepairReport {
         self.after = verdict(repaired, options)?;
         if let Ok(mut reader) = LogReader::open_with(repaired, options) {
             let complete = reader.by_ref().take_while(Result::is_ok).count() as u64;
-            self.complete_tick = Some(Tick(complete));
+            self.complete_tick = Some(reader.header().first_tick.saturating_add(complete));
         }
         Ok(())
     }

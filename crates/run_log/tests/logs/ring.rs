@@ -117,6 +117,10 @@ fn a_late_log_is_compared_with_its_part_of_the_run() {
 fn a_late_log_that_lost_its_start_is_not_intact() {
     let bytes = late_log();
     assert_eq!(replayed(&bytes).0, 100);
+    let log = named("late.mcap", &bytes);
+    let mut repaired = repair::survey(Cursor::new(&bytes), Path::new("late.mcap")).unwrap();
+    repaired.judge(&log, &log).unwrap();
+    assert_eq!(repaired.complete_tick, Some(Tick(300)));
     let info = info(&named("late.mcap", &bytes), ReadOptions::default()).unwrap();
     let mut text = Vec::new();
     info.write(&mut text).unwrap();
