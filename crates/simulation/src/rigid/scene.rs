@@ -138,13 +138,6 @@ impl RigidScene {
         Ok(())
     }
 
-    /// Ends the commanded wrench on a free body.
-    pub fn end_wrench(&mut self, body: usize) {
-        if let Some(body) = self.bodies.get(body).filter(|body| body.kind == BodyMotion::Free) {
-            self.world.set_wrench(body.handle, &Wrench::zero());
-        }
-    }
-
     /// Plans the motion of driven bodies in the next step.
     fn plan_driven(&mut self) {
         for body in self.bodies.iter_mut().filter(|body| body.kind == BodyMotion::Driven) {
@@ -304,8 +297,8 @@ impl RigidScene {
 /// Returns the pose of a driven body after a step toward its goal, at [`FASTEST_DRIVEN`] if the goal is
 /// farther away, and its mean motion.
 fn toward(from: &Isometry3<f64>, goal: &Isometry3<f64>, dt_s: f64) -> (Isometry3<f64>, Motion) {
-    // Of the two quaternions of an orientation, the one nearer to the present: Rapier turns the long way
-    // round to the other.
+    // Rapier turns along the arc between the two quaternions: choose the sign of the goal that makes it the
+    // shorter one.
     let near = if from.rotation.coords.dot(&goal.rotation.coords) < 0.0 { -1.0 } else { 1.0 };
     let rotation = UnitQuaternion::new_unchecked(goal.rotation.into_inner() * near);
     let shift_m = goal.translation.vector - from.translation.vector;

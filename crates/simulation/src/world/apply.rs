@@ -55,12 +55,13 @@ impl Simulation<'_> {
     /// Ends what a controller that is late or gone set in motion and its safe command cannot name: the
     /// rates of tendons and the wrench on a body. Tendons and a driven body stay where they are.
     fn end_motion(&mut self, controller: ControllerIndex) {
-        if self.tendon_driver.controller == controller {
+        if self.tendon_controller == Some(controller) {
             self.tendon.end_rates();
         }
         let body = self.driven_bodies.get(controller.slot()).copied().flatten();
         if let (Some(rigid), Some(body)) = (&mut self.rigid, body) {
-            rigid.end_wrench(body);
+            // A driven body refuses it, and goes on to its goal.
+            let _ = rigid.drive(body, BodyDrive::Wrench(Wrench::zero()));
         }
     }
 

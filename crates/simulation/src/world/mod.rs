@@ -154,6 +154,8 @@ pub struct Simulation<'v> {
     rigid: Option<RigidScene>,
     /// The rigid body that each controller drives.
     driven_bodies: [Option<usize>; MAX_CONTROLLERS],
+    /// The controller that the scene has drive the tendons.
+    tendon_controller: Option<ControllerIndex>,
     planes: Vec<ContactPlane>,
     /// Where the last step pressed bone beyond its strength.
     indentations: Vec<Indentation>,

@@ -2,10 +2,10 @@
 
 use std::sync::Arc;
 
-use messages::State;
+use messages::{ControllerIndex, State};
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use scene::{
-    Body, BodyMotion as SceneMotion, ContactVoxels as SceneContactVoxels, Cutter, DrillingLaw,
+    Body, BodyMotion as SceneMotion, ContactVoxels as SceneContactVoxels, Cutter, DrillingLaw, Drives,
     Integrator as SceneIntegrator, ManipulatorRung, Removal as SceneRemoval, Scene, StartShape, Tool,
     ToolDriveShaft,
 };
@@ -81,6 +81,8 @@ pub(super) fn build<'v>(
         bone,
         rigid,
         driven_bodies: core::array::from_fn(|index| driven_body(scene, index)),
+        tendon_controller: ControllerIndex::first(scene.controller.len())
+            .find(|index| scene.controller[index.slot()].drives.contains(&Drives::Tendon)),
         planes: Vec::with_capacity(sphere_count * (PLANES_PER_SPHERE + scene.body.len())),
         tendon: TendonDrive::new(has_fixture),
         tube: scene.manipulator.outer_tube().map(TubeDrive::new),

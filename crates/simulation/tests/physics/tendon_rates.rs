@@ -3,8 +3,8 @@
 #![allow(clippy::unwrap_used, reason = "a helper that fails is a failed test")]
 
 use messages::{
-    Command, MAX_DISPLACEMENT_M, MAX_DISPLACEMENT_RATE_M_PER_S, MAX_TENDONS, SOURCE_FRESH, SOURCE_HELD,
-    SOURCE_SAFE, State, TendonMode,
+    Command, Latched, LatchedCommand, MAX_DISPLACEMENT_M, MAX_DISPLACEMENT_RATE_M_PER_S, MAX_TENDONS,
+    SOURCE_FRESH, SOURCE_HELD, SOURCE_SAFE, State, TendonMode,
 };
 use simulation::Simulation;
 use zerocopy::IntoBytes;
@@ -221,4 +221,30 @@ fn the_safe_command_ends_rates() {
         simulation.step(&latched(tick, SOURCE_SAFE, age, Command::zeroed())).unwrap();
     }
     assert_eq!(pulled_m(simulation.state()), before);
+}
+
+/// Regression: who had driven the tendons last was forgotten by a keyframe, after which the safe command
+/// ended no rates.
+#[test]
+fn the_safe_command_ends_rates_after_a_keyframe() {
+    // Before the controller of the tendons.
+    let other = "[[controller]]\nname = \"other\"\ndrives = [\"c_arm\"]\nexternal = true\n";
+    let text = format!("{SCENE}{other}");
+    let latched = |tick, source, command| {
+        let mut latched = Latched { tick, controller_count: 2, ..Latched::zeroed() };
+        latched.commands[1] = LatchedCommand { source, controller_index: 1, age_ticks: 0, command };
+        latched
+    };
+    let (mut whole, mut other) = (simulation(&text), simulation(&text));
+    whole.step(&latched(0, SOURCE_FRESH, rates([1e-3, 0.0]))).unwrap();
+    let mut bytes = vec![0; 1 << 20];
+    let length = whole.write_keyframe(&mut bytes).unwrap();
+    other.restore_keyframe(&bytes[..length]).unwrap();
+    for tick in 1..20 {
+        for simulation in [&mut whole, &mut other] {
+            simulation.step(&latched(tick, SOURCE_SAFE, Command::zeroed())).unwrap();
+        }
+        assert_eq!(other.state().hash, whole.state().hash, "tick {tick}");
+    }
+    assert_eq!(pulled_m(whole.state())[0], 1e-6);
 }
