@@ -462,7 +462,8 @@ macro_rules! fields {
 
 fields! {
     Command {
-        tendon_mode: TendonMode, arm_mode: ArmMode, burr_mode: BurrMode, tube_mode: TubeMode, body_mode: BodyMode
+        tendon_mode: TendonMode, arm_mode: ArmMode, burr_mode: BurrMode, tube_mode: TubeMode,
+        body_mode: BodyMode
     }
     LatchedCommand { source: CommandSource }
     AppliedCommand { source: CommandSource }

@@ -164,7 +164,7 @@ impl Ring {
 
     /// Returns what becomes of each open log at the end of the run. The log of the end is one that reaches
     /// back a period, if there is one, and preferably one that is not saved.
-    pub fn end(self, tick: Tick) -> Vec<Fate> {
+    pub fn end(&mut self, tick: Tick) -> Vec<Fate> {
         let covering = self.open.iter().rposition(|log| self.covers(log, tick));
         let last = self.unsaved_since_a_period(tick).or(covering).unwrap_or(0);
         let fate = |(place, log): (usize, OpenLog)| match log.save {
@@ -172,7 +172,7 @@ impl Ring {
             Some(save) => Fate::Saved(save),
             None => Fate::Dropped,
         };
-        self.open.into_iter().enumerate().map(fate).collect()
+        std::mem::take(&mut self.open).into_iter().enumerate().map(fate).collect()
     }
 
     /// Returns the earliest tick whose trigger may still be read.

@@ -144,14 +144,18 @@ impl Sim {
     }
 }
 
-/// Fields of a state that follow from the state vector; a tick computes the others, poses of bodies too.
-const OF_THE_STATE: [&str; 8] = [
+/// Fields of a state that follow from the state vector; a tick computes the others.
+const OF_THE_STATE: [&str; 12] = [
     "joint_",
     "bend_rad",
     "stop_excess_rad",
     "drive_shaft_wind_up_rad",
     "tube_",
-    "t_world_",
+    "t_world_base",
+    "t_world_tip",
+    "t_world_burr",
+    "t_world_link",
+    "t_world_flange",
     "arm_joint_",
     "arm_manipulability",
 ];
@@ -341,9 +345,8 @@ impl OneTick<'_> {
         self.plant.step(latched)?;
         let (next, after) = (self.plant.state_vector(), self.plant.state());
         let output = self.outputs.iter().map(|column| {
-            let of_state = !self.all_after
-                && !column.name.starts_with("t_world_body")
-                && OF_THE_STATE.iter().any(|prefix| column.name.starts_with(prefix));
+            let of_state =
+                !self.all_after && OF_THE_STATE.iter().any(|prefix| column.name.starts_with(prefix));
             let state = if of_state { before.as_bytes() } else { after.as_bytes() };
             column.value(state).map_or(0.0, run_log::fields::Scalar::nearest_f64)
         });

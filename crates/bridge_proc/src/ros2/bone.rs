@@ -150,7 +150,7 @@ impl Work {
         loop {
             if let Some(loss) = removals.poll()? {
                 let why = match loss {
-                    RemovalLoss::NotRecorded => "the run is not recorded",
+                    RemovalLoss::NotRecorded => "the start of the run is not recorded",
                     RemovalLoss::MissingFromLog => "the log lacks them",
                 };
                 let line = format!("/removed_voxels/points: removals from before now are unknown: {why}");

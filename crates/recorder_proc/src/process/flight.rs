@@ -273,8 +273,7 @@ impl Flight {
         let last = lanes.run.last_state().map(|state| Tick(state.tick));
         // An interrupted run without a state leaves nothing to replay.
         let is_kept = last.is_some() || *reason != EndReason::Interrupted;
-        let ring = std::mem::replace(&mut self.ring, Ring::new(1, 0, 0));
-        let fates = ring.end(last.unwrap_or(Tick::START));
+        let fates = self.ring.end(last.unwrap_or(Tick::START));
         for (place, fate) in fates.into_iter().enumerate().rev() {
             match fate {
                 Fate::Last if is_kept => {
