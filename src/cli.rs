@@ -145,7 +145,7 @@ mod tests {
     use test_support::grammar;
 
     /// Commands without `--json`: they print text for another program, or write only images, pages or files.
-    const WITHOUT_FIGURES: [&str; 22] = [
+    const WITHOUT_FIGURES: [&str; 23] = [
         "bridge igtl",
         "bridge ros2",
         "docs completions",
@@ -164,6 +164,7 @@ mod tests {
         "session env",
         "session pause",
         "session resume",
+        "session save",
         "session stop",
         "sweep list",
         "sweep plot",
