@@ -38,6 +38,9 @@ enum UserCommand {
     /// Connect a running session to other software.
     #[command(subcommand)]
     Bridge(commands::bridge::BridgeCommand),
+    /// Drive a running session with a gamepad, a six-axis mouse or pedals.
+    #[command(subcommand)]
+    Device(commands::device::DeviceCommand),
     /// Write scenes as Functional Mock-up Units (FMI).
     #[command(subcommand)]
     Fmu(commands::fmu::FmuCommand),
@@ -118,6 +121,7 @@ fn dispatch(command: &UserCommand) -> Result<(), Failure> {
         UserCommand::Replay(arguments) => commands::replay::run(arguments),
         UserCommand::View(arguments) => commands::view::run(arguments),
         UserCommand::Bridge(command) => commands::bridge::run(command),
+        UserCommand::Device(command) => commands::device::run(command),
         UserCommand::Fmu(command) => commands::fmu::run(command),
         UserCommand::Plot(arguments) => commands::plot::run(arguments),
         UserCommand::Log(command) => commands::log::run(command),
@@ -145,9 +149,10 @@ mod tests {
     use test_support::grammar;
 
     /// Commands without `--json`: they print text for another program, or write only images, pages or files.
-    const WITHOUT_FIGURES: [&str; 23] = [
+    const WITHOUT_FIGURES: [&str; 24] = [
         "bridge igtl",
         "bridge ros2",
+        "device mapping",
         "docs completions",
         "docs install",
         "docs man",

@@ -3,6 +3,7 @@
 pub mod bridge;
 pub(crate) mod cache;
 pub(crate) mod calibrate;
+pub(crate) mod device;
 pub(crate) mod docs;
 pub(crate) mod doctor;
 pub(crate) mod drr;

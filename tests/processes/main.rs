@@ -16,6 +16,7 @@ mod common;
 mod crash;
 mod datasets;
 mod described_files;
+mod device;
 #[allow(dead_code, reason = "the tests of volumes need more of it")]
 #[path = "../../crates/volume_io/tests/common/dicom_bytes.rs"]
 mod dicom_bytes;

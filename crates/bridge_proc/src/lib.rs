@@ -1,4 +1,5 @@
-//! Bridges from a running session to other software, in the operating room and in robotics.
+//! Bridges from a running session to other software, in the operating room and in robotics, and to input
+//! devices.
 //!
 //! A bridge joins a session like any client, as an observer or, if it is given a controller's name, as that
 //! controller; its commands are then latched, recorded and replayed like any others. It never blocks the
@@ -20,17 +21,24 @@
 //! |---|---|
 //! | [`igtl`] | OpenIGTLink: 3D Slicer, PLUS, trackers |
 //! | [`ros2`] | ROS 2 over DDS, with CRTK's topics |
+//! | [`device`] | gamepads, six-axis mice and pedals as controllers |
 //! | [`ras`] | conversion between Slicer's frame (RAS, millimetres) and ours |
 
+pub mod device;
 pub mod igtl;
 pub mod ras;
 pub mod ros2;
 
 use ipc_types::scene::Controller;
-use trabecula_client::Client;
+use trabecula_client::{Client, ClientError};
 
 /// Returns the scene's entry of the controller that a client is, or `None` for an observer.
 fn own_controller(client: &Client) -> Option<&Controller> {
     let (name, _) = client.info().controller.as_ref()?;
     client.scene().controller.iter().find(|controller| controller.name == *name)
+}
+
+/// Returns whether the user's input is at fault: no session, or an unknown or connected controller.
+fn is_bad_input(error: &ClientError) -> bool {
+    matches!(error, ClientError::NoSession { .. } | ClientError::Joining { .. } | ClientError::Session(_))
 }

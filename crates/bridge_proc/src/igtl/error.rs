@@ -5,6 +5,8 @@ use std::net::SocketAddr;
 use thiserror::Error;
 use trabecula_client::ClientError;
 
+use crate::is_bad_input;
+
 /// Why the bridge cannot start or continue.
 #[derive(Debug, Error)]
 pub enum IgtlError {
@@ -26,10 +28,7 @@ impl IgtlError {
     pub fn is_bad_input(&self) -> bool {
         match self {
             IgtlError::Listen { .. } => true,
-            IgtlError::Client(error) => matches!(
-                error,
-                ClientError::NoSession { .. } | ClientError::Joining { .. } | ClientError::Session(_)
-            ),
+            IgtlError::Client(error) => is_bad_input(error),
         }
     }
 }

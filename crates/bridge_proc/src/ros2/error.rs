@@ -3,6 +3,8 @@
 use thiserror::Error;
 use trabecula_client::ClientError;
 
+use crate::is_bad_input;
+
 /// Why the bridge cannot start or continue.
 #[derive(Debug, Error)]
 pub enum Ros2Error {
@@ -37,10 +39,7 @@ impl Ros2Error {
     /// Returns whether the user's input is at fault: no session, an unknown controller.
     pub fn is_bad_input(&self) -> bool {
         match self {
-            Ros2Error::Client(error) => matches!(
-                error,
-                ClientError::NoSession { .. } | ClientError::Joining { .. } | ClientError::Session(_)
-            ),
+            Ros2Error::Client(error) => is_bad_input(error),
             Ros2Error::RealTime(_) | Ros2Error::NothingToDrive(_) => true,
             Ros2Error::Dds { .. } | Ros2Error::Thread(_) | Ros2Error::Description(_) => false,
         }
