@@ -167,7 +167,7 @@ impl DeviceMotion {
             let passed_s = if passed_s <= RATE_HOLDS_S { passed_s.max(0.0) } else { 0.0 };
             self.move_goal(state, &(flange * t_flange_base), &rates, passed_s);
         }
-        // A lost goal has stopped everything.
+        // A lost goal has just stopped everything.
         let rates = if self.engaged { rates } else { Rates::default() };
         self.put(&rates, state.tendon_count as usize, command);
     }
@@ -205,11 +205,9 @@ impl DeviceMotion {
         }
     }
 
+    /// Returns the rates that the inputs ask for, whether the clutch is held or not.
     fn rates(&self, now_s: f64) -> Rates {
         let mut rates = Rates::default();
-        if !self.engaged {
-            return rates;
-        }
         for (slot, drive) in self.values.iter().zip(&self.mapping.drives) {
             let Some(value) = slot.value else { continue };
             // The kernel does not report that a relative axis is at rest.

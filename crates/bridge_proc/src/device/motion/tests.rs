@@ -20,6 +20,7 @@ map = [
   { input = \"ABS_RX\", output = \"rx\", rate = 10.0, range = [-100, 0, 100] },
   { input = \"REL_Z\", output = \"z\", rate = 20.0, range = [-100, 0, 100] },
   { input = \"ABS_RY\", output = \"tendon_0\", rate = 4.0, range = [-100, 0, 100] },
+  { input = \"ABS_RY\", output = \"tendon_0\", rate = 4.0, range = [-100, 0, 100] },
   { input = \"ABS_RY\", output = \"tendon_3\", rate = -4.0, range = [-100, 0, 100] },
   { input = \"BTN_1\", output = \"burr\", rate = 60000.0, toggle = true },
   { input = \"ABS_RZ\", output = \"burr\", rate = 60000.0, range = [0, 0, 100] },
@@ -126,7 +127,7 @@ fn nothing_moves_without_the_clutch_and_nothing_is_commanded_before_it() {
     bench.event(EV_KEY, BUTTON_0, 1);
     let command = bench.pass(10);
     assert_eq!(command.arm_mode(), Ok(ArmMode::ServoCp));
-    assert_eq!(command.tendon_velocity_m_per_s, [4e-3, 0.0, 0.0, 0.0], "the tool has two tendons");
+    assert_eq!(command.tendon_velocity_m_per_s, [5e-3, 0.0, 0.0, 0.0], "the sum, in range");
     assert!((command.burr_speed_rad_per_s - 2000.0 * PI).abs() < 1e-9);
     for stop in [BUTTON_0 + 2, BUTTON_0] {
         let pressed = i32::from(stop != BUTTON_0);
