@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-use ipc_types::messages::{ArmMode, SOURCE_SAFE, State};
+use ipc_types::messages::{ArmMode, BurrMode, SOURCE_SAFE, State};
 use nalgebra::Isometry3;
 use ros_interface::robot::isometry;
 use rustix::process::Signal;
@@ -222,7 +222,8 @@ fn a_device_that_vanishes_or_is_interrupted_stops_what_it_moved() {
     let ended = stopped(run, observer, ());
     // Two clients have stopped the burr themselves; physics replaced the killed one's last command.
     let log = read(&ended.folder);
-    let own = log.ticks.iter().map(|tick| &tick.latched.commands[0]).filter(|it| it.source != SOURCE_SAFE);
+    let latched = log.ticks.iter().map(|tick| &tick.latched.commands[0]);
+    let own = latched.filter(|it| it.source != SOURCE_SAFE && it.command.burr_mode() == Ok(BurrMode::Speed));
     let turns: Vec<bool> = own.map(|latched| latched.command.burr_speed_rad_per_s > 0.0).collect();
     assert_eq!(turns.windows(2).filter(|pair| pair[0] && !pair[1]).count(), 2);
     assert_eq!(turns.last(), Some(&true));
