@@ -13,11 +13,11 @@ from playwright.sync_api import Browser
 def opens_a_log(page: Page) -> None:
     page.until("the log is open", lambda: page.text("phase") in ("Playing", "Paused") and " of " in page.text("playback-time"))
     page.until("a state is shown", lambda: page.number("tick") >= 0)
+    page.until("the log's length is known", lambda: length(page) > 0)
 
 
 def scrubs(page: Page) -> None:
     """The time line follows the keys, and everything on the page follows the time line."""
-    page.until("the log's length is known", lambda: length(page) > 0)
     if page.text("play") == "Pause":
         page.page.click("#play")
     page.page.focus("#scrub")
