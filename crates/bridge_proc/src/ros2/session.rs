@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
 
-use ipc_types::messages::{ControlAction, MAX_ARM_JOINTS, Phase, Severity};
+use ipc_types::messages::{ControlAction, DrrRequest, DrrStatus, MAX_ARM_JOINTS, Phase, Severity};
 use ipc_types::scene::{Controller, Drives};
 use ros_interface::commander::{Commander, OperatingState};
 use ros_interface::image::{self, ImageForm};
@@ -30,7 +30,7 @@ const TURN: Duration = Duration::from_millis(5);
 const LOOK_PERIOD: Duration = Duration::from_millis(1);
 /// Interval between two polls while a state waits for its answer in lockstep.
 const ANSWER_LOOK_PERIOD: Duration = Duration::from_micros(50);
-/// How long the last clouds may wait for a subscriber that has no room for them.
+/// How long the last images and clouds may wait for a subscriber that has no room for them.
 const REST_LIMIT: Duration = Duration::from_secs(2);
 /// Timeout for a reply of run control.
 const CONTROL_LIMIT: Duration = Duration::from_secs(2);
@@ -218,13 +218,35 @@ impl Ros2Session {
         if is_new && let Ok(Some(jacobian)) = self.client.tip_jacobian() {
             node.publish(outgoing::of_tip_jacobian(robot, jacobian));
         }
-        let mut newest = Vec::new();
+        self.refuse_takes(node, notices);
+        self.publish_image(node);
+    }
+
+    /// Publishes an image: the next one that was requested, otherwise the newest; older ones are of no use to
+    /// a subscriber. Returns whether it was requested, so that more may wait: one at a time, as clouds.
+    fn publish_image(&mut self, node: &mut Node) -> bool {
+        let (mut next, mut is_requested) = (Vec::new(), false);
         let front_m = self.client.scene().manipulator.radii().cutter.front_radius_m();
-        // Older queued frames are of no use to a subscriber.
-        while let Ok(view) = self.client.wait_frame(0, Duration::ZERO) {
-            newest = image::of_frame(view.frame, view.pixels, self.form, front_m);
+        while !is_requested && let Ok(view) = self.client.wait_frame(0, Duration::ZERO) {
+            is_requested = view.frame.request_id != 0;
+            next = image::of_frame(view.frame, view.pixels, self.form, front_m);
         }
-        node.publish(newest);
+        node.publish(next);
+        is_requested
+    }
+
+    /// Reports which of the X-rays asked for will not come.
+    fn refuse_takes(&mut self, node: &mut Node, notices: &mut Notices<impl FnMut(&str)>) {
+        let Some(own) = self.client.info().controller.as_ref().map(|(_, index)| *index) else { return };
+        while let Ok(Some(reply)) = self.client.next_frame_reply() {
+            let why = match reply.status() {
+                _ if reply.requester != DrrRequest::requester_of(Some(own)) => continue,
+                Ok(DrrStatus::Accepted) => continue,
+                Ok(DrrStatus::Busy) => "too many X-rays are waiting",
+                _ => "the renderer cannot take it",
+            };
+            self.refuse(Input::CArmTake, why, node, notices);
+        }
     }
 
     /// Publishes removed voxels and the bone's surface, one message at a time: a burst of clouds would
@@ -250,12 +272,15 @@ impl Ros2Session {
         }
     }
 
-    /// Publishes the last clouds, once the run is over.
+    /// Publishes the last images and clouds, once the run is over.
     pub(crate) fn publish_rest(&mut self, node: &mut Node, notices: &mut Notices<impl FnMut(&str)>) {
+        let begun = Instant::now();
+        while begun.elapsed() < REST_LIMIT && self.publish_image(node) {
+            std::thread::sleep(TURN);
+        }
         let Some(mut bone) = self.bone.take() else { return };
         let mut unsent = self.unsent.take();
         let mut rest = bone.rest();
-        let begun = Instant::now();
         while begun.elapsed() < REST_LIMIT {
             if let Some(cloud) = unsent.take() {
                 unsent = (!node.offer(&cloud)).then_some(cloud);
@@ -379,8 +404,9 @@ impl Ros2Session {
             Request::State(StateCommand::Resume) => self.control(ControlAction::Resume),
             Request::State(StateCommand::Home) => Ok(()),
             Request::State(StateCommand::Reset) => {
-                self.commander.forget();
+                // In exact runs every part has a new command for each state, before or after the reset.
                 if self.exchange.is_none() {
+                    self.commander.forget();
                     // Replaces the last command, which the first tick after the reset would apply again.
                     let replaced = self.client.command().map(|_| ()).and_then(|()| self.client.send());
                     replaced.map_err(|error| error.to_string())?;
