@@ -33,13 +33,12 @@ mod tip_figure;
 mod tests;
 
 use std::collections::BTreeMap;
-use std::fs::DirEntry;
 use std::path::Path;
 
 use figures::FigureError;
 use inputs::failure::Failure;
 use ipc_types::messages::Tick;
-use recorder_proc::ring_files::{LANES, OPEN_PREFIX, SAVED_PREFIX};
+use recorder_proc::ring_files::{open_logs, saved_logs};
 use structures::Regions;
 
 pub use run_log::timeline;
@@ -141,15 +140,13 @@ pub fn write(folder: &Path, facts: &RunFacts) -> Result<Report, ReportError> {
         run.course.note_drilled(regions, &drilled);
     }
     timing.breaches.iter().for_each(|(tick, text)| run.course.add_breach(*tick, text));
-    let mut open = logs_in(folder, OPEN_PREFIX);
-    // The files of a log that has not begun are empty.
-    open.retain(|name| folder.join(name).join(LANES[0]).metadata().is_ok_and(|file| file.len() > 0));
+    let open = open_logs(folder);
     if !open.is_empty() {
         run.notes.push(format!("{} were not finished; replay them one by one", open.join(", ")));
     }
     let bytes = paths.map(|path| path.metadata().map_or(0, |metadata| metadata.len()));
     let frames = [("before", &run.frames.before), ("half", &run.frames.half), ("after", &run.frames.after)];
-    let mut saved = logs_in(folder, SAVED_PREFIX);
+    let mut saved = saved_logs(folder);
     // The run ended while this one was to be continued.
     let became_last = timing.announced.iter().filter(|name| !saved.contains(name));
     saved.extend(became_last.map(|name| format!("{name} as run.mcap")).collect::<Vec<_>>());
@@ -195,16 +192,6 @@ pub fn write(folder: &Path, facts: &RunFacts) -> Result<Report, ReportError> {
     let page = page.map_err(FigureError::content(&path, "filled in"));
     missing.extend(page.and_then(|page| Ok(output_file::write(&path, page)?)).err());
     Ok(Report { summary, missing })
-}
-
-/// Returns the names of the folders with logs of this kind, in order.
-fn logs_in(folder: &Path, prefix: &str) -> Vec<String> {
-    let number = |entry: std::io::Result<DirEntry>| {
-        entry.ok()?.file_name().to_str()?.strip_prefix(prefix)?.parse::<u64>().ok()
-    };
-    let mut numbers: Vec<u64> = folder.read_dir().into_iter().flatten().filter_map(number).collect();
-    numbers.sort_unstable();
-    numbers.into_iter().map(|number| format!("{prefix}{number}")).collect()
 }
 
 fn write_json(path: &Path, summary: &Summary) -> Result<(), FigureError> {

@@ -78,6 +78,8 @@ fn three_triggers_save_three_logs_that_replay_and_the_end_is_kept() {
         }
         if tick == REQUEST {
             answer = succeed(&[&"session", &"save", &session, &"--after", &"0.4"]).out;
+            let early = trabecula(&[&"log", &"info", &output]);
+            assert!(early.code == Some(2) && early.err.contains("last seconds in ring-"), "{}", early.err);
         }
         if tick % 100 == 0 {
             let open = folders(&output, "ring-");

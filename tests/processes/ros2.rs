@@ -86,6 +86,13 @@ impl Bridge {
         Bridge { process, said }
     }
 
+    /// Returns the rest of its output, once its session is over.
+    fn last(&mut self) -> String {
+        let mut text = String::new();
+        self.process.0.stdout.take().unwrap().read_to_string(&mut text).unwrap();
+        text
+    }
+
     /// Returns its exit code, once its session is over.
     fn end(mut self) -> Option<i32> {
         wait_for("the bridge's end", || self.process.0.try_wait().unwrap()).code()
@@ -114,7 +121,7 @@ fn a_crtk_program_that_knows_nothing_of_us_drills_the_default_scene_and_the_log_
     let place = Place::new();
     let run = place.start(&default_scene(LONG_S));
     let domain = Domain::new();
-    let bridge = Bridge::start(&run.session(), &domain.number, &["--controller", "ros"]);
+    let mut bridge = Bridge::start(&run.session(), &domain.number, &["--controller", "ros"]);
     assert!(bridge.said.contains("subscribed to 13 topics"), "{}", bridge.said);
     let client = Client::join(&run.session());
     // The program has the CT, as a surgeon does, and rebuilds the drilled one from what it receives.
@@ -126,9 +133,14 @@ fn a_crtk_program_that_knows_nothing_of_us_drills_the_default_scene_and_the_log_
     drilling.args(["0.028", "0.003", "8"]).arg(&raw).arg(&rebuilt);
     let seen: Value = serde_json::from_str(&output_within_limit(&mut drilling)).unwrap();
     let ended = client.stop(run);
+    let last = bridge.last();
     assert_eq!(bridge.end(), Some(0));
     assert_nothing_left(ended.pid);
 
+    // Of twenty X-rays asked for, those not shown were rejected; the scene's own show another place.
+    let (before, _) = last.split_once(" of them rejected").unwrap();
+    let rejected: usize = before.rsplit(' ').next().unwrap().parse().unwrap();
+    assert_eq!(seen["places_px"].as_array().unwrap().len() - 1 + rejected, 20, "{last} {seen}");
     let names = seen["nodes"].as_array().unwrap();
     assert!(names.contains(&"trabecula_bridge".into()), "{seen}");
     assert_eq!(seen["joints"][0], "shoulder_pan_joint");
@@ -364,14 +376,22 @@ fn exact_run(python: &Path, delay_ms: u32, manner: &str) -> ([u64; 2], Value, St
     peer.args([&delay_ms.to_string(), &STATES.to_string(), manner]);
     let seen: Value = serde_json::from_str(&output_within_limit(&mut peer)).unwrap();
     let ended = run.end_well();
-    let mut last = String::new();
-    bridge.process.0.stdout.take().unwrap().read_to_string(&mut last).unwrap();
+    let last = bridge.last();
     assert_eq!(bridge.end(), Some(0));
     let ticks = read(&ended.folder).ticks;
     assert_eq!(ticks.len() as u64, STATES);
     assert_replays(&ended.folder);
     assert_jacobians(&ended.folder, STATES - 1, &seen);
     (ticks.last().unwrap().state.hash, seen, last)
+}
+
+/// Where a `reset` arrives among the commands for one state makes no difference.
+#[test]
+fn a_reset_among_the_commands_of_a_lockstep_tick_loses_none_of_them() {
+    let Some(python) = python() else { return };
+    let [before, between] = ["before", "between"].map(|manner| exact_run(&python, 0, manner));
+    assert_eq!(before.0, between.0, "{} {}", before.1, between.1);
+    assert!(between.2.contains(" 0 of them rejected"), "{}", between.2);
 }
 
 /// A controller anywhere on a network drives exact runs: delay, order, repetitions and losses of messages

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 use ipc_types::messages::layout::Message;
 use ipc_types::messages::services;
 use ipc_types::messages::{
-    CArmGeometry, DrrRequest, DrrStatus, Frame, GeometryChoice, ImagePrefix, Pose, Volume,
+    CArmGeometry, DrrReply, DrrRequest, DrrStatus, Frame, GeometryChoice, ImagePrefix, Pose, Volume,
 };
 use ipc_types::ports::{ReceivedMessage, Subscriber};
 use ipc_types::scene::Drr;
@@ -129,16 +129,30 @@ impl Client {
         Ok(())
     }
 
+    /// Takes the next reply to a request for a frame, of any program; replies are queued from this client's
+    /// first request on. [`Client::wait_frame`] for a request skips those that came before.
+    ///
+    /// # Errors
+    /// A transport error.
+    pub fn next_frame_reply(&mut self) -> Result<Option<DrrReply>, ClientError> {
+        self.check_process()?;
+        let Some(requests) = &self.requests else { return Ok(None) };
+        Ok(requests.replies.receive()?.map(|reply| *reply.message()))
+    }
+
     fn check_replies(&mut self, request_id: u64) -> Result<(), ClientError> {
-        let Some(requests) = &mut self.requests else { return Ok(()) };
+        if request_id == 0 {
+            return Ok(());
+        }
         let mut refused = None;
-        while let Some(reply) = requests.replies.receive()? {
-            let reply = reply.message();
-            if reply.request_id != request_id || request_id == 0 {
+        while let Some(reply) = self.next_frame_reply()? {
+            if reply.request_id != request_id {
                 continue;
             }
             match reply.status() {
-                Ok(DrrStatus::Accepted) => requests.accepted = request_id,
+                Ok(DrrStatus::Accepted) => {
+                    self.requests.iter_mut().for_each(|requests| requests.accepted = request_id);
+                }
                 Ok(DrrStatus::Busy) => refused = Some("rejected: too many requests are waiting"),
                 _ => refused = Some("refused"),
             }

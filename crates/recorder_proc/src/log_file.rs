@@ -2,13 +2,15 @@
 
 use std::ffi::OsStr;
 use std::fs::{DirEntry, File};
-use std::io::{self, BufWriter};
+use std::io::{self, BufWriter, ErrorKind};
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 
 use run_log::{IndexStore, LogError, LogHeader, LogSource, ReadSeek, RunLog, TimingLog};
 use rustix::fs::OFlags;
 use tempfile::spooled_tempfile_in;
+
+use crate::ring_files::open_logs;
 
 /// Bytes of chunk indexes kept in memory before they spill to disk: about a minute's worth.
 const INDEX_BYTES: usize = 256 << 10;
@@ -36,12 +38,28 @@ impl LogSource for LogFile {
             let file = File::options().read(true).custom_flags(OFlags::NONBLOCK.bits() as i32).open(path)?;
             match file.metadata()?.is_file() {
                 true => Ok(file),
-                false => Err(io::Error::new(io::ErrorKind::InvalidInput, "not a regular file")),
+                false => Err(io::Error::new(ErrorKind::InvalidInput, "not a regular file")),
             }
         };
-        let file = open().map_err(|source| LogError::Open { path: path.clone(), source })?;
+        let file =
+            open().map_err(|cause| LogError::Open { path: path.clone(), source: absent(path, cause) })?;
         Ok(Box::new(file))
     }
+}
+
+/// Says where the logs of a flight recorder are, if a file is missing because of that.
+fn absent(path: &Path, cause: io::Error) -> io::Error {
+    let folder = path.ancestors().skip(1).find(|folder| folder.is_dir());
+    let open = folder.map(open_logs).unwrap_or_default();
+    if cause.kind() != ErrorKind::NotFound || open.is_empty() {
+        return cause;
+    }
+    let text = format!(
+        "{cause}; the flight recorder has the last seconds in {} and removes the oldest as the run continues: \
+         name one of them, or save one with `trabecula session save`",
+        open.join(", ")
+    );
+    io::Error::new(ErrorKind::NotFound, text)
 }
 
 /// Returns the log that a user names: a file, or a run's folder, which contains it as `run.mcap`.
@@ -104,6 +122,27 @@ mod tests {
     use std::time::{Duration, SystemTime};
 
     use super::*;
+    use crate::ring_files::{LANES, create};
+
+    #[test]
+    fn a_log_that_the_flight_recorder_has_yet_to_write_is_pointed_to() {
+        let run = tempfile::tempdir().unwrap();
+        let error = |name: &str| {
+            let path = log_path(&run.path().join(name));
+            LogFile::at(path).open().err().unwrap().to_string()
+        };
+        assert!(error("").ends_with("cannot open the log: No such file or directory (os error 2)"));
+        for number in [2, 10, 11] {
+            create(run.path(), number).unwrap().run.close().unwrap();
+        }
+        for name in ["ring-2", "ring-10"] {
+            fs::write(run.path().join(name).join(LANES[0]), "begun").unwrap();
+        }
+        // Of the run, and of an open log that has been removed.
+        for name in ["", "ring-1"] {
+            assert!(error(name).contains("the last seconds in ring-2, ring-10 and"), "{}", error(name));
+        }
+    }
 
     #[test]
     fn the_latest_run_is_the_one_whose_log_changed_last() {

@@ -3,8 +3,9 @@
 //!
 //! An open log is a folder `ring-N` with both lanes. When it is saved, it is renamed `saved-N`; the log of
 //! the end of the run moves to `run.mcap` and `timing.mcap`. So a log under its final name is complete.
+//! Names that other programs have taken meanwhile are skipped.
 
-use std::fs;
+use std::fs::{self, DirEntry};
 use std::io::{self, ErrorKind};
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, Sender, TryRecvError, channel};
@@ -37,7 +38,7 @@ pub struct LogFiles {
 /// What to do with the files of a log that is no longer written.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Disposal {
-    /// Name it `saved-N`.
+    /// Name it `saved-N`; if this is taken, by the first free number that the run does not announce.
     Save(u64),
     /// Move it into the run's folder.
     MoveUp,
@@ -59,11 +60,11 @@ pub struct RingFiles {
 }
 
 impl RingFiles {
-    /// Starts the thread for the logs of a run's folder.
+    /// Starts the thread for the logs of a run's folder, which announces at most `saved_at_most` of them.
     ///
     /// # Errors
     /// The system refuses the thread.
-    pub fn start(output: &Path) -> io::Result<RingFiles> {
+    pub fn start(output: &Path, saved_at_most: u64) -> io::Result<RingFiles> {
         let (jobs, wanted) = channel();
         let (give, created) = channel();
         let (fail, failures) = channel();
@@ -73,7 +74,7 @@ impl RingFiles {
                 match job {
                     Job::Create(number) => drop(give.send(create(&output, number))),
                     Job::Dispose(files, disposal) => {
-                        if let Err(error) = dispose(&output, files, disposal) {
+                        if let Err(error) = dispose(&output, files, disposal, saved_at_most) {
                             let _ = fail.send(error);
                         }
                     }
@@ -153,13 +154,34 @@ impl Drop for RingFiles {
     }
 }
 
-/// Creates the folder and the files of an open log.
+/// Returns the names of the saved logs in a run's folder, in order.
+pub fn saved_logs(run: &Path) -> Vec<String> {
+    logs_in(run, SAVED_PREFIX)
+}
+
+/// Returns the names of the open logs in a run's folder that have begun, in order.
+pub fn open_logs(run: &Path) -> Vec<String> {
+    let mut open = logs_in(run, OPEN_PREFIX);
+    // The files of a log that has not begun are empty.
+    open.retain(|name| run.join(name).join(LANES[0]).metadata().is_ok_and(|file| file.len() > 0));
+    open
+}
+
+fn logs_in(run: &Path, prefix: &str) -> Vec<String> {
+    let number = |entry: io::Result<DirEntry>| {
+        entry.ok()?.file_name().to_str()?.strip_prefix(prefix)?.parse::<u64>().ok()
+    };
+    let mut numbers: Vec<u64> = run.read_dir().into_iter().flatten().filter_map(number).collect();
+    numbers.sort_unstable();
+    numbers.into_iter().map(|number| format!("{prefix}{number}")).collect()
+}
+
+/// Creates the folder and the files of an open log, under the first free name from `number` on.
 ///
 /// # Errors
 /// [`LogError::Create`], [`LogError::Exists`].
 pub fn create(output: &Path, number: u64) -> Result<LogFiles, LogError> {
-    let folder = output.join(format!("{OPEN_PREFIX}{number}"));
-    fs::create_dir(&folder).map_err(|source| create_error(&folder, source))?;
+    let folder = first_free(output, OPEN_PREFIX, number.., |folder| fs::create_dir(folder))?;
     let open = |lane: &str, options| create_file(&folder.join(lane), options);
     let run = open(LANES[0], BackgroundOptions::RUN)?;
     let timing = open(LANES[1], BackgroundOptions::TIMING)?;
@@ -183,7 +205,7 @@ fn create_error(path: &Path, source: io::Error) -> LogError {
     }
 }
 
-fn dispose(output: &Path, files: LogFiles, disposal: Disposal) -> Result<(), LogError> {
+fn dispose(output: &Path, files: LogFiles, disposal: Disposal, saved_at_most: u64) -> Result<(), LogError> {
     if disposal == Disposal::Remove {
         return remove(files);
     }
@@ -192,9 +214,15 @@ fn dispose(output: &Path, files: LogFiles, disposal: Disposal) -> Result<(), Log
         file.close().map_err(write_error(&folder.join(lane)))?;
     }
     match disposal {
-        Disposal::Save(number) => name(&folder, &output.join(format!("{SAVED_PREFIX}{number}")))?,
+        Disposal::Save(number) => {
+            let numbers = std::iter::once(number).chain(saved_at_most + 1..);
+            first_free(output, SAVED_PREFIX, numbers, |saved| name(&folder, saved))?;
+        }
         _ => {
-            LANES.iter().try_for_each(|lane| name(&folder.join(lane), &output.join(lane)))?;
+            for lane in LANES {
+                let to = output.join(lane);
+                name(&folder.join(lane), &to).map_err(|source| create_error(&to, source))?;
+            }
             fs::remove_dir(&folder).map_err(write_error(&folder))?;
         }
     }
@@ -210,14 +238,32 @@ fn remove(files: LogFiles) -> Result<(), LogError> {
     fs::remove_dir(&files.folder).map_err(write_error(&files.folder))
 }
 
+/// Gives the first free name to what `create` creates under it; returns its path.
+fn first_free(
+    output: &Path,
+    prefix: &str,
+    numbers: impl Iterator<Item = u64>,
+    create: impl Fn(&Path) -> io::Result<()>,
+) -> Result<PathBuf, LogError> {
+    let mut path = PathBuf::new();
+    for number in numbers {
+        path = output.join(format!("{prefix}{number}"));
+        match create(&path) {
+            Err(source) if source.kind() == ErrorKind::AlreadyExists => {}
+            done => return done.map_err(|source| create_error(&path, source)).map(|()| path),
+        }
+    }
+    Err(LogError::Exists { path })
+}
+
 /// Renames, without replacing anything.
-fn name(from: &Path, to: &Path) -> Result<(), LogError> {
-    let renamed = match renameat_with(CWD, from, CWD, to, RenameFlags::NOREPLACE) {
+fn name(from: &Path, to: &Path) -> io::Result<()> {
+    match renameat_with(CWD, from, CWD, to, RenameFlags::NOREPLACE) {
         // File systems without this flag.
-        Err(Errno::INVAL | Errno::NOSYS) if !to.exists() => fs::rename(from, to),
-        other => other.map_err(io::Error::from),
-    };
-    renamed.map_err(|source| create_error(to, source))
+        Err(Errno::INVAL | Errno::NOSYS) if to.symlink_metadata().is_ok() => Err(Errno::EXIST.into()),
+        Err(Errno::INVAL | Errno::NOSYS) => fs::rename(from, to),
+        other => Ok(other?),
+    }
 }
 
 fn sync(folder: &Path) -> Result<(), LogError> {

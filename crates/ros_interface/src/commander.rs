@@ -181,7 +181,7 @@ impl Commander {
             Some(Arm::Hold) => command.arm_mode = ArmMode::Hold.code(),
             Some(Arm::Goes(motion) | Arm::Turns(motion, _)) => motion.put_in(command),
             Some(Arm::Follows(trajectory, start_rad, begun_s)) => {
-                let (joints_rad, _) = trajectory.at(start_rad, sim_time_s - begun_s);
+                let joints_rad = trajectory.at(start_rad, sim_time_s - begun_s);
                 Motion::ArmServoJp(joints_rad).put_in(command);
             }
         }

@@ -390,7 +390,7 @@ mod tests {
             ..JointTrajectory::default()
         };
         let Ok(Request::Follow(found)) = ask(Input::ArmTrajectory, &message) else { panic!() };
-        assert_eq!(found.at(&[0.0; 7], 0.5).0, [1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 0.0]);
+        assert_eq!(found.at(&[0.0; 7], 0.5), [1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 0.0]);
         message.points.swap(0, 1);
         assert_eq!(ask(Input::ArmTrajectory, &message), Err(RequestError::Times));
         message.points[0].positions.pop();

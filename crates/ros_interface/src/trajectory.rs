@@ -29,8 +29,8 @@ impl Trajectory {
     }
 
     /// Returns the joint angles at a time after the start, on straight lines in joint space from `start_rad`
-    /// through the points, and whether that is the end.
-    pub fn at(&self, start_rad: &[f64; MAX_ARM_JOINTS], time_s: f64) -> ([f64; MAX_ARM_JOINTS], bool) {
+    /// through the points.
+    pub fn at(&self, start_rad: &[f64; MAX_ARM_JOINTS], time_s: f64) -> [f64; MAX_ARM_JOINTS] {
         let mut from = Waypoint { time_s: 0.0, joints_rad: *start_rad };
         for to in &self.points {
             if time_s < to.time_s {
@@ -38,11 +38,11 @@ impl Trajectory {
                 let between = |joint: usize| {
                     from.joints_rad[joint] + share * (to.joints_rad[joint] - from.joints_rad[joint])
                 };
-                return (core::array::from_fn(between), false);
+                return core::array::from_fn(between);
             }
             from = *to;
         }
-        (from.joints_rad, true)
+        from.joints_rad
     }
 }
 
@@ -58,16 +58,9 @@ mod tests {
     fn points_are_passed_at_their_times_on_straight_lines_and_the_last_one_is_held() {
         let trajectory = Trajectory::new(vec![point(1.0, 0.5), point(3.0, -0.5)]).unwrap();
         let start_rad = [0.1; MAX_ARM_JOINTS];
-        for (time_s, expected, is_end) in [
-            (0.0, 0.1, false),
-            (0.5, 0.3, false),
-            (1.0, 0.5, false),
-            (2.0, 0.0, false),
-            (3.0, -0.5, true),
-            (9.0, -0.5, true),
-        ] {
-            let (joints, end) = trajectory.at(&start_rad, time_s);
-            assert!((joints[6] - expected).abs() < 1e-15 && end == is_end, "{time_s}: {joints:?}");
+        for (time_s, expected) in [(0.0, 0.1), (0.5, 0.3), (1.0, 0.5), (2.0, 0.0), (3.0, -0.5), (9.0, -0.5)] {
+            let joints = trajectory.at(&start_rad, time_s);
+            assert!((joints[6] - expected).abs() < 1e-15, "{time_s}: {joints:?}");
         }
     }
 
@@ -82,6 +75,6 @@ mod tests {
             assert_eq!(Trajectory::new(points), None);
         }
         let from_start = Trajectory::new(vec![point(0.0, 0.2), point(1.0, 0.4)]).unwrap();
-        assert!((from_start.at(&[9.0; MAX_ARM_JOINTS], 0.5).0[0] - 0.3).abs() < 1e-15);
+        assert!((from_start.at(&[9.0; MAX_ARM_JOINTS], 0.5)[0] - 0.3).abs() < 1e-15);
     }
 }

@@ -235,14 +235,8 @@ fn compare_frames(
     let (mut a, mut b) = (frames(first, options)?, frames(second, options)?);
     let mut start = SharedStart::of(a.header(), b.header());
     while out.frames.is_none() {
-        let (mut x, mut y) = (next_frame(&mut a)?, next_frame(&mut b)?);
-        let tick = |frame: &Option<FrameRecord>| frame.as_ref().map(|frame| Tick(frame.frame.tick));
-        while let Some(behind) = start.behind(tick(&x), tick(&y)) {
-            match behind {
-                Side::First => x = next_frame(&mut a)?,
-                Side::Second => y = next_frame(&mut b)?,
-            }
-        }
+        let of = |frame: &FrameRecord| Tick(frame.frame.tick);
+        let (x, y) = start.next_pair(of, || next_frame(&mut a), || next_frame(&mut b))?;
         match (x, y) {
             (Some(x), Some(y)) => {
                 out.frames = compare_frame(&x, &y);
@@ -265,30 +259,33 @@ struct SharedStart {
     is_found: bool,
 }
 
-enum Side {
-    First,
-    Second,
-}
-
 impl SharedStart {
     fn of(a: &LogHeader, b: &LogHeader) -> SharedStart {
         SharedStart { first_tick: a.first_tick.max(b.first_tick), is_found: a.first_tick == b.first_tick }
     }
 
-    /// Returns the log whose message precedes the shared part, given the ticks of the next messages.
-    fn behind(&mut self, x: Option<Tick>, y: Option<Tick>) -> Option<Side> {
-        let precedes = |tick: Option<Tick>, other: Option<Tick>| {
-            tick.is_some_and(|tick| tick < self.first_tick || other.is_some_and(|other| tick < other))
+    /// Returns the next item of each log, given their ticks; skips those before the shared part.
+    fn next_pair<T>(
+        &mut self,
+        tick: impl Fn(&T) -> Tick,
+        mut a: impl FnMut() -> Result<Option<T>, LogError>,
+        mut b: impl FnMut() -> Result<Option<T>, LogError>,
+    ) -> Result<(Option<T>, Option<T>), LogError> {
+        let precedes = |x: &Option<T>, y: &Option<T>| {
+            let (x, y) = (x.as_ref().map(&tick), y.as_ref().map(&tick));
+            x.is_some_and(|x| x < self.first_tick || y.is_some_and(|y| x < y))
         };
-        let behind = if self.is_found {
-            None
-        } else if precedes(x, y) {
-            Some(Side::First)
-        } else {
-            precedes(y, x).then_some(Side::Second)
-        };
-        self.is_found = behind.is_none();
-        behind
+        let (mut x, mut y) = (a()?, b()?);
+        while !self.is_found {
+            if precedes(&x, &y) {
+                x = a()?;
+            } else if precedes(&y, &x) {
+                y = b()?;
+            } else {
+                self.is_found = true;
+            }
+        }
+        Ok((x, y))
     }
 }
 
@@ -313,21 +310,14 @@ fn compare_messages<M: Logged>(
     let (mut a, mut b) = (open(first)?, open(second)?);
     let dt_ns = a.header().dt_ns.max(1);
     let mut start = SharedStart::of(a.header(), b.header());
+    let next = |stream: &mut MessageStream| {
+        let owned = |message: LogMessage<'_>| (Tick(message.log_time_ns / dt_ns), message.body.to_vec());
+        Ok(stream.next_message()?.map(owned))
+    };
     loop {
-        let (mut x, mut y) = (a.next_message()?, b.next_message()?);
-        let tick = |message: &Option<LogMessage<'_>>| {
-            message.as_ref().map(|message| Tick(message.log_time_ns / dt_ns))
-        };
-        while let Some(behind) = start.behind(tick(&x), tick(&y)) {
-            match behind {
-                Side::First => x = a.next_message()?,
-                Side::Second => y = b.next_message()?,
-            }
-        }
-        match (x, y) {
-            (Some(x), Some(y)) => {
-                let tick = Tick(x.log_time_ns / dt_ns);
-                if let Some(divergence) = compare(M::TOPIC, tick, M::DESCRIPTION, x.body, y.body) {
+        match start.next_pair(|(tick, _)| *tick, || next(&mut a), || next(&mut b))? {
+            (Some((tick, x)), Some((_, y))) => {
+                if let Some(divergence) = compare(M::TOPIC, tick, M::DESCRIPTION, &x, &y) {
                     out.messages.push(divergence);
                     return Ok(());
                 }

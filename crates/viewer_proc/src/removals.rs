@@ -1,16 +1,18 @@
-//! The removed voxels of a running session, from its start, whenever the reader joins.
+//! The bone of a running session: its CT, and the removed voxels from its start, whenever the reader joins.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use ipc_types::messages::services;
-use ipc_types::messages::{Removed, RunStatus};
-use ipc_types::ports::{PortError, Subscriber};
+use ipc_types::messages::{Removed, RunStatus, Volume};
+use ipc_types::ports::{PortError, ReceivedMessage, Subscriber};
 use ipc_types::process::session_scene;
 use ipc_types::session::{Session, SessionError};
 use recorder_proc::log_file::LogFile;
 use run_log::{MessageStream, ReadOptions, Topic, voxel_indices};
+use voxel_grid::{GridError, VoxelGrid};
 use zerocopy::FromBytes;
 
 use crate::live::recorded_in;
@@ -19,6 +21,65 @@ use crate::live::recorded_in;
 const ROUND: usize = 4096;
 /// Time between two searches of the log for missing removals.
 const LOG_PERIOD: Duration = Duration::from_millis(500);
+
+/// Time between two polls for the volume.
+const VOLUME_PERIOD: Duration = Duration::from_millis(4);
+
+/// The bone of a running session.
+#[derive(Debug)]
+pub struct SessionBone {
+    /// The CT's grid.
+    pub grid: VoxelGrid,
+    volume: ReceivedMessage<Volume>,
+    removals: Removals,
+    _session: Session,
+}
+
+/// Why the bone cannot be followed.
+#[derive(Debug, thiserror::Error)]
+pub enum SessionBoneError {
+    /// The session cannot be joined.
+    #[error(transparent)]
+    Session(#[from] SessionError),
+    /// A message cannot be received.
+    #[error(transparent)]
+    Port(#[from] PortError),
+    /// The CT's grid is invalid.
+    #[error("volume: {0}")]
+    Grid(#[from] GridError),
+    /// The voxels are malformed.
+    #[error("volume: the voxels do not match the header")]
+    Voxels,
+}
+
+impl SessionBone {
+    /// Joins a session, whose folder this is, and waits for its CT; `None` if it is over first.
+    ///
+    /// # Errors
+    /// Any [`SessionBoneError`] but the last.
+    pub fn join(folder: &Path, is_over: &AtomicBool) -> Result<Option<SessionBone>, SessionBoneError> {
+        let session = Session::join(folder)?;
+        let removals = Removals::open(&session, folder)?;
+        let volumes = session.subscriber::<Volume>(&services::VOLUME)?;
+        while !is_over.load(Ordering::Relaxed) {
+            if let Some(volume) = volumes.receive()? {
+                let grid = volume.message().grid()?;
+                return Ok(Some(SessionBone { grid, volume, removals, _session: session }));
+            }
+            std::thread::sleep(VOLUME_PERIOD);
+        }
+        Ok(None)
+    }
+
+    /// Returns the CT in Hounsfield units, in place, and the removals.
+    ///
+    /// # Errors
+    /// [`SessionBoneError::Voxels`].
+    pub fn parts(&mut self) -> Result<(&[i16], &mut Removals), SessionBoneError> {
+        let hu = <[i16]>::ref_from_bytes(self.volume.tail()).map_err(|_| SessionBoneError::Voxels)?;
+        Ok((hu, &mut self.removals))
+    }
+}
 
 /// Removals in sequence order. Those from before the reader joined are read from the log being recorded.
 #[derive(Debug)]
@@ -46,7 +107,7 @@ impl Removals {
     ///
     /// # Errors
     /// The session's services cannot be opened.
-    pub fn open(session: &Session, folder: &Path) -> Result<Removals, SessionError> {
+    fn open(session: &Session, folder: &Path) -> Result<Removals, SessionError> {
         Ok(Removals {
             messages: session.subscriber(&services::REMOVED)?,
             status: session.subscriber(&services::RUN_STATUS)?,

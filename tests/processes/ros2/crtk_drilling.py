@@ -161,6 +161,27 @@ def off_centre_px():
 before_px = off_centre_px()
 take.publish(from_behind)
 until("X-ray of the tip", lambda: off_centre_px() < 1.0)
+centred_px = off_centre_px()
+# Twenty, five at a time: each comes, with the tip at a place of its own, or is refused.
+places_px, changed_s = set(), seconds(newest["/UR5/measured_cp"])
+middle_px = (newest["/c_arm/image_raw"].width - 1) / 2
+
+
+def note(tip):
+    global changed_s
+    place_px = round(tip.point.x - middle_px)
+    if place_px not in places_px:
+        places_px.add(place_px)
+        changed_s = seconds(newest["/UR5/measured_cp"])
+
+
+node.create_subscription(PointStamped, "/c_arm/burr_tip", note, QoSProfile(depth=100))
+for number in range(1, 21):
+    from_behind.pose.position.x += 2e-3
+    take.publish(from_behind)
+    if number % 5 == 0:
+        time.sleep(0.02)
+until("last X-ray", lambda: seconds(newest["/UR5/measured_cp"]) > changed_s + 5.0)
 tool, tip = newest["/UR5/measured_cp"].pose, newest["/CM/measured_cp"].pose
 image = newest.get("/c_arm/image_raw")
 print(json.dumps({
@@ -175,7 +196,8 @@ print(json.dumps({
     "images": count.get("/c_arm/image_raw", 0),
     "states": count["/UR5/measured_js"],
     "predrilled": predrilled,
-    "off_centre_px": [before_px, off_centre_px()],
+    "off_centre_px": [before_px, centred_px],
+    "places_px": sorted(places_px),
     "late_equals": late.places.keys() == removed.places.keys(),
     "largest_cloud": removed.largest,
     "off_m": float(off_m),

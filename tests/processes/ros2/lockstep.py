@@ -4,7 +4,8 @@
 
 Follows states DELAY_MS late. MANNER `plain` sends one command per part. `rough` also sends a second command with
 other values after each, in changing order, repeats those of the last state, sends one with the stamp of a state that
-does not exist, and answers two states only when they are published again. Prints what it saw, with the Jacobians of
+does not exist, and answers two states only when they are published again. `before` and `between` also reset the
+simulation once, before the commands for a state or after the first of them. Prints what it saw, with the Jacobians of
 the last state.
 """
 
@@ -19,8 +20,11 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
+from cyclone_peer import Header, StringStamped, Time, writer
+
 LIMIT_S = 80.0
-delay_s, states, is_rough = float(sys.argv[1]) / 1e3, int(sys.argv[2]), sys.argv[3] == "rough"
+delay_s, states, manner = float(sys.argv[1]) / 1e3, int(sys.argv[2]), sys.argv[3]
+is_rough = manner == "rough"
 rclpy.init()
 node = rclpy.create_node("lockstep")
 motor, arm, burr = {}, {}, {}
@@ -47,6 +51,16 @@ for kind, topic in [(Float64MultiArray, "/CM/jacobian"), (Float64MultiArray, "/C
 motor_jv = node.create_publisher(JointState, "/CM/bend_motor/servo_jv", 10)
 arm_jv = node.create_publisher(JointState, "/UR5/servo_jv", 10)
 burr_jv = node.create_publisher(JointState, "/CM/burr/servo_jv", 10)
+
+
+state_command = writer(StringStamped, "/UR5/state_command")
+
+
+def reset():
+    """Resets the simulation. What was sent before arrives before, what is sent later arrives later."""
+    time.sleep(0.3)
+    state_command.write(StringStamped(Header(Time(0, 0), ""), "reset"))
+    time.sleep(0.3)
 
 
 def answer(stamp):
@@ -103,7 +117,9 @@ while len(answered) < states and time.monotonic() < deadline:
             commands.reverse()
         # A second command of each part for the same state, with other values.
         commands = [one for publisher, command in commands for one in ((publisher, command), (publisher, halved(command)))]
-    for publisher, command in commands:
+    for place, (publisher, command) in enumerate(commands):
+        if number == 60 and (manner, place) in (("before", 0), ("between", 1)):
+            reset()
         publisher.publish(command)
     last = commands
     answered.append(stamp)

@@ -9,17 +9,14 @@ use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use ipc_types::messages::{Removed, Volume, services};
-use ipc_types::ports::PortError;
+use ipc_types::messages::Removed;
 use ipc_types::scene::Scene;
-use ipc_types::session::{Session, SessionError};
 use ros_interface::bone::{POINTS_PER_CLOUD, SURFACE_TRIANGLES, of_grid, of_removed, of_surface};
 use ros_interface::msg::Time;
 use ros_interface::outgoing::Outgoing;
-use viewer_proc::removals::{RemovalLoss, Removals};
+use viewer_proc::removals::{RemovalLoss, SessionBone, SessionBoneError};
 use viewer_proc::surface::{BlockMesh, CoarseBone, Field, Voxel};
-use voxel_grid::{GridError, VoxelGrid};
-use zerocopy::FromBytes;
+use voxel_grid::VoxelGrid;
 
 /// Time between two polls, and between two clouds; the queue holds half a second of removals at 1 kHz.
 const POLL_PERIOD: Duration = Duration::from_millis(5);
@@ -29,19 +26,6 @@ const SURFACE_PERIOD: Duration = Duration::from_secs(1);
 const FIRST_CELLS: usize = 100_000;
 /// How long the thread waits for removals that the log still lacks at the end of the run.
 const END_LIMIT: Duration = Duration::from_secs(3);
-
-/// Why the bone is not published.
-#[derive(Debug, thiserror::Error)]
-enum BoneError {
-    #[error(transparent)]
-    Session(#[from] SessionError),
-    #[error(transparent)]
-    Port(#[from] PortError),
-    #[error("volume: {0}")]
-    Grid(#[from] GridError),
-    #[error("volume: the voxels do not match the header")]
-    Voxels,
-}
 
 /// What the node tells the thread.
 #[derive(Debug, Default)]
@@ -127,19 +111,10 @@ impl Work {
         &self,
         wishes: &Wishes,
         made: &SyncSender<Result<Vec<Outgoing>, String>>,
-    ) -> Result<(), BoneError> {
-        let session = Session::join(&self.session)?;
-        let mut removals = Removals::open(&session, &self.session)?;
-        let volumes = session.subscriber::<Volume>(&services::VOLUME)?;
-        let volume = loop {
-            match volumes.receive()? {
-                Some(volume) => break volume,
-                None if wishes.end.load(Ordering::Relaxed) => return Ok(()),
-                None => std::thread::sleep(POLL_PERIOD),
-            }
-        };
-        let grid = volume.message().grid()?;
-        let hu = <[i16]>::ref_from_bytes(volume.tail()).map_err(|_| BoneError::Voxels)?;
+    ) -> Result<(), SessionBoneError> {
+        let Some(mut session) = SessionBone::join(&self.session, &wishes.end)? else { return Ok(()) };
+        let grid = session.grid;
+        let (hu, removals) = session.parts()?;
         if made.send(Ok(of_grid(&grid))).is_err() {
             return Ok(());
         }

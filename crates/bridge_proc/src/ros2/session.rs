@@ -1,19 +1,21 @@
 //! The bridge's side of the session.
 
+mod publish;
+
 use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
 
 use ipc_types::messages::{ControlAction, MAX_ARM_JOINTS, Phase, Severity};
 use ipc_types::scene::{Controller, Drives};
 use ros_interface::commander::{Commander, OperatingState};
-use ros_interface::image::{self, ImageForm};
+use ros_interface::image::ImageForm;
 use ros_interface::incoming::{self, CommandedJoints, Request, RequestError, StateCommand};
 use ros_interface::lockstep::{Answer, Lockstep};
 use ros_interface::msg::Time;
 use ros_interface::outgoing::{self, Outgoing};
 use ros_interface::robot::Robot;
 use ros_interface::round_trip::RoundTrips;
-use ros_interface::topics::{INPUTS, Input, Names, Output};
+use ros_interface::topics::{INPUTS, Input, Names};
 use ros_interface::urdf;
 use rustdds::GUID;
 use trabecula_client::{Client, ClientError, Connection};
@@ -30,12 +32,8 @@ const TURN: Duration = Duration::from_millis(5);
 const LOOK_PERIOD: Duration = Duration::from_millis(1);
 /// Interval between two polls while a state waits for its answer in lockstep.
 const ANSWER_LOOK_PERIOD: Duration = Duration::from_micros(50);
-/// How long the last clouds may wait for a subscriber that has no room for them.
-const REST_LIMIT: Duration = Duration::from_secs(2);
 /// Timeout for a reply of run control.
 const CONTROL_LIMIT: Duration = Duration::from_secs(2);
-/// How often an unchanged state, as in a pause, is sent again.
-const REPEAT_PERIOD: Duration = Duration::from_secs(1);
 /// Maximum number of publishers whose disconnection is monitored.
 const MOST_COMMANDING: usize = 64;
 
@@ -198,81 +196,6 @@ impl Ros2Session {
         status.and_then(|status| status.phase().ok()).unwrap_or(Phase::Running)
     }
 
-    /// Publishes what has changed since the last call.
-    pub(crate) fn publish(&mut self, node: &mut Node, notices: &mut Notices<impl FnMut(&str)>) {
-        self.publish_bone(node, notices);
-        let phase = self.phase();
-        let (Some(robot), Some(state)) = (&self.robot, self.client.state()) else { return };
-        let is_new =
-            self.sent.is_none_or(|(tick, when)| tick != state.tick || when.elapsed() >= REPEAT_PERIOD);
-        if is_new {
-            node.publish(outgoing::of_state(robot, state));
-            self.sent = Some((state.tick, Instant::now()));
-        }
-        let operating = outgoing::operating_state(phase, self.commander.is_disabled(), state);
-        let told = (operating, outgoing::is_busy(state));
-        if self.told != Some(told) {
-            self.told = Some(told);
-            node.publish(outgoing::of_operating_state(told.0, told.1, state));
-        }
-        if is_new && let Ok(Some(jacobian)) = self.client.tip_jacobian() {
-            node.publish(outgoing::of_tip_jacobian(robot, jacobian));
-        }
-        let mut newest = Vec::new();
-        let front_m = self.client.scene().manipulator.radii().cutter.front_radius_m();
-        // Older queued frames are of no use to a subscriber.
-        while let Ok(view) = self.client.wait_frame(0, Duration::ZERO) {
-            newest = image::of_frame(view.frame, view.pixels, self.form, front_m);
-        }
-        node.publish(newest);
-    }
-
-    /// Publishes removed voxels and the bone's surface, one message at a time: a burst of clouds would
-    /// overflow the receive buffers of Fast DDS.
-    fn publish_bone(&mut self, node: &mut Node, notices: &mut Notices<impl FnMut(&str)>) {
-        let Some(bone) = &self.bone else { return };
-        if node.subscribers(Output::RemovedPoints).0 {
-            bone.send_all();
-        }
-        if let (_, Some(count)) = node.subscribers(Output::BoneSurface) {
-            bone.set_surface_wanted(count > 0);
-        }
-        if let Some(cloud) = self.unsent.take() {
-            if !node.offer(&cloud) {
-                self.unsent = Some(cloud);
-            }
-            return;
-        }
-        match bone.next() {
-            Some(Ok(messages)) => self.unsent = offer_all(node, messages),
-            Some(Err(line)) => self.tell(&line, notices),
-            None => {}
-        }
-    }
-
-    /// Publishes the last clouds, once the run is over.
-    pub(crate) fn publish_rest(&mut self, node: &mut Node, notices: &mut Notices<impl FnMut(&str)>) {
-        let Some(mut bone) = self.bone.take() else { return };
-        let mut unsent = self.unsent.take();
-        let mut rest = bone.rest();
-        let begun = Instant::now();
-        while begun.elapsed() < REST_LIMIT {
-            if let Some(cloud) = unsent.take() {
-                unsent = (!node.offer(&cloud)).then_some(cloud);
-                std::thread::sleep(TURN);
-                continue;
-            }
-            match rest.next() {
-                Some(Ok(messages)) => unsent = offer_all(node, messages),
-                Some(Err(line)) => {
-                    notices.say(&line);
-                }
-                None => break,
-            }
-        }
-        node.await_clouds();
-    }
-
     /// Executes the received commands, or reports why not.
     pub(crate) fn obey(&mut self, node: &mut Node, notices: &mut Notices<impl FnMut(&str)>) {
         if let Some(over) = self.ran_out.take() {
@@ -379,8 +302,9 @@ impl Ros2Session {
             Request::State(StateCommand::Resume) => self.control(ControlAction::Resume),
             Request::State(StateCommand::Home) => Ok(()),
             Request::State(StateCommand::Reset) => {
-                self.commander.forget();
+                // In exact runs every part has a new command for each state, before or after the reset.
                 if self.exchange.is_none() {
+                    self.commander.forget();
                     // Replaces the last command, which the first tick after the reset would apply again.
                     let replaced = self.client.command().map(|_| ()).and_then(|()| self.client.send());
                     replaced.map_err(|error| error.to_string())?;
@@ -473,9 +397,4 @@ fn goes_on(outcome: Result<(), ClientError>) -> Result<bool, Ros2Error> {
         Err(ClientError::Ended) => Ok(false),
         Err(other) => Err(other.into()),
     }
-}
-
-/// Publishes messages; returns the cloud for which there was no room.
-fn offer_all(node: &mut Node, messages: Vec<Outgoing>) -> Option<Outgoing> {
-    messages.into_iter().find(|message| !node.offer(message))
 }

@@ -87,7 +87,7 @@ impl Flight {
             return Ok(None);
         }
         let triggers = Triggers::parse(&recording.triggers).map_err(RecorderError::Trigger)?;
-        let files = RingFiles::start(output)
+        let files = RingFiles::start(output, recording.saved_at_most)
             .map_err(|source| LogError::Create { path: folder.to_owned(), source })?;
         let ticks = |seconds: f64| (seconds / scene.dt_s()).ceil() as u64;
         let has_frames = scene.drr.is_some() && recording.images != Images::None;

@@ -29,6 +29,8 @@ use crate::ring_files::{self, LANES, LogFiles, create_file};
 mod flight;
 mod ports;
 mod recorder;
+#[cfg(test)]
+mod tests;
 
 use flight::{Flight, Lanes};
 use ports::Ports;
@@ -111,7 +113,22 @@ pub fn run(session_folder: &Path, output: &Path) -> Result<(), RecorderError> {
     let session = Session::join(session_folder)?;
     session.claim(Part::Recorder)?;
     let header = header(&session, &scene, &end)?;
-    let ports = Ports::open(&session, &scene)?;
+    let mut recorder = start(&session, &scene, &header, output)?;
+    let recorded = recorder.record(&end);
+    let how_far = if recorded.is_ok() { RecordingExtent::UpToTheEnd } else { RecordingExtent::UpToAnError };
+    // Keep everything received, whatever went wrong.
+    let finished = recorder.finish(how_far);
+    recorded.and(finished)
+}
+
+/// Creates the logs and a recorder that has received nothing.
+fn start(
+    session: &Session,
+    scene: &Scene,
+    header: &LogHeader,
+    output: &Path,
+) -> Result<Recorder, RecorderError> {
+    let ports = Ports::open(session, scene)?;
     let LogFiles { folder, run: run_file, timing: timing_file } = match scene.recording.ring_s > 0.0 {
         true => ring_files::create(output, 1)?,
         false => LogFiles {
@@ -122,19 +139,19 @@ pub fn run(session_folder: &Path, output: &Path) -> Result<(), RecorderError> {
     };
     let [run, timing] = LANES.map(|lane| folder.join(lane));
     let (run_written, timing_written) = (run_file.written(), timing_file.written());
-    let mut recorder = Recorder {
+    let recorder = Recorder {
         lanes: Lanes {
-            run: RunLog::create_named(run_file, &run, index_beside(&run), &header)?,
-            timing: TimingLog::create_named(timing_file, &timing, index_beside(&timing), &header)?,
+            run: RunLog::create_named(run_file, &run, index_beside(&run), header)?,
+            timing: TimingLog::create_named(timing_file, &timing, index_beside(&timing), header)?,
         },
-        flight: Flight::of(&scene, &header, output, &folder)?,
+        flight: Flight::of(scene, header, output, &folder)?,
         output: output.to_owned(),
         recording: scene.recording.clone(),
         newest_tick: 0,
         reported_tick: 0,
         gaps: Gaps::default(),
         run_has_ended: false,
-        session_folder: session_folder.to_owned(),
+        session_folder: session.folder().to_owned(),
         foreign_messages: 0,
         foreign_warnings: WarningLimit::default(),
         gap_warnings: WarningLimit::default(),
@@ -145,11 +162,7 @@ pub fn run(session_folder: &Path, output: &Path) -> Result<(), RecorderError> {
         written.wait(HEADER_LIMIT).map_err(|source| LogError::Write { path, source })?;
     }
     sync_folder(output)?;
-    let recorded = recorder.record(&end);
-    let how_far = if recorded.is_ok() { RecordingExtent::UpToTheEnd } else { RecordingExtent::UpToAnError };
-    // Keep everything received, whatever went wrong.
-    let finished = recorder.finish(how_far);
-    recorded.and(finished)
+    Ok(recorder)
 }
 
 fn sync_folder(folder: &Path) -> Result<(), RecorderError> {

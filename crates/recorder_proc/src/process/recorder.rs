@@ -29,7 +29,7 @@ const POLL_PERIOD: Duration = Duration::from_millis(2);
 /// Number of states after which progress is reported within a round.
 const PROGRESS_TICKS: u64 = 64;
 /// Number of states to read before the other queues are polled again.
-const TICKS_PER_ROUND: usize = 16;
+pub(super) const TICKS_PER_ROUND: usize = 16;
 /// Number of messages to read from a client service before the other queues are polled again, so that a
 /// flooding client cannot keep the recorder from the ticks.
 const CLIENT_MESSAGES_PER_ROUND: usize = 256;
@@ -122,7 +122,7 @@ impl Recorder {
     /// Reads some ticks, and everything else that is queued. In lockstep the physics runs as fast as states
     /// are read: a recorder that kept reading states would starve the other queues until they overflow.
     /// Returns whether a state arrived.
-    fn take_round(&mut self) -> Result<bool, RecorderError> {
+    pub fn take_round(&mut self) -> Result<bool, RecorderError> {
         let came = self.take_ticks()?;
         self.take_frames()?;
         self.take_timing()?;

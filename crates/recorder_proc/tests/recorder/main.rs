@@ -9,5 +9,6 @@ mod join;
 mod log_file;
 mod python;
 mod repair;
+mod ring_files;
 mod tables;
 mod verdict;

@@ -1,11 +1,13 @@
 //! Checks the controllers of a scene: what each drives, and how the keys of each kind relate.
 
+use foreign_text::nearest_name;
 use messages::BodyMode;
 
 use super::Checker;
 use crate::error::SceneError;
 use crate::model::{
-    BodyMotion, Controller, CurvedDrilling, Display, Drives, Drr, Feedback, Scene, TensionSweep, whole_steps,
+    Body, BodyMotion, Controller, CurvedDrilling, Display, Drives, Drr, Feedback, Scene, TensionSweep,
+    whole_steps,
 };
 
 /// Names of the other processes, and end reasons that are not process names: a log's end names its cause.
@@ -42,7 +44,19 @@ pub(super) fn check(scene: &Scene, checker: &Checker) -> Result<(), SceneError> 
         check_tube(controller, scene, checker)?;
         check_body(controller, scene, checker)?;
     }
-    Ok(())
+    let is_undriven = |body: &&Body| {
+        body.motion == BodyMotion::Driven && !driven.iter().any(|(_, of, _)| *of == Some(&body.name))
+    };
+    // After the controllers: a misspelled `controller.body` is the cause.
+    match scene.body.iter().find(is_undriven) {
+        Some(Body { name, .. }) => {
+            let problem = format!(
+                "of `{name}` is \"driven\", but no `controller.body` names it; use \"fixed\" for a body that stays"
+            );
+            Err(checker.invalid("body.motion", problem))
+        }
+        None => Ok(()),
+    }
 }
 
 /// Checks that image feedback has frames in which metal is dark: it finds the burr as the darkest end of the
@@ -112,7 +126,9 @@ fn check_body(controller: &Controller, scene: &Scene, checker: &Checker) -> Resu
     }
     let Some(body) = scene.body.iter().find(|body| body.name == *name) else {
         let names: Vec<&str> = scene.body.iter().map(|body| body.name.as_str()).collect();
-        return invalid(format!("is `{name}`; expected the name of a `[[body]]`: {names:?}"));
+        let near = nearest_name(name, names.iter().copied());
+        let meant = near.map_or(String::new(), |near| format!(" (did you mean `{near}`?)"));
+        return invalid(format!("is `{name}`{meant}; expected the name of a `[[body]]`: {names:?}"));
     };
     let mode = controller.constants.get("body_mode").copied();
     let is_mode = |of: BodyMode| mode == Some(f64::from(of.code()));

@@ -11,8 +11,8 @@ use std::path::Path;
 use crate::declaration::{Range, SCENE};
 use crate::error::SceneError;
 use crate::model::{
-    Body, BodyMotion, BuiltInStructure, CArm, Controller, CutterShape, DrillingLaw, Drr, FARTHEST_MM,
-    ManipulatorRung, Scene, Structure, StructureAction, StructureRole, Tool, Volume,
+    Body, BuiltInStructure, CArm, CutterShape, DrillingLaw, Drr, FARTHEST_MM, ManipulatorRung, Scene,
+    Structure, StructureAction, StructureRole, Tool, Volume,
 };
 use crate::ranges;
 
@@ -167,14 +167,6 @@ fn check_bodies(scene: &Scene, checker: &Checker) -> Result<(), SceneError> {
             return Err(checker.invalid("body.name", format!("has a duplicate: `{}`", body.name)));
         }
         check_shape(body, checker)?;
-        let is_driver = |controller: &Controller| controller.body.as_ref() == Some(&body.name);
-        if body.motion == BodyMotion::Driven && !scene.controller.iter().any(is_driver) {
-            let problem = format!(
-                "of `{}` is \"driven\", but no `controller.body` names it; use \"fixed\" for a body that stays",
-                body.name
-            );
-            return Err(checker.invalid("body.motion", problem));
-        }
     }
     Ok(())
 }

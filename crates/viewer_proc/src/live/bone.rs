@@ -1,23 +1,17 @@
 //! The bone's surface of a running session, meshed in a separate thread that borrows the volume in place.
 
-use std::borrow::Cow;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use ipc_types::clock::now_ns;
-use ipc_types::messages::Volume;
-use ipc_types::messages::services;
-use ipc_types::ports::PortError;
-use ipc_types::session::{Session, SessionError};
-use voxel_grid::{GridError, VoxelGrid};
-use zerocopy::FromBytes;
+use voxel_grid::VoxelGrid;
 
 use crate::board::Board;
 use crate::calls::Calls;
 use crate::error::ViewerError;
-use crate::removals::{RemovalLoss, Removals};
+use crate::removals::{RemovalLoss, SessionBone, SessionBoneError};
 use crate::slice::Slicer;
 use crate::surface::bone::Bone;
 use crate::threads;
@@ -51,27 +45,11 @@ impl BoneThread {
         .map(drop)
     }
 
-    fn run(&self, known: impl FnOnce(&VoxelGrid)) -> Result<(), BoneError> {
-        let session = Session::join(&self.session)?;
-        let removals = Removals::open(&session, &self.session)?;
-        let volumes = session.subscriber::<Volume>(&services::VOLUME)?;
-        let volume = loop {
-            if self.over.load(Ordering::Relaxed) {
-                return Ok(());
-            }
-            match volumes.receive()? {
-                Some(volume) => break volume,
-                None => std::thread::sleep(POLL_PERIOD),
-            }
-        };
-        let grid = volume.message().grid()?;
-        known(&grid);
-        let hu = voxels(volume.tail());
-        let bone = Bone::new(grid, self.threshold_hu);
-        self.follow(bone, &hu, removals)
-    }
-
-    fn follow(&self, mut bone: Bone, hu: &[i16], mut removals: Removals) -> Result<(), BoneError> {
+    fn run(&self, known: impl FnOnce(&VoxelGrid)) -> Result<(), SessionBoneError> {
+        let Some(mut session) = SessionBone::join(&self.session, &self.over)? else { return Ok(()) };
+        known(&session.grid);
+        let mut bone = Bone::new(session.grid, self.threshold_hu);
+        let (hu, removals) = session.parts()?;
         let mut meshed: Option<Instant> = None;
         let mut slicer = Slicer::new(now_ns());
         while !self.over.load(Ordering::Relaxed) {
@@ -99,28 +77,5 @@ impl BoneThread {
             std::thread::sleep(POLL_PERIOD);
         }
         Ok(())
-    }
-}
-
-/// Why the bone is not shown.
-#[derive(Debug, thiserror::Error)]
-enum BoneError {
-    #[error(transparent)]
-    Session(#[from] SessionError),
-    #[error(transparent)]
-    Port(#[from] PortError),
-    #[error("volume: {0}")]
-    Grid(#[from] GridError),
-}
-
-/// Returns the voxels in place, or a copy if they are not aligned.
-fn voxels(bytes: &[u8]) -> Cow<'_, [i16]> {
-    match <[i16]>::ref_from_bytes(bytes) {
-        Ok(hu) => Cow::Borrowed(hu),
-        Err(_) => bytes
-            .chunks_exact(2)
-            .map(|pair| i16::from_le_bytes([pair[0], pair[1]]))
-            .collect::<Vec<_>>()
-            .into(),
     }
 }
