@@ -121,6 +121,14 @@ impl Setup {
     }
 }
 
+/// Returns how a log replays the FMUs of a scene, with their controllers' names; `None` without an FMU. A
+/// keyframe has no state of an FMU: a replay repeats the recorded commands.
+pub fn replay_note(scene: &Scene) -> Option<String> {
+    let fmus = scene.controller.iter().filter(|controller| controller.fmu.is_some());
+    let names: Vec<&str> = fmus.map(|controller| controller.name.as_str()).collect();
+    (!names.is_empty()).then(|| format!("{}: replays from the log of its outputs", names.join(", ")))
+}
+
 /// Checks the FMUs of a scene's controllers without running them; `source` names the scene in messages.
 ///
 /// # Errors

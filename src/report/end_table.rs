@@ -161,6 +161,7 @@ impl Summary {
                 format!("from tick {first} on; except time and voxels, all numbers cover only that"),
             ));
         }
+        rows.extend(self.logs.fmus.iter().map(|note| ("FMUs", note.clone())));
         if !self.logs.saved.is_empty() {
             rows.push(("saved", self.logs.saved.join(", ")));
         }

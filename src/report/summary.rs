@@ -12,6 +12,7 @@ use super::distribution::Quantiles;
 use super::outcome::{PlanSummary, StructureSummary, is_out_of_tolerance};
 use super::run_lane::RunLane;
 use super::timing_lane::TimingLane;
+use crate::fmu_controller::replay_note;
 use crate::plan::ModelError;
 
 /// The results of a run, the content of `summary.json`. Values missing from the logs are null.
@@ -225,6 +226,9 @@ pub struct LogSummary {
     /// short.
     #[serde(default)]
     pub saved: Vec<String>,
+    /// How the log replays the FMUs of the scene; `None` without an FMU.
+    #[serde(default)]
+    pub fmus: Option<String>,
     /// Faults of the files: truncated, damaged, missing.
     pub notes: Vec<String>,
 }
@@ -340,6 +344,7 @@ impl LogSummary {
             missing_ticks: run.missing_ticks.clone(),
             first_tick: run.header.as_ref().map_or(0, |header| header.first_tick.0),
             saved,
+            fmus: run.scene.as_ref().and_then(replay_note),
             notes: run.notes.iter().chain(&timing.notes).cloned().collect(),
         }
     }

@@ -177,6 +177,12 @@ fn fmus_move_a_table_and_hold_a_ball_and_the_log_replays_without_them() {
     let hash = |log: &Whole| log.ticks.last().unwrap().state.hash;
     assert_eq!(hash(&log), hash(&read(&again.folder)));
     assert_replays(&ended.folder);
+    let note = "breath, spring: replays from the log of its outputs";
+    let info = succeed(&[&"log", &"info", &ended.folder]).out;
+    let figures = succeed(&[&"log", &"info", &ended.folder, &"--json"]).out;
+    for text in [&ended.out, &info, &figures] {
+        assert!(text.contains(note), "{text}");
+    }
     // The FMUs' equations, and a ball that Rapier moves in four substeps.
     let dt_s = 1e-3;
     let (mut breath_m, mut breath_m_per_s) = (0.0, -0.002 * 30.0);

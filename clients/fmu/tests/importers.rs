@@ -145,32 +145,52 @@ fn a_built_in_controller_drills_in_the_fmu_as_in_a_run() {
     }
 }
 
+/// Steps an FMU in another importer; returns the bits of the bend after every step, and the hash.
+fn stepped(python: &Path, importer: &str, fmu: &Path, [reals, whole_numbers]: [&Value; 2]) -> Value {
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/python/other_importers.py");
+    let mut program = Program::new(python);
+    program.arg(script).arg(importer).arg(fmu).arg(TICKS.to_string());
+    program.args([&reals.to_string(), &whole_numbers.to_string(), "state.bend_rad"]);
+    let output = program.limited_output().unwrap();
+    let text = String::from_utf8_lossy(&output.stdout);
+    assert!(output.status.success(), "{importer}: {text}\n{}", String::from_utf8_lossy(&output.stderr));
+    serde_json::from_str(text.lines().last().unwrap()).unwrap()
+}
+
+/// Steps a simulation with the same command at every tick; returns what [`stepped`] must return.
+fn expected(shared: &Arc<SharedScene>, commands: &[Command]) -> Value {
+    let mut sim = Sim::new(shared, &Drive::Nothing).unwrap();
+    let step = |_| {
+        sim.step(commands, 1).unwrap();
+        sim.state().bend_rad.to_bits()
+    };
+    let course: Vec<u64> = (0..TICKS).map(step).collect();
+    json!({"course": course, "hash": hash(&sim)})
+}
+
 #[test]
 fn other_importers_step_as_the_simulation() {
-    let packages = ["libcosimpy==0.0.6", "ecospy==0.7.2", "tbb==2023.2.0"];
+    let packages = ["libcosimpy==0.0.6", "ecospy==0.7.2", "tbb==2023.2.0", "fmuloader==0.1.2rc0"];
     let Some(python) = python::or_skip("importers-1", &packages, "libcosimpy") else { return };
     let place = Place::new();
     let shared = place.scene(&format!("{RUN}{TOOL}"));
     let fmu = place.exported(&shared, Version::Two);
-    let mut sim = Sim::new(&shared, &Drive::Nothing).unwrap();
-    let step = |_| {
-        sim.step(&[pull()], 1).unwrap();
-        sim.state().bend_rad.to_bits()
-    };
-    let course: Vec<u64> = (0..TICKS).map(step).collect();
-    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/python/other_importers.py");
-    let reals = json!({"test.tendon_force_n[0]": 4.0, "test.tendon_force_n[1]": 1.0});
+    let pulled = expected(&shared, &[pull()]);
+    let (elements, mode) = (
+        json!({"test.tendon_force_n[0]": 4.0, "test.tendon_force_n[1]": 1.0}),
+        json!({"test.tendon_mode": 1}),
+    );
     for importer in ["libcosim", "ecos"] {
-        let mut program = Program::new(&python);
-        program.arg(&script).arg(importer).arg(&fmu).arg(TICKS.to_string()).arg(reals.to_string());
-        let output =
-            program.arg(r#"{"test.tendon_mode": 1}"#).arg("state.bend_rad").limited_output().unwrap();
-        let text = String::from_utf8_lossy(&output.stdout);
-        assert!(output.status.success(), "{text}\n{}", String::from_utf8_lossy(&output.stderr));
-        let found: Value = serde_json::from_str(text.lines().last().unwrap()).unwrap();
-        assert_eq!(found["hash"], hash(&sim), "{importer}");
-        assert_eq!(found["course"], json!(course), "{importer}");
+        assert_eq!(stepped(&python, importer, &fmu, [&elements, &mode]), pulled, "{importer}");
     }
+    let fmu = place.exported(&shared, Version::Three);
+    let array = json!({"test.tendon_force_n": [4.0, 1.0]});
+    assert_eq!(stepped(&python, "fmuloader", &fmu, [&array, &mode]), pulled);
+    // Ecos sets no arrays and reads no texts of FMI 3.0.
+    let shared = place.scene(&drill());
+    let fmu = place.exported(&shared, Version::Three);
+    let found = stepped(&python, "ecos", &fmu, [&json!({}), &json!({})]);
+    assert_eq!(found["course"], expected(&shared, &[])["course"]);
 }
 
 /// The same scene gives the same bytes.

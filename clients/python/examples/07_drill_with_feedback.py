@@ -11,14 +11,17 @@ correct:
 - a model-predictive controller: the best of several tensions, each tried for 0.4 s on a branch.
 
     pip install control==0.10.2
-    python3 clients/python/examples/07_drill_with_feedback.py [--points N]
+    python3 clients/python/examples/07_drill_with_feedback.py
+
+A short trial: `--points 1`; `--periods 22`, of 62, stops early; with `--tensions 3`, of 7, the branches try fewer.
 """
 
 from __future__ import annotations
 
 import argparse
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Callable
 
 import control  # type: ignore
 import numpy as np
@@ -33,7 +36,7 @@ SCENE = Path(__file__).parents[3] / "configs/examples/truth.toml"
 #: The plan of the scene: where the burr starts and the curve begins, and the target, x and z in mm.
 START_MM, BEGIN_MM, TARGET_MM = -14.0, -12.0, np.array([5.0, 8.0])
 INSERTION_M, FEED_M_PER_S, BURR_RAD_PER_S = 0.023, 0.002, 8000.0 * 2.0 * np.pi / 60.0
-#: Ticks in a control period, and periods in a drilling.
+#: Ticks in a control period, and periods in a complete drilling.
 TICKS, PERIODS = 200, 62
 NOISE_MM, MOST_N = 0.05, 5.0
 NOMINAL: dict[str, Any] = {
@@ -76,7 +79,8 @@ def planned_mm(z_mm: Floats) -> Floats:
     """Returns the curve's x: the arc that is tangent to the axis where it begins and leads to the target."""
     x_mm, ahead_mm = TARGET_MM[0], np.maximum(z_mm - BEGIN_MM, 0.0)
     radius_mm = ((TARGET_MM[1] - BEGIN_MM) ** 2 + x_mm**2) / (2.0 * x_mm)
-    return radius_mm - np.sqrt(radius_mm**2 - ahead_mm**2)
+    curve_mm: Floats = radius_mm - np.sqrt(radius_mm**2 - ahead_mm**2)
+    return curve_mm
 
 
 def fill(commands: npt.NDArray[np.void], tension_n: Any) -> None:
@@ -103,9 +107,9 @@ class Nominal:
     period response[k + 1] = a response[k] + b.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, periods: int) -> None:
         plan = simulation({"controller.0.curved_drilling.feedback": "none"})
-        self.tension_n = np.array([plan.step(ticks=TICKS).tendon_tension_n[0] for _ in range(PERIODS)])
+        self.tension_n = np.array([plan.step(ticks=TICKS).tendon_tension_n[0] for _ in range(periods)])
         self.sim = simulation({}, drive=True)
         self.start = self.sim.snapshot()
         batch = Batch(SCENE, n=2, overrides=NOMINAL, drive=True)
@@ -157,8 +161,9 @@ class Predictor:
     the observed distance of the burr from it.
     """
 
-    def __init__(self, nominal: Nominal) -> None:
-        self.sim, self.batch = nominal.sim, Batch(SCENE, n=7, overrides=NOMINAL, drive=True)
+    def __init__(self, nominal: Nominal, tensions: int) -> None:
+        self.steps_n = np.array([0.0, -0.3, 0.3, -0.1, 0.1, -0.03, 0.03])[:tensions]
+        self.sim, self.batch = nominal.sim, Batch(SCENE, n=len(self.steps_n), overrides=NOMINAL, drive=True)
         self.sim.restore(nominal.start)
         self.offset_mm, self.more_n = 0.0, 0.0
 
@@ -166,12 +171,11 @@ class Predictor:
         """Returns the tension for the next period."""
         model_mm = float(burr_mm(self.sim)[0])
         self.offset_mm += 0.3 * (float(seen_mm[0] - model_mm) - self.offset_mm)
-        steps_n = np.array([0.0, -0.03, 0.03, -0.1, 0.1, -0.3, 0.3])
-        tried_n = np.array([within(planned_n + self.more_n + step) for step in steps_n])
+        tried_n = np.array([within(planned_n + self.more_n + step) for step in self.steps_n])
         self.batch.restore(self.sim.snapshot())
         commands = self.batch.commands()
         fill(commands[:, 0], tried_n)
-        cost = (0.05 * steps_n) ** 2
+        cost = (0.05 * self.steps_n) ** 2
         for _ in range(2):
             places_mm = burrs_mm(self.batch.step(commands, ticks=TICKS))
             cost = cost + (places_mm[:, 0] + self.offset_mm - planned_mm(places_mm[:, 1])) ** 2
@@ -187,19 +191,26 @@ def within(tension_n: float) -> float:
     return float(np.clip(tension_n, 0.0, MOST_N))
 
 
-def miss_mm(sim: Sim, point: dict[str, Any]) -> float:
-    """Returns the burr's distance from where the target truly is."""
+def miss_mm(sim: Sim, point: dict[str, Any], periods: int) -> float:
+    """Returns the burr's distance from where the target truly is; after a part of the drilling, from the curve."""
+    if periods < PERIODS:
+        x_mm, z_mm = burr_mm(sim)
+        return abs(float(x_mm - planned_mm(z_mm)))
     target_mm = TARGET_MM + [point["truth.registration_error_mm"][0], 0.0]
     return float(np.linalg.norm(burr_mm(sim) - target_mm))
 
 
-def drilled_mm(point: dict[str, Any], kind: type[Regulator] | type[Predictor], nominal: Nominal, seed: int) -> float:
+#: Returns a controller for the nominal drilling.
+Kind = Callable[[Nominal], "Regulator | Predictor"]
+
+
+def drilled_mm(point: dict[str, Any], kind: Kind, nominal: Nominal, seed: int) -> float:
     """Drills with a controller; returns by how much the target is missed."""
     plant, controller, random = simulation(point, drive=True), kind(nominal), np.random.default_rng(seed)
     for planned_n in nominal.tension_n:
         seen_mm = burr_mm(plant) + random.normal(0.0, NOISE_MM, 2)
         pull(plant, controller.choose(seen_mm, float(planned_n)))
-    return miss_mm(plant, point)
+    return miss_mm(plant, point, len(nominal.tension_n))
 
 
 def main() -> None:
@@ -207,18 +218,23 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     arguments.add_argument("--points", type=int, default=8)
+    arguments.add_argument("--periods", type=int, default=PERIODS, choices=range(16, PERIODS + 1), metavar="N")
+    arguments.add_argument("--tensions", type=int, default=7, choices=range(1, 8), metavar="N")
     given = arguments.parse_args()
-    nominal = Nominal()
-    kinds: dict[str, type[Regulator] | type[Predictor]] = {"LQR and Kalman": Regulator, "branches": Predictor}
+    nominal = Nominal(given.periods)
+    kinds: dict[str, Kind] = {
+        "LQR and Kalman": Regulator,
+        "branches": partial(Predictor, tensions=given.tensions),
+    }
     misses_mm: dict[str, list[float]] = {name: [] for name in ("none", "shape", *kinds)}
     for seed, point in enumerate(points(given.points)):
         for feedback in ("none", "shape"):
             plant = simulation({**point, "controller.0.curved_drilling.feedback": feedback})
-            plant.step(ticks=TICKS * PERIODS)
-            misses_mm[feedback].append(miss_mm(plant, point))
+            plant.step(ticks=TICKS * given.periods)
+            misses_mm[feedback].append(miss_mm(plant, point, given.periods))
         for name, kind in kinds.items():
             misses_mm[name].append(drilled_mm(point, kind, nominal, seed))
-    print(f"response a {nominal.a:.2f}, b {nominal.b:.2f} mm/N; miss of the target, {given.points} points, mm")
+    print(f"response a {nominal.a:.2f}, b {nominal.b:.2f} mm/N; miss, {given.points} points, mm")
     for name, misses in misses_mm.items():
         print(f"{name}: lowest {min(misses):.2f}, median {np.median(misses):.2f}, highest {max(misses):.2f}")
 

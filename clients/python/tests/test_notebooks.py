@@ -1,6 +1,4 @@
-"""Output of the notebooks in docs/notebooks, executed cell by cell in an empty folder, and of the planning
-example.
-"""
+"""Output of the notebooks in docs/notebooks, executed cell by cell in an empty folder, and of examples."""
 
 from __future__ import annotations
 
@@ -116,6 +114,16 @@ def test_designed_controllers_place_the_burr_of_tools_that_differ(tmp_path: Path
     said = printed([sys.executable, example], tmp_path)
     assert numbers(said, "hold:")[1] > 1.0, said
     assert numbers(said, "LQR and Kalman:")[2] < 0.1 and numbers(said, "branches:")[2] < 0.1, said
+
+
+def test_corrected_drillings_follow_the_curve_that_the_plan_misses(tmp_path: Path) -> None:
+    """Drills the first 9 mm with one tool: the drillings of docs/control.md take minutes."""
+    support.needs("control")
+    example = ROOT / "clients/python/examples/07_drill_with_feedback.py"
+    options = ("--points", "1", "--periods", "22", "--tensions", "3")
+    said = printed([sys.executable, example, *options], tmp_path)
+    assert numbers(said, "none:")[1] > 0.4, said
+    assert numbers(said, "LQR and Kalman:")[1] < 0.35 and numbers(said, "branches:")[1] < 0.2, said
 
 
 def within(said: str, begin: str, allowed: tuple[float, float, float]) -> None:

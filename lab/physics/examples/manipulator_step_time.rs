@@ -1,11 +1,12 @@
-//! Prints the time of one manipulator step in free motion and with contacts.
+//! Prints the time of one manipulator step, and of the tip Jacobian after it, in free motion and with
+//! contacts.
 //!
 //! `cargo run --release -p physics_lab --example manipulator_step_time [-- CASE [STEPS]]` runs all cases, or
 //! those whose name contains CASE.
 //!
-//! `... manipulator_step_time -- --instructions [CASE]` also counts the instructions of a step, which other
+//! `... manipulator_step_time -- --instructions [CASE]` also counts the instructions of both, which other
 //! load does not affect: every case runs again under `valgrind --tool=callgrind
-//! --toggle-collect='*one_step*'`.
+//! --toggle-collect='*one_step*'`, then with `'*one_jacobian*'`.
 //!
 //! The 27-flexure tool, with a tendon tension that alternates between 6 and 8 N every 200 ms, swings freely,
 //! is pressed onto a winding wall, or is in a winding tunnel.
@@ -18,7 +19,7 @@ use nalgebra::{Isometry3, Unit, Vector3};
 use simulation::contact_plane::ContactPlane;
 use simulation::manipulator::{
     AnyManipulator, BaseMotion, Integrator, ManipulatorError, ManipulatorModel, ManipulatorParameters, Rung,
-    StepInput, StepReport, TendonCommand, Wrench,
+    StepInput, StepReport, TendonCommand, TipJacobian, Wrench,
 };
 
 const STEPS: usize = 4000;
@@ -27,6 +28,12 @@ const STEPS: usize = 4000;
 #[inline(never)]
 fn one_step(m: &mut AnyManipulator, input: &StepInput) -> Result<StepReport, ManipulatorError> {
     m.step(1e-3, input)
+}
+
+/// The other timed code.
+#[inline(never)]
+fn one_jacobian(m: &AnyManipulator) -> TipJacobian {
+    m.tip_jacobian()
 }
 
 /// A tunnel with `clearance_m` on both sides that winds with an amplitude of 0.3 mm and a wavelength of 12
@@ -63,11 +70,15 @@ impl Options {
     }
 }
 
-/// Returns the mean number of instructions of a step, from this program under callgrind with one case.
-fn instructions(name: &str) -> Result<u64, Box<dyn std::error::Error>> {
+/// Returns the mean number of instructions of `counted`, from this program under callgrind with one case.
+fn instructions(name: &str, counted: &str) -> Result<u64, Box<dyn std::error::Error>> {
     const COUNTED_STEPS: u64 = 1000;
     let output = Command::new("valgrind")
-        .args(["--tool=callgrind", "--toggle-collect=*one_step*", "--callgrind-out-file=/dev/null"])
+        .args([
+            "--tool=callgrind",
+            "--callgrind-out-file=/dev/null",
+            &format!("--toggle-collect=*{counted}*"),
+        ])
         .arg(std::env::current_exe()?)
         .args([name, &COUNTED_STEPS.to_string()])
         .output()
@@ -93,7 +104,7 @@ fn run(
     let parameters = ManipulatorParameters { integrator, ..ManipulatorParameters::jhu_27() };
     let mut manipulator = AnyManipulator::new(rung, parameters, &base)?;
     let mut contacts = Vec::with_capacity(96);
-    let mut micros = Vec::with_capacity(steps);
+    let [mut micros, mut jacobian_micros] = [0; 2].map(|_| Vec::with_capacity(steps));
     let (mut iterations, mut active, mut second_order, mut residual) = (0, 0, 0, 0.0f64);
     for k in 0..steps {
         contacts.clear();
@@ -108,17 +119,24 @@ fn run(
         let start = Instant::now();
         let report = black_box(one_step(&mut manipulator, black_box(&input))?);
         micros.push(start.elapsed().as_secs_f64() * 1e6);
+        let start = Instant::now();
+        black_box(one_jacobian(black_box(&manipulator)));
+        jacobian_micros.push(start.elapsed().as_secs_f64() * 1e6);
         iterations += report.contact_iterations;
         active += report.active_contact_count;
         residual = residual.max(if k % 200 >= 100 { report.contact_residual_m_per_s } else { 0.0 });
         second_order += usize::from(report.integrator == Integrator::Hybrid);
     }
-    micros.sort_by(f64::total_cmp);
-    let counted =
-        if options.instructions { format!(", {} instructions", instructions(name)?) } else { String::new() };
+    for micros in [&mut micros, &mut jacobian_micros] {
+        micros.sort_by(f64::total_cmp);
+    }
+    let counted = |what| match options.instructions {
+        true => instructions(name, what).map(|count| format!(", {count} instructions")),
+        false => Ok(String::new()),
+    };
     println!(
         "{name:<34} {:>2} contacts ({:>4.1} active): median {:6.2} us, p99 {:6.2} us, {:4.1} iterations, \
-         late residual {:7.1e} m/s, {:5.1} % ROS2{counted}",
+         late residual {:7.1e} m/s, {:5.1} % ROS2{}; tip Jacobian: median {:5.2} us{}",
         contacts.len(),
         active as f64 / steps as f64,
         micros[steps / 2],
@@ -126,6 +144,9 @@ fn run(
         iterations as f64 / steps as f64,
         residual,
         100.0 * second_order as f64 / steps as f64,
+        counted("one_step")?,
+        jacobian_micros[steps / 2],
+        counted("one_jacobian")?,
     );
     Ok(())
 }

@@ -32,6 +32,7 @@ pub(super) fn of_log(log: &LogInfo) -> Value {
         "last_hash": log.ending.marker.as_ref().and_then(|marker| marker.hash).map(hash_text),
         "missed_ticks": log.misses.missed(),
         "topics": topics,
+        "fmus": super::fmus(log),
         "verdict": of_verdict(&log.verdict),
     })
 }

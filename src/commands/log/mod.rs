@@ -13,13 +13,15 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use clap::Subcommand;
+use ipc_types::scene::Scene;
 use recorder_proc::exit_code::exit_code;
 use recorder_proc::log_file::{LogFile, log_path};
 use run_log::diff::diff;
-use run_log::{LogError, ReadOptions, Verdict, info};
+use run_log::{LogError, LogInfo, ReadOptions, Verdict, info};
 
 use crate::commands::log_name;
 use crate::failure::Failure;
+use crate::fmu_controller::replay_note;
 use crate::say::{self, Figures, Out};
 
 /// Arguments of `log`.
@@ -92,6 +94,9 @@ fn told(log: &Path, figures: Figures, out: &mut Out<'_>) -> Result<(), Failure> 
         let _ = writeln!(out, "{}", serde_json::json!({"run": json::of_log(&summary), "timing": timing}));
     } else {
         answered(summary.write(out))?;
+        if let Some(note) = fmus(&summary) {
+            let _ = writeln!(out, "FMUs        {note}");
+        }
         if let Some(lane) = &lane {
             answered(lane.write_misses(out))?;
             if !lane.verdict.is_intact() {
@@ -101,6 +106,12 @@ fn told(log: &Path, figures: Figures, out: &mut Out<'_>) -> Result<(), Failure> 
     }
     let of_lane = lane.map_or(0, |lane| exit_code(&lane.verdict));
     concluded(out, worse(exit_code(&summary.verdict), of_lane))
+}
+
+/// Returns how a log replays the FMUs of its scene; `None` without an FMU, or if the scene cannot be read.
+fn fmus(log: &LogInfo) -> Option<String> {
+    let scene = Scene::parse(&log.header.scene_toml, Path::new("scene.toml")).ok()?;
+    replay_note(&scene)
 }
 
 /// Prints where two logs first differ.

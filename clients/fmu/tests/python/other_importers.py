@@ -1,4 +1,4 @@
-"""Steps an FMU of ours (FMI 2.0) in another importer: `libcosim` or `ecos`.
+"""Steps an FMU of ours in another importer: `libcosim` or `ecos`, or `fmuloader` for FMI 3.0.
 
 Prints one JSON object: the bits of a number of the FMU after every step, and its text `hash` after the last.
 """
@@ -9,10 +9,13 @@ import ctypes
 import json
 import struct
 import sys
+import zipfile
 from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
 
 importer, file, steps = sys.argv[1], sys.argv[2], int(sys.argv[3])
-reals: dict[str, float] = json.loads(sys.argv[4])
+reals: dict[str, float | list[float]] = json.loads(sys.argv[4])
 whole_numbers: dict[str, int] = json.loads(sys.argv[5])
 output = sys.argv[6]
 
@@ -30,7 +33,7 @@ def by_libcosim() -> tuple[list[float], str]:
     execution.add_observer(observer=observer)
     names = {variable.name.decode(): variable.reference for variable in execution.slave_variables(slave_index=index)}
 
-    def of(wanted: dict[str, float] | dict[str, int]) -> list[int]:
+    def of(wanted: dict[str, Any]) -> list[int]:
         return [names[name] for name in wanted]
 
     manipulator.slave_real_values(index, of(reals), list(reals.values()))
@@ -67,7 +70,31 @@ def by_ecos() -> tuple[list[float], str]:
     return course, text
 
 
-course, text = {"libcosim": by_libcosim, "ecos": by_ecos}[importer]()
+def by_fmuloader() -> tuple[list[float], str]:
+    from fmuloader.fmi3 import Fmi3Slave
+
+    root = ElementTree.fromstring(zipfile.ZipFile(file).read("modelDescription.xml"))
+    [variables], [mode] = root.iter("ModelVariables"), root.iter("CoSimulation")
+    references = {variable.attrib["name"]: int(variable.attrib["valueReference"]) for variable in variables}
+    slave = Fmi3Slave(file, model_identifier=mode.attrib["modelIdentifier"])
+    slave.instantiate_co_simulation("a", instantiation_token=root.attrib["instantiationToken"])
+    slave.enter_initialization_mode(start_time=0.0)
+    for name, value in reals.items():
+        slave.set_float64([references[name]], value if isinstance(value, list) else [value])
+    for name, number in whole_numbers.items():
+        slave.set_uint32([references[name]], [number])
+    slave.exit_initialization_mode()
+    course = []
+    for step in range(steps):
+        slave.do_step(step * 1e-3, 1e-3)
+        course += slave.get_float64([references[output]])
+    [text] = slave.get_string([references["hash"]])
+    slave.terminate()
+    slave.free_instance()
+    return course, text
+
+
+course, text = {"libcosim": by_libcosim, "ecos": by_ecos, "fmuloader": by_fmuloader}[importer]()
 # As bits: decimal numbers are not read back exactly everywhere.
 bits = [struct.unpack("<Q", struct.pack("<d", value))[0] for value in course]
 print(json.dumps({"course": bits, "hash": text}))

@@ -19,10 +19,11 @@
 //! contacts). Springs in series like this are the force-deflection rule for flexible manipulators; see
 //! Siciliano and Khatib (eds.), Springer Handbook of Robotics, 2nd ed., ch. 11.
 
-use nalgebra::{Isometry3, SMatrix, SVector, Vector3};
+use nalgebra::{Isometry3, Vector3};
 
 use super::MAX_TENDONS;
 use super::common::Common;
+use super::contact::Factor;
 use super::contact::chain::add_scaled;
 use super::spatial::algebra::{Spatial, ZERO, dot, force_at};
 use super::state::ManipulatorState;
@@ -192,16 +193,21 @@ impl<const N: usize> FewFreedoms<N> {
     /// Returns the motion of the last link; of a tool that buckles, that of the base.
     pub fn tip_motion(&self) -> LinkMotion {
         let mut motion = LinkMotion::of_base();
-        let Some(factor) = SMatrix::<f64, N, N>::from(self.operator).cholesky() else { return motion };
+        let Some(factor) = Factor::of(&self.operator) else { return motion };
+        // The operator is symmetric, so one solution for each component of the motion serves all forces.
+        let axes: [[f64; N]; 6] = core::array::from_fn(|i| core::array::from_fn(|k| self.axis[k][i]));
+        let solved = axes.each_ref().map(|axis| factor.solve(axis));
         let moved = |force: &[f64; N]| {
-            let (q, mut sum) = (factor.solve(&SVector::from(*force)), ZERO);
+            let mut sum = ZERO;
             for k in 0..N {
-                add_scaled(&mut sum, q[k], &self.axis[k]);
+                for i in 0..6 {
+                    sum[i] += force[k] * solved[i][k];
+                }
             }
             sum
         };
         motion.per_tension = self.pull.each_ref().map(moved);
-        motion.flexibility = core::array::from_fn(|k| moved(&core::array::from_fn(|n| self.axis[n][k])));
+        motion.flexibility = axes.each_ref().map(moved);
         for (column, base) in motion.per_base.iter_mut().zip(&self.base) {
             add_scaled(column, -1.0, &moved(base));
         }

@@ -29,6 +29,13 @@ impl<const N: usize> Factor<N> {
         Self { upper: [[0.0; N]; N], inverse: [0.0; N] }
     }
 
+    /// Returns the factors of a matrix; `None` if it is not positive definite.
+    pub fn of(matrix: &Square<N>) -> Option<Self> {
+        let mut factor = Self { upper: *matrix, inverse: [0.0; N] };
+        factor.factor(pulp::Scalar::new());
+        factor.inverse.iter().all(|inverse| inverse.is_finite() && *inverse > 0.0).then_some(factor)
+    }
+
     /// Factors the matrix in `upper` by elimination, whole rows at a time.
     #[inline(always)]
     pub fn factor<S: pulp::Simd>(&mut self, simd: S) {
