@@ -49,13 +49,13 @@ pub struct PathArguments {
     #[arg(long, value_name = "MM", default_value_t = 0.5, value_parser = within(0.0, 20.0))]
     feed_mm: f64,
     /// Number of paths to simulate, the scene's own included.
-    #[arg(long, default_value_t = 48, value_parser = clap::value_parser!(u64).range(1..=MAX_CANDIDATES))]
+    #[arg(long, default_value_t = 40, value_parser = clap::value_parser!(u64).range(1..=MAX_CANDIDATES))]
     candidates: u64,
     /// Largest number of plans to write.
-    #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u64).range(1..=MAX_PLANS))]
+    #[arg(long, default_value_t = 4, value_parser = clap::value_parser!(u64).range(1..=MAX_PLANS))]
     plans: u64,
     /// Number of sampled runs of each plan, for its probabilities; 0 for none.
-    #[arg(long, default_value_t = 20, value_parser = clap::value_parser!(u64).range(0..=MAX_SAMPLES))]
+    #[arg(long, default_value_t = 15, value_parser = clap::value_parser!(u64).range(0..=MAX_SAMPLES))]
     samples: u64,
     /// Sweep study (TOML) whose points are the sampled worlds, as keys of `[truth]`; its scene is not used.
     /// Default: the registration by up to 1 mm and 1 deg about each axis, the tool's stiffness by 10 %, the
@@ -92,12 +92,12 @@ pub fn run(arguments: &PathArguments) -> Result<(), Failure> {
     let study = plan_path::study(arguments.study.as_deref())?;
     let source = SceneSource::new(arguments.scene.as_deref(), BuiltIn::Femur);
     let search = Search::new(&source, settings(arguments), &is_to_end)?;
-    let candidates = search.run(&|found: &[Candidate]| tell!("{}", progress(found)))?;
+    let candidates = search.run(&|found: &[Candidate]| tell!("simulated {}", tally(found)))?;
     let plans = plan_path::spread(&plan_path::front(&candidates), arguments.plans as usize);
     if plans.is_empty() {
         return Err(Failure::failed(format!(
-            "{source}: no path without a fault among {}; widen the bounds, or raise --candidates",
-            progress(&candidates)
+            "{source}: no path without a fault: of {}; widen the bounds, or raise --candidates",
+            tally(&candidates)
         )));
     }
     let chosen: Vec<&Candidate> = plans.iter().map(|index| &candidates[*index]).collect();
@@ -128,14 +128,13 @@ fn settings(arguments: &PathArguments) -> Settings {
     }
 }
 
-/// Returns how many paths were simulated, and what is wrong with how many.
-fn progress(found: &[Candidate]) -> String {
+/// Returns the number of simulated paths, and how many have which fault.
+fn tally(found: &[Candidate]) -> String {
     let good = found.iter().filter(|candidate| candidate.outcome.fault.is_none()).count();
-    let faults = plan_path::faults(found);
-    let faults: Vec<String> =
-        faults.into_iter().map(|(fault, count)| format!("{count} {}", fault.verb())).collect();
-    let rest = if faults.is_empty() { String::new() } else { format!(", {}", faults.join(", ")) };
-    format!("{} simulated: {good} without a fault{rest}", counted(found.len(), "path"))
+    let faults = plan_path::faults(found).into_iter().map(|(fault, count)| (count, fault.verb()));
+    let parts = std::iter::once((good, "without a fault")).chain(faults);
+    let parts: Vec<String> = parts.map(|(count, what)| format!("{count} {what}")).collect();
+    format!("{}: {}", counted(found.len(), "path"), parts.join(", "))
 }
 
 /// The result of a search.
@@ -151,27 +150,18 @@ impl Written<'_> {
     fn text(&self) -> String {
         let mut lines = Vec::new();
         if self.search.has_added_outside {
-            lines.push(
-                "structures   none to avoid: the clearance is that from the outside of the bone".to_owned(),
-            );
+            let from = "none to avoid: the clearance is that from the outside of the bone";
+            lines.push(format!("structures   {from}"));
         }
-        lines.push(format!("simulated    {}", progress(self.candidates)));
-        lines.push(
-            "plan  clearance  removed   off    entry        tilt         bend   tension  feed   breach                miss"
-                .to_owned(),
-        );
-        lines.push(
-            "      mm         mm3       mm     mm           deg          mm     %        mm     (95 % interval)       (95 % interval)"
-                .to_owned(),
-        );
-        let own = self.candidates.iter().take(1).map(|own| row("scene", own, None));
-        lines.extend(own);
+        lines.push(format!("simulated    {}", tally(self.candidates)));
+        lines.extend(HEAD.map(|head| line(head.map(str::to_owned))));
+        lines.extend(self.candidates.iter().take(1).map(|own| row("scene", own, None)));
         let plans = self.plans.iter().zip(self.risks).enumerate();
         lines.extend(plans.map(|(number, (plan, risk))| row(&(number + 1).to_string(), plan, Some(risk))));
         lines.push(format!(
-            "written      {} to {}, {PICTURE}",
-            self.arguments.output.join("plan-1.toml").display(),
-            self.plans.len()
+            "written      {} and {PICTURE} in {}",
+            counted(self.plans.len(), "plan"),
+            self.arguments.output.display()
         ));
         lines.join("\n")
     }
@@ -197,24 +187,41 @@ impl Written<'_> {
     }
 }
 
+/// Columns of the table, with their units.
+const HEAD: [[&str; 10]; 2] = [
+    ["plan", "clearance", "removed", "off", "entry", "tilt", "bend", "tension", "feed", "breach, miss"],
+    ["", "mm", "mm3", "mm", "mm", "deg", "mm", "%", "mm", "shares with 95 % intervals"],
+];
+
 /// Returns a line of the table.
-fn row(name: &str, plan: &Candidate, risk: Option<&Risk>) -> String {
-    let outcome = &plan.outcome;
-    let Offsets { entry_mm: [u, v], tilt_deg: [a, b], bend_mm, tension_percent, feed_mm } = plan.offsets;
+fn line(cells: [String; 10]) -> String {
+    const WIDTHS: [usize; 10] = [6, 11, 9, 6, 13, 13, 7, 9, 7, 0];
+    let padded = cells.iter().zip(WIDTHS).map(|(cell, width)| format!("{cell:<width$}"));
+    padded.collect::<String>().trim_end().to_owned()
+}
+
+/// Returns the line of a path; one without a risk has its fault instead, if any.
+fn row(name: &str, path: &Candidate, risk: Option<&Risk>) -> String {
+    let outcome = &path.outcome;
+    let Offsets { entry_mm, tilt_deg, bend_mm, tension_percent, feed_mm } = path.offsets;
     let number = |x: Option<f64>| x.map_or("-".to_owned(), |x| format!("{x:.2}"));
-    let share = |of: fn(&Risk) -> Proportion| risk.map_or(String::new(), |risk| proportion(of(risk)));
-    let fault = outcome.fault.map_or(String::new(), |fault| fault.verb().to_owned());
-    let breach = if risk.is_some() { share(|risk| risk.breach) } else { fault };
-    let line = format!(
-        "{name:<6}{:<11}{:<10.1}{:<7}{:<13}{:<13}{bend_mm:<+7.2}{tension_percent:<+9.1}{feed_mm:<+7.2}{breach:<22}{}",
+    let pair = |[a, b]: [f64; 2]| format!("{a:+.2} {b:+.2}");
+    line([
+        name.to_owned(),
         number(outcome.clearance_mm),
-        outcome.bone_removed_mm3,
+        format!("{:.1}", outcome.bone_removed_mm3),
         number(outcome.target_error_mm),
-        format!("{u:+.2} {v:+.2}"),
-        format!("{a:+.2} {b:+.2}"),
-        share(|risk| risk.miss),
-    );
-    line.trim_end().to_owned()
+        pair(entry_mm),
+        pair(tilt_deg),
+        format!("{bend_mm:+.2}"),
+        format!("{tension_percent:+.1}"),
+        format!("{feed_mm:+.2}"),
+        match (risk, outcome.fault) {
+            (Some(risk), _) => format!("{}, {}", proportion(risk.breach), proportion(risk.miss)),
+            (None, Some(fault)) => fault.verb().to_owned(),
+            (None, None) => String::new(),
+        },
+    ])
 }
 
 fn proportion(of: Proportion) -> String {

@@ -206,3 +206,89 @@ fn make_entries_absolute(values: &mut Array, folder: &Path) {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+
+    use super::*;
+
+    /// Collects the names of keys that are paths, and of keys that are other texts.
+    fn texts(schema: &serde_json::Value, paths: &mut BTreeSet<String>, others: &mut BTreeSet<String>) {
+        for (name, property) in schema["properties"].as_object().into_iter().flatten() {
+            let is_text = property["type"].to_string().contains("string");
+            match property["x-kind"] == "path" {
+                true => paths.insert(name.clone()),
+                false => is_text && others.insert(name.clone()),
+            };
+        }
+        let below = schema.as_object().into_iter().flat_map(serde_json::Map::values);
+        let entries = schema.as_array().into_iter().flatten();
+        below.chain(entries).for_each(|value| texts(value, paths, others));
+    }
+
+    #[test]
+    fn the_keys_of_paths_are_those_of_the_schema() {
+        let (mut paths, mut others) = (BTreeSet::new(), BTreeSet::new());
+        texts(&ipc_types::scene::json_schema(), &mut paths, &mut others);
+        assert_eq!(paths.iter().map(String::as_str).collect::<Vec<_>>(), PATHS);
+        assert!(paths.is_disjoint(&others), "{others:?}");
+    }
+
+    const PLANNED: &str = r#"name = "a"
+[run]
+mode = "lockstep"
+duration_s = 30.0
+[volume]
+path = "ct.nrrd" # mine
+[tool]
+plan = "p.mrk.json"
+[[controller]]
+name = "c"
+drives = []
+[controller.curved_drilling]
+feed_mm_per_s = 1.0
+tension_n = 3.0
+burr_speed_rpm = 1.0
+feedback = "none"
+"#;
+    const CURVE: &str = r#"{"markups": [{"type": "Curve", "coordinateSystem": "LPS", "controlPoints": [
+        {"position": [0, 0, 0]}, {"position": [0, 0, 45.5]}, {"position": [5, 0, 65.25]}]}]}"#;
+
+    /// The text for another folder needs no plan, and is the same scene to three decimals of a millimetre.
+    #[test]
+    fn a_portable_text_holds_the_points_of_its_plan_and_absolute_paths() {
+        let read = |_: &Path| Ok(CURVE.to_owned());
+        let planned = Scene::parse_with(PLANNED, Path::new("/scenes/a.toml"), &read).unwrap();
+        let text = portable(PLANNED, &planned, Path::new("/scenes")).unwrap();
+        assert!(text.contains("path = \"/scenes/ct.nrrd\" # mine\n") && !text.contains("plan ="), "{text}");
+        let moved = Scene::parse(&text, Path::new("/elsewhere/a.toml")).unwrap();
+        assert_eq!(
+            (moved.volume.as_ref(), moved.tool.burr_start_mm),
+            (planned.volume.as_ref(), planned.tool.burr_start_mm)
+        );
+        assert_eq!(moved.predrill, planned.predrill);
+        let [moved, planned] =
+            [&moved, &planned].map(|scene| scene.controller[0].curved_drilling.clone().unwrap());
+        assert_eq!(moved.target_mm, planned.target_mm);
+        assert!((moved.insertion_mm - planned.insertion_mm).abs() <= 0.5e-3);
+    }
+
+    #[test]
+    fn a_structure_is_added_in_either_syntax() {
+        let tool =
+            "burr_start_mm = [0.0, 0.0, 0.0]\ndirection = [0.0, 0.0, 1.0]\nbend_toward = [1.0, 0.0, 0.0]";
+        let text = PLANNED.replace("plan = \"p.mrk.json\"", tool);
+        let text = text.replace("feedback", "insertion_mm = 1.0\nramp_end_mm = 1.0\nfeedback");
+        let ball = "{ centre_mm = [0.0, 0.0, 0.0], radius_mm = 1.0 }";
+        let inline = format!("structure = [{{ name = \"n\", ball = {ball} }}]\n{text}");
+        let tables = inline.lines().skip(1).collect::<Vec<_>>().join("\n");
+        for (text, count) in [(inline, 2), (tables, 1)] {
+            let added = with_outside(&text, "outside", 5.0).unwrap();
+            let scene = Scene::parse(&added, Path::new("a.toml")).unwrap();
+            assert_eq!(scene.structure.len(), count);
+            let last = &scene.structure[count - 1];
+            assert_eq!((last.name.as_str(), last.margin_mm), ("outside", 5.0));
+        }
+    }
+}

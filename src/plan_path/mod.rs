@@ -9,6 +9,7 @@
 mod figure;
 mod offsets;
 mod outcome;
+mod parallel;
 mod risk;
 mod screen;
 
@@ -16,7 +17,6 @@ use std::collections::BTreeMap;
 
 use ipc_types::process::EXIT_BAD_INPUT;
 use ipc_types::scene::{Scene, StructureRole};
-use rayon::prelude::*;
 use serde::Serialize;
 use sim::{SharedScene, SimError};
 use sweep::{pareto_front, pareto_order, sobol_point};
@@ -26,6 +26,7 @@ use crate::plan_edit::approach::{approached, portable, with_outside};
 use crate::prediction::Prediction;
 use crate::scenes::SceneSource;
 use offsets::{DIMENSIONS, drilling, offset};
+use parallel::on_all_cores;
 use screen::Screen;
 
 pub use figure::draw;
@@ -141,8 +142,7 @@ impl<'a> Search<'a> {
             }
             let known: Vec<Offsets> = found.iter().map(|candidate: &Candidate| candidate.offsets).collect();
             offsets.retain(|offsets| !known.contains(offsets));
-            let new: Vec<Option<Candidate>> =
-                offsets.into_par_iter().map(|offsets| self.candidate(offsets)).collect::<Result<_, _>>()?;
+            let new = on_all_cores(&offsets, |offsets| self.candidate(*offsets))?;
             found.extend(new.into_iter().flatten());
             tell(&found);
         }
@@ -241,9 +241,8 @@ fn refuse(source: &SceneSource, scene: &Scene) -> Result<(), Failure> {
     }
     let has_region = scene.structure.iter().any(|structure| structure.role == StructureRole::Target);
     if plan.target_mm.is_none() && !has_region {
-        return bad(
-            "no target; set `controller.curved_drilling.target_mm`, or `role = \"target\"` of a `[[structure]]`",
-        );
+        return bad("no target; set `controller.curved_drilling.target_mm`, or `role = \"target\"` of a \
+             `[[structure]]`");
     }
     let is_avoided = |structure: &ipc_types::scene::Structure| structure.role == StructureRole::Avoid;
     if scene.volume.is_none() && !scene.structure.iter().any(is_avoided) {
@@ -252,7 +251,8 @@ fn refuse(source: &SceneSource, scene: &Scene) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Returns the offsets to search around: those of the front, or else the one that comes closest to the target.
+/// Returns the offsets to search around: those of the front, or else of the path that ends closest to the
+/// target.
 fn parents(found: &[Candidate]) -> Vec<Offsets> {
     let front = front(found);
     if !front.is_empty() {
@@ -287,4 +287,18 @@ pub fn faults(found: &[Candidate]) -> BTreeMap<Fault, usize> {
         *counts.entry(fault).or_default() += 1;
     }
     counts
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_long_front_is_thinned_evenly_with_both_ends() {
+        let front: Vec<usize> = (10..21).collect();
+        assert_eq!(spread(&front, 3), [10, 15, 20]);
+        assert_eq!(spread(&front, 5), [10, 13, 15, 18, 20]);
+        assert_eq!(spread(&front, 1), [10]);
+        assert_eq!(spread(&front[..2], 5), [10, 11]);
+    }
 }

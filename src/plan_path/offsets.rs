@@ -44,15 +44,15 @@ impl Offsets {
 /// Largest offsets that are searched, in both directions.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Bounds {
-    /// Of each of [`Offsets::entry_mm`].
+    /// Each of [`Offsets::entry_mm`].
     pub entry_mm: f64,
-    /// Of each of [`Offsets::tilt_deg`].
+    /// Each of [`Offsets::tilt_deg`].
     pub tilt_deg: f64,
-    /// Of [`Offsets::bend_mm`].
+    /// [`Offsets::bend_mm`].
     pub bend_mm: f64,
-    /// Of [`Offsets::tension_percent`].
+    /// [`Offsets::tension_percent`].
     pub tension_percent: f64,
-    /// Of [`Offsets::feed_mm`].
+    /// [`Offsets::feed_mm`].
     pub feed_mm: f64,
 }
 
@@ -172,4 +172,126 @@ fn mm(x: f64) -> f64 {
 
 fn direction(unit: [f64; 3]) -> [f64; 3] {
     unit.map(|x| rounded(x, DIRECTION_DECIMALS))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::*;
+    use crate::plan_edit::approach::approached;
+
+    /// A hole of 50 mm along z to (0, 0, 40), and 2 mm farther a bend of radius 25 mm to (5, 0, 57).
+    const CURVE: &str = r#"# Mine.
+name = "a"
+[run]
+mode = "lockstep"
+duration_s = 30.0 # long
+[volume]
+phantom = "block"
+[[predrill]]
+from_mm = [0, 0.0, -10.0]
+to_mm = [0.0, 0.0, 40.0] # the end
+diameter_mm = 7.0
+[tool]
+burr_start_mm = [ 0.0, 0.0,
+  40.0 ] # here
+direction = [0.0, 0.0, 2.0]
+bend_toward = [1.0, 0.0, 0.5]
+[[controller]]
+name = "c"
+drives = []
+[controller.curved_drilling]
+feed_mm_per_s = 1.0
+tension_n = 3.0
+burr_speed_rpm = 1.0
+feedback = "none"
+ramp_start_mm = 2.0
+ramp_end_mm = 17.0 # ramp
+insertion_mm = 18.0
+target_mm = [5.0, 0.0, 57.0]
+"#;
+
+    fn scene(text: &str) -> Scene {
+        Scene::parse(text, Path::new("a.toml")).unwrap()
+    }
+
+    fn near(found: f64, expected: f64) {
+        assert!((found - expected).abs() < 2e-3, "{found}, expected {expected}");
+    }
+
+    /// 2 mm nearer to the target: 15 mm ahead and 3 beside, a radius of 39 mm.
+    #[test]
+    fn a_moved_entry_changes_the_arc_its_tension_and_the_feed() {
+        let by = Offsets { entry_mm: [2.0, 0.0], feed_mm: 0.5, tension_percent: 10.0, ..Offsets::default() };
+        let moved = offset(&scene(CURVE), &by).unwrap();
+        assert_eq!(moved.tool.burr_start_mm, [2.0, 0.0, 40.0]);
+        assert_eq!(
+            (moved.predrill[0].from_mm, moved.predrill[0].to_mm),
+            ([2.0, 0.0, -10.0], [2.0, 0.0, 40.0])
+        );
+        let [old_rad, new_rad] = [1.0_f64 / 3.0, 0.2].map(|slope| 2.0 * slope.atan());
+        let (old_mm, new_mm) = (25.0 * old_rad, 39.0 * new_rad);
+        let plan = drilling(&moved).unwrap();
+        near(plan.insertion_mm, 18.5 + new_mm - old_mm);
+        near(plan.ramp_end_mm, 2.0 + 15.0 * new_mm / old_mm);
+        near(plan.tension_n.unwrap(), 1.1 * 3.0 * new_rad / old_rad);
+        assert_eq!(moved.run.duration_s, 30.0);
+        let longer = offset(&scene(CURVE), &Offsets { feed_mm: 1.55, ..Offsets::default() }).unwrap();
+        assert_eq!((drilling(&longer).unwrap().insertion_mm, longer.run.duration_s), (19.55, 31.6));
+    }
+
+    #[test]
+    fn a_tilted_feed_turns_about_the_entry_and_bends_toward_the_target() {
+        let by = Offsets { tilt_deg: [0.0, 5.0], bend_mm: 1.0, ..Offsets::default() };
+        let tilted = offset(&scene(CURVE), &by).unwrap();
+        let along = unit(tilted.tool.direction);
+        near(dot(along, [0.0, 0.0, 1.0]).acos().to_degrees(), 5.0);
+        near(along[0], 0.0);
+        let from_entry = minus(tilted.tool.burr_start_mm, [0.0, 0.0, -10.0]);
+        near(length(from_entry), 50.0);
+        near(dot(unit(from_entry), along), 1.0);
+        // The target is in the plane of feed and bend, on the side of the bend.
+        let away = minus([5.0, 0.0, 57.0], tilted.tool.burr_start_mm);
+        near(dot(away, cross(along, tilted.tool.bend_toward)), 0.0);
+        assert!(dot(away, tilted.tool.bend_toward) > 0.0);
+        assert_eq!(drilling(&tilted).unwrap().ramp_start_mm, 3.0);
+        // A target behind the bend cannot be reached.
+        let late = Offsets { bend_mm: 16.0, ..Offsets::default() };
+        assert!(offset(&scene(CURVE), &late).is_none());
+    }
+
+    #[test]
+    fn a_straight_path_aims_at_its_target_from_any_entry() {
+        let text = CURVE.replace("target_mm = [5.0, 0.0, 57.0]", "target_mm = [0.0, 0.0, 57.0]");
+        let straight = scene(&text);
+        let bounds =
+            Bounds { entry_mm: 3.0, tilt_deg: 5.0, bend_mm: 2.0, tension_percent: 10.0, feed_mm: 1.0 };
+        assert_eq!(
+            bounds.limits(&straight, drilling(&straight).unwrap()),
+            [3.0, 3.0, 0.0, 0.0, 0.0, 0.0, 1.0]
+        );
+        let moved = offset(&straight, &Offsets { entry_mm: [3.0, 0.0], ..Offsets::default() }).unwrap();
+        let away = minus([0.0, 0.0, 57.0], moved.tool.burr_start_mm);
+        near(dot(unit(away), unit(moved.tool.direction)), 1.0);
+        near(drilling(&moved).unwrap().insertion_mm, 18.0 + length(away) - 17.0);
+    }
+
+    /// What is searched is what is written; everything else of the text stays.
+    #[test]
+    fn the_text_of_an_approach_is_its_scene() {
+        let original = scene(CURVE);
+        assert_eq!(approached(CURVE, &original, &original).unwrap(), CURVE);
+        for index in 0..50 {
+            let unit: [f64; DIMENSIONS] = sweep::sobol_point(3, index);
+            let by = Offsets::of(unit.map(|x| 4.0 * x - 2.0));
+            let expected = offset(&original, &by).unwrap();
+            let text = approached(CURVE, &original, &expected).unwrap();
+            assert_eq!(scene(&text), expected, "{text}");
+            assert!(
+                text.starts_with("# Mine.") && text.contains(" # here\n") && text.contains(" # ramp\n"),
+                "{text}"
+            );
+        }
+    }
 }

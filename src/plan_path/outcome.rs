@@ -139,14 +139,16 @@ mod tests {
     #[test]
     fn an_entrance_counts_up_to_its_margin() {
         let scene = |structures: &str| {
-            let text = "name = \"a\"\n[run]\nmode = \"lockstep\"\nduration_s = 1.0\n[volume]\nphantom = \"block\"\n\
+            let text = "name = \"a\"\n[run]\nmode = \"lockstep\"\nduration_s = 1.0\n\
+                        [volume]\nphantom = \"block\"\n\
                         [tool]\nburr_start_mm = [0.0, 0.0, -40.0]\ndirection = [0.0, 0.0, 1.0]\n\
                         bend_toward = [1.0, 0.0, 0.0]\n";
             Scene::parse(&format!("{text}{structures}"), Path::new("a.toml")).unwrap()
         };
         let nerve =
             "[[structure]]\nname = \"nerve\"\nball = { centre_mm = [9.0, 0.0, 0.0], radius_mm = 1.0 }\n";
-        let target = "[[structure]]\nname = \"tumour\"\nrole = \"target\"\nball = { centre_mm = [0.0, 0.0, 0.0], radius_mm = 1.0 }\n";
+        let target = "[[structure]]\nname = \"tumour\"\nrole = \"target\"\n\
+                      ball = { centre_mm = [0.0, 0.0, 0.0], radius_mm = 1.0 }\n";
         let outside = "[[structure]]\nname = \"out\"\nmargin_mm = 3.0\nbuilt_in = \"outside_of_bone\"\n";
         let found = |structures: &str, clearances: &[f64]| {
             let summary = |least_mm: &f64| StructureSummary {

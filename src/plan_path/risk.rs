@@ -2,11 +2,11 @@
 
 use std::path::Path;
 
-use rayon::prelude::*;
 use serde::Serialize;
 use sweep::{Proportion, Study};
 
 use super::outcome::{Fault, Outcome};
+use super::parallel::on_all_cores;
 use super::{Candidate, Search, changed};
 use crate::failure::Failure;
 
@@ -64,10 +64,7 @@ impl Search<'_> {
         }
         let all: Vec<(&str, u64)> =
             plans.iter().flat_map(|plan| (0..samples).map(|point| (plan.text.as_str(), point))).collect();
-        let outcomes: Vec<Outcome> = all
-            .into_par_iter()
-            .map(|(text, point)| self.outcome(text, &settings(point)))
-            .collect::<Result<_, _>>()?;
+        let outcomes = on_all_cores(&all, |(text, point)| self.outcome(text, &settings(*point)))?;
         let of_plan = |index: usize| {
             let first = index * samples as usize;
             Risk::of(&outcomes[first..first + samples as usize])
