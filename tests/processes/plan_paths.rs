@@ -101,12 +101,10 @@ fn what_has_no_path_to_plan_is_refused_by_name() {
         2,
         "invalid value '51' for '--entry-mm <MM>': expected a number from 0 to 50",
     );
-    // Far from what the tool can reach, every candidate misses.
-    let far = SCENE
-        .replace("[3.0, 0.0, -16.0]", "[3.0, 0.0, -10.0]")
-        .replace("insertion_mm = 17.0", "insertion_mm = 8.0");
+    // Closer than the tool comes.
+    let strict = SCENE.replace("[[controller]]", "[tolerance]\ntarget_mm = 0.05\n[[controller]]");
     refused(
-        &far,
+        &strict,
         "--candidates 1",
         1,
         "no path without a fault: of 1 path: 0 without a fault, 1 miss the target",
