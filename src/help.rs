@@ -16,11 +16,13 @@ pub fn completed(command: Command, examples: &str) -> Command {
 fn below(command: Command, path: &str, examples: &str) -> Command {
     command.mut_subcommands(|command| {
         let path = format!("{path} {}", command.get_name());
-        let calls = |line: &&str| {
-            line.strip_prefix(&path).is_some_and(|rest| rest.is_empty() || rest.starts_with(' '))
+        let is_call = |path: &str, line: &str| {
+            line.strip_prefix(path).is_some_and(|rest| rest.is_empty() || rest.starts_with(' '))
         };
-        let lines: Vec<&str> =
-            examples.lines().filter(calls).filter(|_| !command.has_subcommands()).collect();
+        let below_it: Vec<String> =
+            command.get_subcommands().map(|other| format!("{path} {}", other.get_name())).collect();
+        let is_own = |line: &&str| is_call(&path, line) && !below_it.iter().any(|other| is_call(other, line));
+        let lines: Vec<&str> = examples.lines().filter(is_own).collect();
         let text = match lines.as_slice() {
             [] => EXIT_CODES.to_owned(),
             lines => format!("Examples:\n  {}\n\n{EXIT_CODES}", lines.join("\n  ")),

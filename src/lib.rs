@@ -22,6 +22,7 @@ pub mod launcher;
 pub mod machine;
 pub mod output;
 mod plan_edit;
+mod plan_path;
 mod planned;
 pub mod prediction;
 pub mod printer;

@@ -62,7 +62,7 @@ mod tests {
     /// `tests/processes/outputs.rs`, except `run` and `stress`, which create a folder with a new name, and
     /// `proc recorder`, which `run` starts in it; `sweep list`, which writes nothing; and `sweep run`, which
     /// takes a new folder or its own (`tests/processes/sweeps.rs`).
-    const KNOWN: [&str; 23] = [
+    const KNOWN: [&str; 24] = [
         "calibrate --output",
         "docs install --output",
         "drr --output",
@@ -74,6 +74,7 @@ mod tests {
         "log repair --output",
         "log split --output",
         "phantom --output",
+        "plan path --output",
         "plot --output",
         "replay --output",
         "run --output",

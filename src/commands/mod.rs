@@ -13,6 +13,7 @@ mod from_markups;
 pub(crate) mod identify;
 pub(crate) mod log;
 pub(crate) mod plan;
+mod plan_path;
 pub(crate) mod plot;
 pub mod proc;
 pub(crate) mod replay;

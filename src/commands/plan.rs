@@ -1,12 +1,13 @@
 //! `trabecula plan SCENE`: shows which settings meet a scene's tolerance; `trabecula plan --check LOG`:
-//! measures the error that a run actually made.
+//! measures the error that a run actually made; `trabecula plan path SCENE`: see `plan_path`.
 
 use std::path::{Path, PathBuf};
 
-use clap::Args;
+use clap::{Args, Subcommand};
 use serde_json::json;
 
 use super::log_name;
+use super::plan_path::{self, PathArguments};
 use crate::failure::Failure;
 use crate::feasibility;
 use crate::launcher::volume_source::VolumeFiles;
@@ -15,10 +16,20 @@ use crate::replay::Overrides;
 use crate::say::Figures;
 use crate::scenes::SceneSource;
 
+/// Subcommands of `plan`.
+#[derive(Debug, Subcommand)]
+enum PlanCommand {
+    /// Search paths to the target with the largest clearance and the least bone removed, by simulating them.
+    Path(PathArguments),
+}
+
 /// Arguments of `plan`.
 #[derive(Debug, Args)]
+#[command(args_conflicts_with_subcommands = true, subcommand_negates_reqs = true)]
 #[command(group = clap::ArgGroup::new("what").required(true).multiple(true).args(["scene", "check", "list"]))]
 pub struct PlanArguments {
+    #[command(subcommand)]
+    command: Option<PlanCommand>,
     /// Scene file with a `tolerance`.
     scene: Option<PathBuf>,
     /// Step a log's commands through the reference model and report the tip error; LOG is a run's folder or
@@ -52,6 +63,9 @@ pub struct PlanArguments {
 /// # Errors
 /// Bad input (2); a log whose path error exceeded its scene's tolerance (1).
 pub fn run(arguments: &PlanArguments) -> Result<(), Failure> {
+    if let Some(PlanCommand::Path(arguments)) = &arguments.command {
+        return plan_path::run(arguments);
+    }
     match (&arguments.scene, &arguments.check) {
         (scene, None) if arguments.list => list(scene.as_deref(), arguments.figures),
         (Some(scene), _) => show(scene, arguments.figures),

@@ -7,6 +7,7 @@
 //! | burr start, target | `bend_toward` if the target has left the bending plane; feed length and ramp |
 //! | isocentre | nothing |
 
+pub mod approach;
 mod name;
 
 use ipc_types::scene::{CurvedDrilling, Scene};
@@ -20,7 +21,7 @@ pub use name::SceneName;
 /// A hole that ends within this distance of the burr's start leads to it, mm, as in `planned_path_mm`.
 const SAME_MM: f64 = 0.01;
 /// A target within this distance of the feed line is on it and implies no bend direction, mm.
-const ON_THE_LINE_MM: f64 = 0.05;
+pub const ON_THE_LINE_MM: f64 = 0.05;
 /// The bend direction is rewritten if it differs from the target's by more than this, as the sine of the
 /// angle.
 const SAME_DIRECTION: f64 = 2e-3;
@@ -101,7 +102,7 @@ pub fn moved(text: &str, scene: &Scene, places: &Places) -> Result<String, EditE
 }
 
 /// Returns the indices of the pilot holes that lead to the burr's start.
-fn leading(scene: &Scene) -> Vec<usize> {
+pub fn leading(scene: &Scene) -> Vec<usize> {
     let start_mm = scene.tool.burr_start_mm;
     let leads = |index: &usize| length(minus(scene.predrill[*index].to_mm, start_mm)) < SAME_MM;
     (0..scene.predrill.len()).filter(leads).collect()
@@ -176,7 +177,8 @@ fn set_number(table: &mut dyn TableLike, key: &str, number: f64) {
     *value.decor_mut() = decor;
 }
 
-fn rounded(x: f64, decimals: i32) -> f64 {
+/// Rounds a number of a scene's text.
+pub fn rounded(x: f64, decimals: i32) -> f64 {
     let scale = 10f64.powi(decimals);
     // Leave numbers that the parser will reject as given. Avoid negative zero.
     if x.abs() < 1e9 { (x * scale).round() / scale + 0.0 } else { x }

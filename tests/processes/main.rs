@@ -50,6 +50,7 @@ mod orphans;
 mod outputs;
 mod plan;
 mod plan_pages;
+mod plan_paths;
 mod plans;
 mod predictions;
 mod programs;

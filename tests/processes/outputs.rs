@@ -68,6 +68,10 @@ fn table(place: &Place) -> Vec<Row> {
         row("log export @log -o @segments --dataset yolo-segment", &["segments/data.yaml"]),
         row("log export @log -o @npz --dataset npz", &["npz/dataset.json"]),
         row("scene init -o @scenes", &["scenes/femur_curved_drilling.toml"]),
+        row(
+            "plan path @path.toml -o @plans --candidates 1 --samples 1",
+            &["plans/plan-1.toml", "plans/plans.png"],
+        ),
         row("fmu export @scene.toml -o @d.fmu", &["d.fmu"]),
     ]
 }
@@ -89,6 +93,9 @@ fn with_inputs() -> Place {
         let done = call(&place.words(words));
         assert_eq!(done.code, Some(0), "{}", done.err);
     }
+    let target = "feedback = \"none\"\ntarget_mm = [0.0, 0.0, -14.0]\n";
+    let path = scenes::drill_unseen("lockstep", 3.0).replace("tension_n = 6.0\n", "tension_n = 0.0\n");
+    fs::write(place.path("path.toml"), format!("{path}{target}")).unwrap();
     let study = "scene = \"scene.toml\"\ndesign = \"csv\"\npoints = \"points.csv\"\nset = [\"run.duration_s=0.01\"]\n";
     fs::write(place.path("study.toml"), study).unwrap();
     fs::write(place.path("points.csv"), "run.seed\n1\n2\n").unwrap();

@@ -241,7 +241,8 @@ impl Figure {
         Ok([(png, bytes.0), (svg, bytes.1)])
     }
 
-    fn png(&self, path: &Path) -> Result<Vec<u8>, FigureError> {
+    /// Renders the figure as PNG; errors name this file.
+    pub fn png(&self, path: &Path) -> Result<Vec<u8>, FigureError> {
         let size = (WIDTH as u32 * SCALE as u32, self.height as u32 * SCALE as u32);
         let mut pixels = vec![0u8; size.0 as usize * size.1 as usize * 3];
         {

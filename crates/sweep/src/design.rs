@@ -86,6 +86,13 @@ impl Sampling {
     }
 }
 
+/// Returns point `index`, below [`MAX_SOBOL_SAMPLES`], of a Sobol sequence in the unit cube, scrambled by the
+/// seed.
+pub fn sobol_point<const DIMENSIONS: usize>(seed: u64, index: u64) -> [f64; DIMENSIONS] {
+    let sampling = Sampling { seed, samples: MAX_SOBOL_SAMPLES };
+    std::array::from_fn(|dimension| sampling.sobol(index, dimension))
+}
+
 /// Permutes 0 to `count` - 1 by `key`: a Feistel network on the next power of four with cycle walking (Black
 /// and Rogaway 2002, "Ciphers with arbitrary finite domains").
 fn permuted(index: u64, count: u64, key: u64) -> u64 {

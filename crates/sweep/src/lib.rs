@@ -30,16 +30,22 @@
 //! | [`Study`], [`Point`], [`StudyError`] | the validated file; its points |
 //! | [`Design`] | distribution of the points: grid, random, Latin hypercube, Sobol, Saltelli, table |
 //! | `sensitivity` | Sobol indices of a Saltelli design, rank correlations of any other |
+//! | [`pareto_front`], [`sobol_point`] | for a search: the best points of two objectives, points to try |
+//! | [`Proportion`] | a share of runs with its interval |
 
 mod design;
 mod error;
+mod front;
 mod parameter;
+mod proportion;
 mod sensitivity;
 mod study;
 mod table;
 
-pub use design::{Design, MAX_SOBOL_SAMPLES};
+pub use design::{Design, MAX_SOBOL_SAMPLES, sobol_point};
 pub use error::StudyError;
+pub use front::{pareto_front, pareto_order};
 pub use parameter::{MAX_VALUES, Parameter, Scale};
+pub use proportion::Proportion;
 pub use sensitivity::{Index, indices, spearman};
 pub use study::{MAX_PARAMETERS, MAX_POINTS, Point, Record, Study};

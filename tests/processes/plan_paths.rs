@@ -1,0 +1,112 @@
+//! `trabecula plan path`: plans that keep away from a vessel beside a path.
+
+use std::fs;
+
+use serde_json::Value;
+
+use crate::common::program::{Place, call};
+
+/// A curve in a block to (4, 0, -16), with a vessel on the outside of the bend: a path that starts away from
+/// it keeps more clearance.
+const SCENE: &str = r#"
+name = "beside_a_vessel"
+[run]
+mode = "lockstep"
+duration_s = 3.0
+[volume]
+phantom = "block"
+spacing_mm = 1.0
+[tool]
+burr_start_mm = [0.0, 0.0, -32.0]
+direction = [0.0, 0.0, 1.0]
+bend_toward = [1.0, 0.0, 0.0]
+[[structure]]
+name = "vessel"
+tube = { points_mm = [[-6.0, -10.0, -22.0], [-6.0, 10.0, -22.0]], radius_mm = 1.0 }
+[[controller]]
+name = "reference"
+drives = ["tendon", "arm", "burr"]
+[controller.curved_drilling]
+feed_mm_per_s = 8.0
+insertion_mm = 17.0
+tension_n = 3.0
+ramp_end_mm = 15.0
+burr_speed_rpm = 8000.0
+feedback = "shape"
+guidance_gain_n_per_mm = 0.5
+target_mm = [3.0, 0.0, -16.0]
+"#;
+
+fn json(place: &Place, words: &str) -> Value {
+    let done = call(&place.words(words));
+    assert_eq!(done.code, Some(0), "{}", done.err);
+    serde_json::from_str(&done.out).unwrap()
+}
+
+#[test]
+fn the_plans_keep_more_clearance_than_the_scene_and_do_what_is_said() {
+    let place = Place::new();
+    fs::write(place.path("scene.toml"), SCENE).unwrap();
+    let words = "plan path @scene.toml --candidates 16 --samples 2 --json -o";
+    let found = json(&place, &format!("{words} @first"));
+    let own = &found["candidates"][0]["outcome"];
+    let best = &found["plans"][0]["plan"];
+    let clearance_mm = |outcome: &Value| outcome["clearance_mm"].as_f64().unwrap();
+    assert!(clearance_mm(&best["outcome"]) > clearance_mm(own) + 0.3, "{own} {best}");
+    assert!(best["offsets"]["entry_mm"][0].as_f64().unwrap() > 0.0, "away from the vessel: {best}");
+    let risk = &found["plans"][0]["risk"];
+    assert_eq!((&risk["breach"]["of"], &risk["miss"]["of"]), (&Value::from(2), &Value::from(2)));
+    // The file is the candidate, to the bit.
+    let check = json(&place, "scene check --simulate --json @first/plan-1.toml");
+    let structure = &check["prediction"]["structures"][0];
+    assert_eq!(structure["least_clearance_mm"], best["outcome"]["clearance_mm"]);
+    assert_eq!(check["prediction"]["tool"]["target_error_mm"], best["outcome"]["target_error_mm"]);
+    // A second search gives the same bytes.
+    let again = json(&place, &format!("{words} @again"));
+    assert_eq!(again["candidates"], found["candidates"]);
+    let files = |folder: &str| {
+        let entries = fs::read_dir(place.path(folder)).unwrap().map(|entry| entry.unwrap());
+        let mut files: Vec<_> =
+            entries.map(|entry| (entry.file_name(), fs::read(entry.path()).unwrap())).collect();
+        files.sort();
+        files
+    };
+    assert_eq!(files("first").len(), found["plans"].as_array().unwrap().len() + 1);
+    assert!(files("first") == files("again"));
+}
+
+#[test]
+fn what_has_no_path_to_plan_is_refused_by_name() {
+    let place = Place::new();
+    let refused = |text: &str, more: &str, code: i32, expected: &str| {
+        fs::write(place.path("scene.toml"), text).unwrap();
+        let done = call(&place.words(format!("plan path @scene.toml -o @plans {more}").trim()));
+        assert!(done.code == Some(code) && done.err.contains(expected), "{:?}: {}", done.code, done.err);
+        assert!(!place.path("plans").exists());
+    };
+    refused(&SCENE.replace("target_mm", "#"), "", 2, "no target; set `controller.curved_drilling.target_mm`");
+    let program = "\n[[controller]]\nname = \"mine\"\ndrives = []\ncommand = [\"mine\"]\n";
+    refused(&format!("{SCENE}{program}"), "", 2, "controller `mine` is not built in");
+    let bare = SCENE
+        .split("[[structure]]")
+        .next()
+        .unwrap()
+        .replace("[volume]", "")
+        .replace("phantom = \"block\"", "");
+    let bare = bare.replace("spacing_mm = 1.0", "") + &SCENE[SCENE.find("[[controller]]").unwrap()..];
+    refused(&bare, "", 2, "nothing to keep away from; add a `[[structure]]`");
+    refused(
+        SCENE,
+        "--entry-mm 51",
+        2,
+        "invalid value '51' for '--entry-mm <MM>': expected a number from 0 to 50",
+    );
+    // Closer than the tool comes.
+    let strict = SCENE.replace("[[controller]]", "[tolerance]\ntarget_mm = 0.05\n[[controller]]");
+    refused(
+        &strict,
+        "--candidates 1",
+        1,
+        "no path without a fault: of 1 path: 0 without a fault, 1 miss the target",
+    );
+}
