@@ -50,7 +50,8 @@ controller written from this page, with the PyPI package.
    tick starts when every joined controller has answered the newest state. A refused command does not count as an answer; an
    `event` names the field and its range.
 6. **A requested frame**: send a `DrrRequest` on `{drr_request}` and an event on `{drr}`; a `DrrReply` and the `Frame` follow,
-   both with the request's number.
+   both with the request's number. Until the reply has come, call the publisher's `update_connections` regularly: the DRR
+   process may begin to listen only after the request.
 7. **The end** is a `RunStatus` on `{status}` with `phase` {PHASE_ENDED}, after the last state. The session's folder and its
    shared memory are removed soon after. A killed hub sends nothing, so give every wait a time limit.
 ",

@@ -163,6 +163,21 @@ fn write_requests(timing: &Path, requests: impl Iterator<Item = DrrRequest>) {
     log.finish(EndReason::Completed, &BTreeMap::new()).unwrap();
 }
 
+/// Regression: a request that was sent before the renderer listened was lost, and its client waited until the
+/// run gave up. Other parts still start here, so the renderer has the CT to read first.
+#[test]
+fn a_request_that_comes_before_the_renderer_is_answered() {
+    let text = std::fs::read_to_string(clients().join("scenes/image_guided.toml")).unwrap();
+    for _ in 0..4 {
+        let place = Place::new();
+        let run = place.start(&text);
+        let mut client = joined(&run, "mine");
+        let asked = client.request_frame(Some(&turned(30.0)), 0).unwrap();
+        assert_eq!(client.wait_frame(asked, LIMIT).unwrap().frame.request_id, asked);
+        stopped(run, client, ());
+    }
+}
+
 /// Regression: a replay compared the first 65,536 requests with their frames and silently compared later ones
 /// with their own replies.
 #[test]

@@ -137,6 +137,8 @@ impl Client {
     pub fn next_frame_reply(&mut self) -> Result<Option<DrrReply>, ClientError> {
         self.check_process()?;
         let Some(requests) = &self.requests else { return Ok(None) };
+        // The DRR process may have begun to listen only after a request.
+        requests.publisher.deliver_history()?;
         Ok(requests.replies.receive()?.map(|reply| *reply.message()))
     }
 

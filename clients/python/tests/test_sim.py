@@ -36,9 +36,9 @@ def latched(log: Path) -> list[trabecula.Command]:
     for message in messages(log, "/latched"):
         given, command = message["commands"][0]["command"], trabecula.Command()
         for name, value in given.items():
-            if name == "t_world_base":
-                command.t_world_base.position_m[:] = value["position_m"]
-                command.t_world_base.orientation_xyzw[:] = value["orientation_xyzw"]
+            if isinstance(value, dict):
+                for part, numbers in value.items():
+                    command.array[name][part] = numbers
             else:
                 command.array[name] = value
         commands.append(command)

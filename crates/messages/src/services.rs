@@ -131,7 +131,8 @@ pub const VOLUME: Service =
 pub const FRAME: Service = Service { max_bytes: 0, ..fixed::<Frame>("frame", Lane::Run, DRR_ONLY, 8) };
 /// `DrrRequest`.
 pub const DRR_REQUEST: Service = Service {
-    history: 0,
+    // A client may join before the DRR process listens.
+    history: 64,
     max_publishers: 8,
     ..fixed::<DrrRequest>("drr_request", Lane::Timing, ANYBODY, 64)
 };
