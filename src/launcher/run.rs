@@ -348,6 +348,10 @@ impl Running<'_> {
         self.subscriptions.poll()?;
         let succeeded = self.parts[index].ended().is_some_and(|status| status.success());
         let run_has_ended = self.subscriptions.has_ended() || (succeeded && self.physics_ends()?);
+        // Other parts exit cleanly when the physics fails; its report may have been dropped with its ports.
+        let failed = |part: &mut PartProcess| part.name == PHYSICS && part.ended().is_some();
+        let physics = self.parts.iter_mut().position(failed).filter(|_| succeeded && !run_has_ended);
+        let index = physics.unwrap_or(index);
         let tick = self.subscriptions.state.as_ref().map_or(Tick::START, |state| Tick(state.tick));
         let run = if run_has_ended { RunState::Ended } else { RunState::Open };
         let goes_on = match run {
@@ -362,18 +366,18 @@ impl Running<'_> {
     }
 
     /// Returns whether the physics reports the end of the run or exits successfully within
-    /// [`PHYSICS_EXIT_TIME`]. The transport drops unread messages with their sender, so the report is lost if
-    /// the physics closes its ports before the next poll: the end of a short run was then taken for the early
-    /// end of a controller.
+    /// [`PHYSICS_EXIT_TIME`]; false as soon as it has failed. The transport drops unread messages with their
+    /// sender, so the report is lost if the physics closes its ports before the next poll: the end of a short
+    /// run was then taken for the early end of a controller.
     fn physics_ends(&mut self) -> Result<bool, RunError> {
         let limit = Instant::now() + PHYSICS_EXIT_TIME;
         loop {
             let mut physics = self.parts.iter_mut().filter(|part| part.name == PHYSICS);
-            let has_exited = physics.any(|part| part.ended().is_some_and(|status| status.success()));
-            if has_exited || self.subscriptions.has_ended() {
+            let status = physics.find_map(PartProcess::ended);
+            if self.subscriptions.has_ended() || status.is_some_and(|status| status.success()) {
                 return Ok(true);
             }
-            if Instant::now() >= limit || self.end.is_set() {
+            if status.is_some() || Instant::now() >= limit || self.end.is_set() {
                 return Ok(false);
             }
             std::thread::sleep(POLL_PERIOD);

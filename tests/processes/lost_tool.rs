@@ -62,7 +62,8 @@ fn a_lost_tool_ends_the_run_with_its_own_outcome_and_replays_to_the_same_end() {
 
 /// Regression: the recorder polls every two milliseconds, and a tool may be lost within one. It could not
 /// read the commands of a physics process that had ended by then, in 10 of 120 runs next to three busy
-/// programs.
+/// programs. Later a controller that exited because of it was blamed, once in 40 runs at a load of 20, if the
+/// launcher's next look came after the physics had closed its ports.
 #[test]
 fn a_log_is_whole_however_soon_the_simulation_fails() {
     let busy = BusyLoops::start(3);
@@ -77,7 +78,8 @@ fn a_log_is_whole_however_soon_the_simulation_fails() {
         let log = read(&run.end().folder);
         let last = log.ticks.last().unwrap().state.tick;
         assert_eq!(log.ticks.len() as u64, last, "a tick is not there");
-        assert!(matches!(&log.marker.unwrap().reason, EndReason::SimulationFailed(_)));
+        let marker = log.marker.unwrap();
+        assert!(matches!(&marker.reason, EndReason::SimulationFailed(_)), "{marker:?}");
     }
     drop(busy);
 }

@@ -137,10 +137,10 @@ fn a_crtk_program_that_knows_nothing_of_us_drills_the_default_scene_and_the_log_
     assert_eq!(bridge.end(), Some(0));
     assert_nothing_left(ended.pid);
 
-    // Of twenty X-rays asked for, those not shown were rejected; the scene's own show another place.
+    // Of twenty X-rays asked for, those not shown were rejected.
     let (before, _) = last.split_once(" of them rejected").unwrap();
     let rejected: usize = before.rsplit(' ').next().unwrap().parse().unwrap();
-    assert_eq!(seen["places_px"].as_array().unwrap().len() - 1 + rejected, 20, "{last} {seen}");
+    assert_eq!(seen["places_px"].as_array().unwrap().len() + rejected, 20, "{last} {seen}");
     let names = seen["nodes"].as_array().unwrap();
     assert!(names.contains(&"trabecula_bridge".into()), "{seen}");
     assert_eq!(seen["joints"][0], "shoulder_pan_joint");
@@ -165,7 +165,6 @@ fn a_crtk_program_that_knows_nothing_of_us_drills_the_default_scene_and_the_log_
         seen["surface"][0] == 11 && corners > 3000 && corners <= 3 * 2400 && corners.is_multiple_of(3),
         "{seen}"
     );
-    assert!(seen["surfaces"].as_u64().unwrap() > 2, "the surface did not follow the drill: {seen}");
     succeed(&[&"volume", &"drilled", &ended.folder, &"-o", &drilled]);
     assert_eq!(
         std::fs::read(&rebuilt).unwrap(),

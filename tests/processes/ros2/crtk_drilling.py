@@ -41,6 +41,9 @@ listen(PoseStamped, "/CM/measured_cp")
 listen(UInt64, "/removed_voxels")
 listen(Image, "/c_arm/image_raw")
 listen(PointStamped, "/c_arm/burr_tip")
+# Subscribed to from the start: one that joins later misses the first X-rays.
+tips = []
+node.create_subscription(PointStamped, "/c_arm/burr_tip", tips.append, QoSProfile(depth=100))
 latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 listen(String, "/robot_description", latched)
 listen(PoseStamped, "/anatomy/pose", latched)
@@ -52,7 +55,7 @@ class Removed:
     """Voxels removed according to the clouds, by their index in the CT, with their places."""
 
     def __init__(self):
-        self.places, self.largest = {}, 0
+        self.places, self.largest, self.stamp_s = {}, 0, 0.0
         node.create_subscription(PointCloud2, "/removed_voxels/points", self.take, QoSProfile(depth=1000))
 
     def take(self, cloud):
@@ -62,6 +65,7 @@ class Removed:
         points = np.frombuffer(cloud.data, dtype=[("at", "<f4", 3), ("index", "<u4")])
         if len(points) == 0:
             self.places.clear()
+        self.stamp_s = seconds(cloud)
         self.places.update(zip(points["index"].tolist(), points["at"]))
 
 
@@ -145,6 +149,7 @@ if len(sys.argv) > 5:
     ct[index] = -1000
     ct.tofile(sys.argv[5])
 until("surface", lambda: "/anatomy/surface" in newest)
+until("surface after the last removal", lambda: seconds(newest["/anatomy/surface"]) >= removed.stamp_s > 0.0)
 surface = newest["/anatomy/surface"]
 # An X-ray along the patient's y with the isocentre at the tip shows the tip in its middle.
 from_behind = PoseStamped(pose=newest["/CM/measured_cp"].pose)
@@ -162,26 +167,27 @@ before_px = off_centre_px()
 take.publish(from_behind)
 until("X-ray of the tip", lambda: off_centre_px() < 1.0)
 centred_px = off_centre_px()
-# Twenty, five at a time: each comes, with the tip at a place of its own, or is refused.
-places_px, changed_s = set(), seconds(newest["/UR5/measured_cp"])
-middle_px = (newest["/c_arm/image_raw"].width - 1) / 2
-
-
-def note(tip):
-    global changed_s
-    place_px = round(tip.point.x - middle_px)
-    if place_px not in places_px:
-        places_px.add(place_px)
-        changed_s = seconds(newest["/UR5/measured_cp"])
-
-
-node.create_subscription(PointStamped, "/c_arm/burr_tip", note, QoSProfile(depth=100))
+# Twenty, five at a time: each comes, with the tip at a place of its own right of the middle, or is refused.
+# The scene's own X-rays show it on the left, the one above in the middle.
+places_px, changed_s, middle_px = set(), 0.0, (newest["/c_arm/image_raw"].width - 1) / 2
+tips.clear()
 for number in range(1, 21):
     from_behind.pose.position.x += 2e-3
     take.publish(from_behind)
     if number % 5 == 0:
         time.sleep(0.02)
-until("last X-ray", lambda: seconds(newest["/UR5/measured_cp"]) > changed_s + 5.0)
+
+
+def is_quiet():
+    """Whether no X-ray of a new place has come for 5 s."""
+    global changed_s
+    now_s, known = seconds(newest["/UR5/measured_cp"]), len(places_px)
+    places_px.update(px for tip in tips if (px := round(tip.point.x - middle_px)) > 3)
+    changed_s = now_s if len(places_px) > known or changed_s == 0.0 else changed_s
+    return now_s > changed_s + 5.0
+
+
+until("last X-ray", is_quiet)
 tool, tip = newest["/UR5/measured_cp"].pose, newest["/CM/measured_cp"].pose
 image = newest.get("/c_arm/image_raw")
 print(json.dumps({
@@ -202,6 +208,5 @@ print(json.dumps({
     "largest_cloud": removed.largest,
     "off_m": float(off_m),
     "surface": [surface.type, len(surface.points), surface.header.frame_id],
-    "surfaces": count["/anatomy/surface"],
 }))
 rclpy.shutdown()
