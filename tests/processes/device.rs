@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-use ipc_types::messages::{ArmMode, BurrMode, SOURCE_SAFE, State};
+use ipc_types::messages::{ArmMode, BurrMode, CONTROL_RESET, SOURCE_SAFE, State};
 use nalgebra::Isometry3;
 use ros_interface::robot::isometry;
 use rustix::process::Signal;
@@ -163,11 +163,16 @@ fn drive(pipe: &Path, run: &Run) -> std::fs::File {
         send(X, value);
         std::thread::sleep(Duration::from_millis(2));
     }
+    await_motion(run);
+    writer
+}
+
+fn await_motion(run: &Run) {
+    let mut observer = joined(run, "");
     wait_for("motion", || {
         let state = observer.wait_state(LIMIT).unwrap();
         (state.burr_speed_rad_per_s > 300.0 && state.arm_mode() == Ok(ArmMode::ServoCp)).then_some(())
     });
-    writer
 }
 
 fn await_rest(run: &Run) {
@@ -205,7 +210,14 @@ fn a_device_that_vanishes_or_is_interrupted_stops_what_it_moved() {
     await_rest(&run);
 
     let interrupted = start();
-    let writer = drive(&path, &run);
+    let mut writer = drive(&path, &run);
+    // Regression: after a reset the arm went back to where it had been, and the burr turned on.
+    joined(&run, "").run_control(CONTROL_RESET, 0, LIMIT).unwrap();
+    await_rest(&run);
+    for (input, value) in [(CLUTCH, 0), (CLUTCH, 1), (X, 60), (BURR, 60)] {
+        writer.write_all(&record(now_us(), input, value)).unwrap();
+    }
+    await_motion(&run);
     signal(interrupted.0.id(), Signal::INT);
     let (code, out, err) = ended(interrupted);
     assert_eq!((code, err.as_str()), (Some(0), ""));
@@ -220,12 +232,13 @@ fn a_device_that_vanishes_or_is_interrupted_stops_what_it_moved() {
     drop(writer);
     let observer = joined(&run, "");
     let ended = stopped(run, observer, ());
-    // Two clients have stopped the burr themselves; physics replaced the killed one's last command.
+    // Two clients have stopped the burr themselves, one of them after a reset as well; physics replaced the
+    // killed one's last command.
     let log = read(&ended.folder);
     let latched = log.ticks.iter().map(|tick| &tick.latched.commands[0]);
     let own = latched.filter(|it| it.source != SOURCE_SAFE && it.command.burr_mode() == Ok(BurrMode::Speed));
     let turns: Vec<bool> = own.map(|latched| latched.command.burr_speed_rad_per_s > 0.0).collect();
-    assert_eq!(turns.windows(2).filter(|pair| pair[0] && !pair[1]).count(), 2);
+    assert_eq!(turns.windows(2).filter(|pair| pair[0] && !pair[1]).count(), 3);
     assert_eq!(turns.last(), Some(&true));
     assert_replays(&ended.folder);
     assert_nothing_left(ended.pid);

@@ -54,8 +54,12 @@ pub enum DeviceError {
         /// The system's reason.
         source: std::io::Error,
     },
-    /// `--device` with a file or folder.
-    #[error("{}: neither a device nor a pipe; play a recorded file with --events", foreign_path(.path))]
+    /// `--device` with a file, a folder, or a device with records of another kind (`js0`, `hidraw0`).
+    #[error(
+        "{}: neither an event device (/dev/input/event0 and so on) nor a pipe; play a recorded file with \
+         --events",
+        foreign_path(.path)
+    )]
     NotADevice {
         /// The path.
         path: PathBuf,
@@ -103,7 +107,9 @@ impl DeviceError {
     pub(super) fn open(path: &Path, source: std::io::Error) -> DeviceError {
         let path = path.to_owned();
         match source.kind() {
-            std::io::ErrorKind::PermissionDenied => DeviceError::Permission { path },
+            std::io::ErrorKind::PermissionDenied if path.starts_with("/dev/input") => {
+                DeviceError::Permission { path }
+            }
             _ => DeviceError::Open { path, source },
         }
     }

@@ -91,13 +91,22 @@ const FUNCTION_KEYS: (u16, u16) = (59, 10);
 const NUMBERED_BUTTONS: (u16, u16) = (0x100, 10);
 
 /// What a name must be.
-pub(crate) const EXPECTED: &str = "a name of linux/input-event-codes.h: ABS_X to ABS_RZ, ABS_HAT0X, REL_X to \
-                                   REL_RZ, BTN_0 to BTN_9, BTN_SOUTH, BTN_TL, KEY_A, KEY_F1 and so on, as \
-                                   `evtest` prints them";
+pub(crate) const EXPECTED: &str = "ABS_X to ABS_RZ, ABS_HAT0X, REL_X to REL_RZ, BTN_0 to BTN_9, BTN_SOUTH, \
+                                   BTN_TL, KEY_A, KEY_F1 and so on; or a type and code that `evtest` prints: \
+                                   ABS:40, REL:9, KEY:105";
 
 impl Input {
     /// Returns the input with a name.
     pub(crate) fn named(name: &str) -> Option<Input> {
+        if let Some((kind, code)) = name.split_once(':') {
+            let code = code_of(code)?;
+            return match kind {
+                "ABS" => Some(Input::Absolute(code)),
+                "REL" => Some(Input::Relative(code)),
+                "KEY" => Some(Input::Button(code)),
+                _ => None,
+            };
+        }
         let of =
             |table: &[(&str, u16)]| table.iter().find(|(known, _)| *known == name).map(|(_, code)| *code);
         let absolute = of(&ABSOLUTE).map(Input::Absolute);
@@ -117,8 +126,13 @@ impl Input {
     }
 }
 
+/// Reads a code in decimal digits, without a sign or leading zeros.
+fn code_of(text: &str) -> Option<u16> {
+    text.parse().ok().filter(|code: &u16| code.to_string() == text)
+}
+
 fn numbered_button(name: &str) -> Option<u16> {
-    let number: u16 = name.strip_prefix("BTN_")?.parse().ok()?;
+    let number = code_of(name.strip_prefix("BTN_")?)?;
     let (first, count) = NUMBERED_BUTTONS;
     (number < count).then_some(first + number)
 }
@@ -157,10 +171,16 @@ mod tests {
             ("KEY_C", Input::Button(46)),
             ("KEY_M", Input::Button(50)),
             ("KEY_F10", Input::Button(68)),
+            ("KEY:105", Input::Button(105)),
+            ("ABS:40", Input::Absolute(40)),
+            ("REL:9", Input::Relative(9)),
         ] {
             assert_eq!(Input::named(name), Some(input), "{name}");
         }
-        for name in ["", "ABS", "BTN_10", "BTN_-1", "KEY_", "KEY_F11", "KEY_A S", "abs_x"] {
+        for name in [
+            "", "ABS", "BTN_10", "BTN_-1", "KEY_", "KEY_F11", "KEY_A S", "abs_x", "BTN_+5", "BTN_05",
+            "KEY:-1", "BTN:3",
+        ] {
             assert_eq!(Input::named(name), None, "{name}");
         }
     }

@@ -175,6 +175,9 @@ impl Mapping {
             return Err(check.value("map", "empty", "at least one [[map]]"));
         }
         let drives = read.map.iter().enumerate().map(|(index, drive)| check.drive(index, drive));
+        if read.halt.as_ref() == Some(&read.clutch) {
+            return Err(check.value("halt", &read.clutch, "a button other than the clutch"));
+        }
         Ok(Mapping {
             frame: read.frame,
             clutch: check.button("clutch", &read.clutch)?,
@@ -183,6 +186,9 @@ impl Mapping {
         })
     }
 }
+
+/// What a range must be.
+const RANGE: &str = "lowest value, rest and highest value, rising, within -2147483647 to 2147483647";
 
 /// Builds the errors of a file.
 struct Checker {
@@ -256,7 +262,7 @@ impl Checker {
         if range.iter().all(fits) && lowest <= rest && rest <= highest && lowest < highest {
             return Ok(range);
         }
-        Err(self.value(key, format!("{range:?}"), "three rising values: lowest, rest, highest"))
+        Err(self.value(key, format!("{range:?}"), RANGE))
     }
 }
 
@@ -326,14 +332,19 @@ mod tests {
             ("10.0", "101.0", "`map[0].rate` is 101; allowed: -100 to 100"),
             ("10.0", "nan", "`map[0].rate` is NaN; allowed: -100 to 100"),
             ("0.2", "1.0", "`map[0].dead_zone` is 1; allowed: 0 to 0.9"),
-            ("ABS_X", "ABS_Q", "`map[0].input` is ABS_Q; allowed: a name of linux/input-event-codes.h"),
+            ("ABS_X", "ABS_Q", "`map[0].input` is ABS_Q; allowed: ABS_X to ABS_RZ"),
             ("\"x\"", "\"w\"", "`map[0].output` is w; allowed: x, y, z, rx"),
             ("BTN_0", "ABS_X", "`clutch` is ABS_X; allowed: a button"),
             ("range = [-100, 0, 100]", "", "`map[0].range` is missing; allowed: lowest value, rest and"),
-            ("[-100, 0, 100]", "[100, 0, -100]", "allowed: three rising values"),
+            ("[-100, 0, 100]", "[100, 0, -100]", "allowed: lowest value, rest and highest value, rising"),
             ("ABS_X", "BTN_1", "`map[0].range` is [-100.0, 0.0, 100.0]; allowed: none for a button"),
             ("dead_zone = 0.2", "toggle = true", "`map[0].toggle` is true; allowed: false for an axis"),
             ("clutch = \"BTN_0\"\n", "", "missing field `clutch`"),
+            (
+                "clutch",
+                "halt = \"BTN_0\"\nclutch",
+                "`halt` is BTN_0; allowed: a button other than the clutch",
+            ),
         ] {
             let error = parsed(&ONE.replacen(from, to, 1)).unwrap_err();
             assert!(error.contains(expected), "{error}");

@@ -18,6 +18,7 @@ mod source;
 use std::path::PathBuf;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
+use ipc_types::messages::EventCode;
 use ipc_types::process::EndRequest;
 use ros_interface::round_trip::RoundTrips;
 use trabecula_client::{Client, ClientError, Connection};
@@ -132,6 +133,7 @@ pub fn serve(
             return Ok(summary);
         }
         follow_c_arm(&mut client, &mut motion);
+        release_after_reset(&mut client, &mut motion)?;
         let mut times_s = Vec::new();
         let mut sign = None;
         let outcome = client.answer(TURN, |state, command| {
@@ -198,6 +200,16 @@ fn follow_c_arm(client: &mut Client, motion: &mut DeviceMotion) {
         let geometry = &view.frame.geometry;
         motion.turn_c_arm(geometry.row_axis, geometry.column_axis);
     }
+}
+
+/// Ends all motion after a reset, which has put the arm elsewhere.
+fn release_after_reset(client: &mut Client, motion: &mut DeviceMotion) -> Result<(), DeviceError> {
+    while let Some((event, _)) = client.next_event()? {
+        if event.code == EventCode::Reset.code() {
+            motion.release();
+        }
+    }
+    Ok(())
 }
 
 /// Sends a command that stops everything.

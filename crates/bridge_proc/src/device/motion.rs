@@ -19,7 +19,7 @@ const RATE_HOLDS_S: f64 = 0.1;
 const LEAD_M: f64 = 0.01;
 /// The same for the angle.
 const LEAD_RAD: f64 = 0.2;
-/// A goal this many leads away is not the arm's any more: the run was reset, or another program moved it.
+/// A goal this many leads away is not the arm's any more: another program moved it.
 const LOST_LEADS: f64 = 2.0;
 
 /// The state of a device's inputs, and what it moves.
@@ -158,14 +158,13 @@ impl DeviceMotion {
         let flange = isometry(&state.t_world_flange);
         let t_flange_base =
             *self.t_flange_base.get_or_insert_with(|| flange.inverse() * isometry(&state.t_world_base));
-        if now_s - self.alive_s > RATE_HOLDS_S {
+        // After a gap the safe command may have stopped everything; nothing starts again by itself.
+        if now_s - self.alive_s > RATE_HOLDS_S || passed_s > RATE_HOLDS_S {
             self.release();
         }
         let rates = self.rates(now_s);
         if self.begun && self.drives.contains(&Drives::Arm) {
-            // After a gap no command was in effect, so no motion is made up for.
-            let passed_s = if passed_s <= RATE_HOLDS_S { passed_s.max(0.0) } else { 0.0 };
-            self.move_goal(state, &(flange * t_flange_base), &rates, passed_s);
+            self.move_goal(state, &(flange * t_flange_base), &rates, passed_s.max(0.0));
         }
         // A lost goal has just stopped everything.
         let rates = if self.engaged { rates } else { Rates::default() };

@@ -1,8 +1,8 @@
 //! Where events come from: a device node or a pipe, as they happen; or a recording, in simulated time.
 
-use std::fs::{File, OpenOptions};
+use std::fs::{File, Metadata, OpenOptions};
 use std::io::{ErrorKind, Read};
-use std::os::unix::fs::{FileTypeExt, OpenOptionsExt};
+use std::os::unix::fs::{FileTypeExt, MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -112,9 +112,9 @@ impl LiveSource {
         // Non-blocking, so that opening a pipe does not wait for its writer.
         let flags = OFlags::NONBLOCK.bits() as i32;
         let file = OpenOptions::new().read(true).custom_flags(flags).open(path);
-        let file = file.and_then(|file| file.metadata().map(|metadata| (file, metadata.file_type())));
-        let (file, file_type) = file.map_err(|cause| DeviceError::open(path, cause))?;
-        if !file_type.is_char_device() && !file_type.is_fifo() {
+        let file = file.and_then(|file| file.metadata().map(|metadata| (file, metadata)));
+        let (file, metadata) = file.map_err(|cause| DeviceError::open(path, cause))?;
+        if !is_event_device(&metadata) && !metadata.file_type().is_fifo() {
             return Err(DeviceError::NotADevice { path: path.to_owned() });
         }
         Ok(LiveSource {
@@ -149,6 +149,14 @@ impl LiveSource {
         }
         Sign::Alive
     }
+}
+
+/// Returns whether a file is an event device: Linux numbers input devices 13, of which joysticks and mice
+/// have the first 64 minor numbers (Documentation/admin-guide/devices.txt).
+fn is_event_device(metadata: &Metadata) -> bool {
+    let device = metadata.rdev();
+    let is_event = rustix::fs::major(device) == 13 && rustix::fs::minor(device) >= 64;
+    metadata.file_type().is_char_device() && is_event
 }
 
 impl Recording {
@@ -224,7 +232,9 @@ mod tests {
             (count, why.as_str()),
             (2, "closed by its writer; its last record is truncated: 6 of 24 bytes")
         );
-        let error = LiveSource::open(folder.path()).unwrap_err().to_string();
-        assert!(error.contains("neither a device nor a pipe"), "{error}");
+        for other in [folder.path(), Path::new("/dev/zero")] {
+            let error = LiveSource::open(other).unwrap_err().to_string();
+            assert!(error.contains("neither an event device"), "{error}");
+        }
     }
 }

@@ -205,6 +205,21 @@ fn the_goal_waits_for_an_arm_that_is_stuck_and_is_dropped_by_one_that_jumps() {
     assert_rest(&bench.pass(1));
 }
 
+/// Regression: a program that had been stopped for half a second went on drilling when it continued.
+#[test]
+fn nothing_starts_again_by_itself_after_a_gap() {
+    let mut bench = Bench::new("tool");
+    bench.event(EV_KEY, BUTTON_0, 1);
+    bench.event(EV_ABS, 5, 100);
+    assert!(bench.pass(1).burr_speed_rad_per_s > 0.0);
+    bench.state.sim_time_s += 0.2;
+    assert_rest(&bench.pass(1));
+    bench.event(EV_ABS, 5, 90);
+    assert_rest(&bench.pass(1));
+    bench.event(EV_KEY, BUTTON_0, 1);
+    assert!(bench.pass(1).burr_speed_rad_per_s > 0.0);
+}
+
 /// A hostile device or file: whatever its bytes are, physics accepts the commands.
 #[test]
 fn any_bytes_give_commands_in_range() {
