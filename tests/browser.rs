@@ -55,6 +55,13 @@ pixel_pitch_mm = 1.0
 threads = 1
 "#;
 
+/// Beyond the end of the paths, 39 mm ahead of the burr.
+const NERVE: &str = r#"
+[[structure]]
+name = "nerve"
+ball = { centre_mm = [0.0, 0.0, 10.0], radius_mm = 2.0 }
+"#;
+
 /// Driven by the page.
 const DRIVEN: &str = r#"
 [[controller]]
@@ -66,7 +73,7 @@ optional = true
 
 fn live_scene() -> String {
     let run = "name = \"page\"\n[run]\nmode = \"realtime\"\nduration_s = 600.0\nhold_ticks = 2000\n";
-    format!("{run}{SCENE}{DRIVEN}[recording]\nimages = \"none\"\n")
+    format!("{run}{SCENE}{NERVE}{DRIVEN}[recording]\nimages = \"none\"\n")
 }
 
 /// Drilled by the reference controller, as fast as possible.
@@ -74,7 +81,9 @@ fn recorded_scene(tension_n: f64, duration_s: f64) -> String {
     let run = format!("name = \"page\"\n[run]\nmode = \"lockstep\"\nduration_s = {duration_s:?}\n");
     let controller = "[[controller]]\nname = \"reference\"\ndrives = [\"tendon\", \"arm\", \"burr\"]\n";
     let drilling = "feed_mm_per_s = 8.0\ninsertion_mm = 20.0\nramp_start_mm = 1.0\nramp_end_mm = 6.0\nburr_speed_rpm = 8000.0\n";
-    format!("{run}{SCENE}{controller}[controller.curved_drilling]\ntension_n = {tension_n:?}\n{drilling}")
+    format!(
+        "{run}{SCENE}{NERVE}{controller}[controller.curved_drilling]\ntension_n = {tension_n:?}\n{drilling}"
+    )
 }
 
 /// A curve to a target in the block, with comments that a saved scene must keep.

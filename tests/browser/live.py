@@ -25,6 +25,7 @@ def connects(page: Page) -> None:
     page.until("the page connects", lambda: page.text("phase") == "Running" and page.number("tick") > 0)
     before = page.number("tick")
     page.until("ticks go on", lambda: page.number("tick") > before)
+    page.until("a clearance comes", lambda: page.text("clearance-rows").split()[0::2] == ["nerve", "mm", "mm"])
     page.until("parts are listed", lambda: "physics" in page.text("parts"))
 
 

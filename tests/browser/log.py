@@ -6,7 +6,7 @@ from xml.etree import ElementTree
 
 import detail
 import slices
-from page import BURR_PIXELS, Page, count, is_burr
+from page import BURR_PIXELS, Page, count, is_burr, is_link
 from playwright.sync_api import Browser
 
 
@@ -30,6 +30,25 @@ def scrubs(page: Page) -> None:
     box = page.page.locator("#scrub").bounding_box()
     page.page.mouse.click(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
     page.until("the middle", lambda: abs(page.number("time") - length(page) / 2) < 0.1 * length(page))
+
+
+def shows_clearances(page: Page) -> None:
+    """The clearance from a ball ahead of the burr is that of two balls; within the margin, row and tool change colour."""
+    page.page.focus("#scrub")
+    page.page.keyboard.press("Home")
+    page.until("the beginning", lambda: page.number("time") < 0.02)
+    page.until("a clearance", lambda: page.text("clearance-rows").startswith("nerve\t"))
+    two_balls = "(({ tip: [x, y, z], info }) => 1e3 * (Math.hypot(x, y, z - 0.01) - 0.002 - info.tool.burr_radius_m))(trabecula.model)"
+    page.until("its distance", lambda: abs(float(page.text("clearance-rows").split()[1]) - page.page.evaluate(two_balls)) < 0.01)
+    links = lambda: count(page.picture("scene-canvas"), is_link)
+    page.until("the links' own colour", lambda: links() > BURR_PIXELS)
+    margin = "(margin_m) => { trabecula.model.info.scene.structures[0].margin_m = margin_m; trabecula.changed(); }"
+    page.page.evaluate(margin, 0.1)
+    page.until("a warning", lambda: page.page.locator("#clearance-rows .warning").count() == 1)
+    # The planned path has a few pixels of the links' colour.
+    page.until("the colour of a margin", lambda: links() < BURR_PIXELS)
+    page.page.evaluate(margin, 0.002)
+    page.until("no warning", lambda: page.page.locator("#clearance-rows .warning").count() == 0)
 
 
 def length(page: Page) -> float:
@@ -218,7 +237,7 @@ def finds_where_they_part(page: Page) -> None:
 def check(browser: Browser, url: str, pictures: Path) -> None:
     """Checks one log."""
     page = Page(browser, url)
-    for one in (opens_a_log, plots_are_whole, plays_fast_without_loss, times_agree, plots_any_field, hides_panels, answers_odd_requests, scrubs, steps_by_ticks, draws, detail.draws_each_triangle_once, detail.follows_the_rendering_time, detail.costs_a_picture, shows_frames, pauses, plays, goes_to_marks):
+    for one in (opens_a_log, plots_are_whole, plays_fast_without_loss, times_agree, plots_any_field, hides_panels, answers_odd_requests, scrubs, steps_by_ticks, draws, shows_clearances, detail.draws_each_triangle_once, detail.follows_the_rendering_time, detail.costs_a_picture, shows_frames, pauses, plays, goes_to_marks):
         _run(one, page)
     page.page.focus("#scrub")
     page.page.keyboard.press("End")

@@ -330,9 +330,9 @@ fn a_datagram_that_claims_gigabytes_ends_the_bridge_at_worst_and_not_the_run() {
     assert_nothing_left(ended.pid);
 }
 
-/// The arrays that a program saw of a state are those that a replay computes, and the arm's Jacobian has the
-/// twist that the same state announces.
-fn assert_jacobians(folder: &Path, tick: u64, seen: &Value) {
+/// The arrays that a program saw of a state are those that a replay computes, clearances included, and the
+/// arm's Jacobian has the twist that the same state announces.
+fn assert_arrays(folder: &Path, tick: u64, seen: &Value) {
     let replayed = Sim::from_log(&folder.join("run.mcap"), Some(tick), &Drive::Nothing).unwrap();
     let (state, expected) = (replayed.state(), replayed.tip_jacobian());
     let numbers = |topic: &str| -> Vec<f64> {
@@ -352,6 +352,9 @@ fn assert_jacobians(folder: &Path, tick: u64, seen: &Value) {
         assert_equal(&found[tendons..], &expected.per_base[row * 6..][..6], "per twist of the base");
     }
     assert_equal(&numbers("/CM/compliance"), &expected.compliance, "compliance");
+    let [reading] = replayed.readings()[..] else { panic!("{:?}", replayed.readings()) };
+    assert_eq!(seen["structures"], serde_json::json!(["nerve", "vessel"]));
+    assert_equal(&numbers("/clearance"), &[reading.value[0], reading.value[2]], "clearances");
     assert_eq!(sizes["/UR5/jacobian"], serde_json::json!([6, 6]));
     for (row, found) in numbers("/UR5/jacobian").chunks_exact(6).enumerate() {
         let rates = state.arm_joint_velocity_rad_per_s;
@@ -367,7 +370,9 @@ fn assert_jacobians(folder: &Path, tick: u64, seen: &Value) {
 fn exact_run(python: &Path, delay_ms: u32, manner: &str) -> ([u64; 2], Value, String) {
     const STATES: u64 = 120;
     let place = Place::new();
-    let more = "[manipulator]\ntip_jacobian = true\n";
+    let more = "[manipulator]\ntip_jacobian = true\n[[structure]]\nname = \"nerve\"\n\
+                ball = { centre_mm = [0.0, 9.0, -25.0], radius_mm = 1.0 }\n[[structure]]\nname = \"vessel\"\n\
+                ball = { centre_mm = [9.0, 0.0, -17.0], radius_mm = 1.0 }\n";
     let run = place.start(&scenes::piloted("lockstep", STATES as f64 * 1e-3, more));
     let domain = Domain::new();
     let mut bridge = Bridge::start(&run.session(), &domain.number, &["--controller", "pilot", "--lockstep"]);
@@ -380,7 +385,7 @@ fn exact_run(python: &Path, delay_ms: u32, manner: &str) -> ([u64; 2], Value, St
     let ticks = read(&ended.folder).ticks;
     assert_eq!(ticks.len() as u64, STATES);
     assert_replays(&ended.folder);
-    assert_jacobians(&ended.folder, STATES - 1, &seen);
+    assert_arrays(&ended.folder, STATES - 1, &seen);
     (ticks.last().unwrap().state.hash, seen, last)
 }
 

@@ -29,6 +29,7 @@ pub mod igtl;
 pub mod ras;
 pub mod ros2;
 
+use ipc_types::messages::{SensorKind, SensorReading};
 use ipc_types::scene::Controller;
 use trabecula_client::{Client, ClientError};
 
@@ -36,6 +37,17 @@ use trabecula_client::{Client, ClientError};
 fn own_controller(client: &Client) -> Option<&Controller> {
     let (name, _) = client.info().controller.as_ref()?;
     client.scene().controller.iter().find(|controller| controller.name == *name)
+}
+
+/// Returns the newest unread reading of the clearances from critical structures.
+fn newest_clearances(client: &mut Client) -> Option<SensorReading> {
+    let mut newest = None;
+    while let Ok(Some(reading)) = client.next_reading() {
+        if reading.kind() == Ok(SensorKind::Clearance) {
+            newest = Some(*reading);
+        }
+    }
+    newest
 }
 
 /// Returns whether the user's input is at fault: no session, or an unknown or connected controller.

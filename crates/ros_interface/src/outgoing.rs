@@ -1,14 +1,16 @@
 //! Builds the messages that the bridge publishes for a state, as CDR.
 
-use messages::{ArmMode, ArmStatus, MAX_TENDONS, Phase, State, TipJacobian};
+use messages::{ArmMode, ArmStatus, MAX_TENDONS, Phase, SensorReading, State, TipJacobian};
 use nalgebra::{UnitQuaternion, Vector3};
+use scene::Structure;
 use serde::Serialize;
 
 use crate::cdr;
 use crate::commander::OperatingState;
 use crate::msg::{
-    Clock, Float64, Float64MultiArray, Header, JointState, OperatingStateMessage, PoseStamped, Text,
-    TfMessage, Time, TransformStamped, TwistStamped, UInt64, WrenchStamped,
+    Clock, Float64, Float64MultiArray, Header, JointState, MultiArrayDimension, MultiArrayLayout,
+    OperatingStateMessage, PoseStamped, Text, TfMessage, Time, TransformStamped, TwistStamped, UInt64,
+    WrenchStamped,
 };
 use crate::robot::{FrameInParent, Robot, WORLD, isometry};
 use crate::topics::{Output, TUBE_JOINT_NAMES, joint_names};
@@ -137,6 +139,20 @@ pub fn of_tip_jacobian(robot: &Robot, jacobian: &TipJacobian) -> Vec<Outgoing> {
     out
 }
 
+/// Returns the message of a reading of kind `clearance`: the clearances of a scene's structures, m.
+pub fn of_clearances(structures: &[Structure], reading: &SensorReading) -> Vec<Outgoing> {
+    let mut out = Vec::new();
+    // Each value is followed by the index of the closest sphere.
+    let (dim, data) = structures.iter().zip(reading.values().chunks_exact(2)).map(of_clearance).unzip();
+    let layout = MultiArrayLayout { dim, data_offset: 0 };
+    push(&mut out, Output::Clearance, &Float64MultiArray { layout, data });
+    out
+}
+
+fn of_clearance((structure, value): (&Structure, &[f64])) -> (MultiArrayDimension, f64) {
+    (MultiArrayDimension { label: structure.name.clone(), size: 1, stride: 1 }, value[0])
+}
+
 pub(crate) fn transform(placed: FrameInParent, stamp: Time) -> TransformStamped {
     TransformStamped {
         header: Header { stamp, frame_id: placed.parent },
@@ -182,4 +198,37 @@ pub fn of_operating_state(operating: OperatingState, is_busy: bool, state: &Stat
     };
     push(&mut out, Output::OperatingState, &message);
     out
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use messages::SensorKind;
+    use scene::Scene;
+    use zerocopy::FromZeros;
+
+    use super::*;
+
+    /// The bytes are those of `rclpy.serialization.serialize_message` (Jazzy) for the same message, with
+    /// zeros as padding.
+    #[test]
+    fn clearances_are_labelled_with_the_names_of_their_structures() {
+        let text = "name = \"bench\"\n[run]\nmode = \"lockstep\"\nduration_s = 1.0\n[tool]\n\
+            burr_start_mm = [0.0, 0.0, 0.0]\ndirection = [0.0, 0.0, 1.0]\nbend_toward = [1.0, 0.0, 0.0]\n\
+            [[structure]]\nname = \"nerve\"\nball = { centre_mm = [0.0, 9.0, 0.0], radius_mm = 1.0 }\n\
+            [[structure]]\nname = \"vessel\"\nball = { centre_mm = [9.0, 0.0, 0.0], radius_mm = 1.0 }\n";
+        let scene = Scene::parse(text, Path::new("bench.toml")).unwrap();
+        let kind = SensorKind::Clearance.code();
+        let mut reading = SensorReading { kind, value_count: 4, ..SensorReading::new_zeroed() };
+        reading.value[..4].copy_from_slice(&[2e-3, 7.0, -0.5e-3, 28.0]);
+        let [Outgoing { topic: Output::Clearance, cdr }] = &of_clearances(&scene.structure, &reading)[..]
+        else {
+            panic!()
+        };
+        let hex: String = cdr.iter().map(|byte| format!("{byte:02x}")).collect();
+        let expected = "02000000060000006e6572766500000001000000010000000700000076657373656c00000100000001000000\
+                        000000000200000000000000fca9f1d24d62603ffca9f1d24d6240bf";
+        assert_eq!(hex, expected);
+    }
 }

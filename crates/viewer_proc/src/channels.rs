@@ -24,6 +24,9 @@ pub const PLAYBACK: &str = "/view/playback";
 pub const PACE: &str = "/view/pace";
 /// State at the position on the time line. A slow client gets it less often but never late (logs only).
 pub const VIEW_STATE: &str = "/view/state";
+/// Newest sensor reading at the position on the time line; in a scene with structures, that of the clearances
+/// (logs only).
+pub const VIEW_SENSOR: &str = "/view/sensor";
 /// State of the tick at which the shown frame was taken, so that the tool can be drawn over it (logs only).
 pub const FRAME_STATE: &str = "/view/frame_state";
 /// Notices for the user (JSON).
@@ -106,10 +109,13 @@ impl Channels {
         channels
     }
 
-    /// Adds the channels that only logs have: [`VIEW_STATE`], [`FRAME_STATE`], and those of a second log,
-    /// shown next to the first under the prefix [`SECOND`].
+    /// Adds the channels that only logs have: [`VIEW_STATE`], [`VIEW_SENSOR`] with readings, [`FRAME_STATE`],
+    /// and those of a second log, shown next to the first under the prefix [`SECOND`].
     pub fn add_log(&mut self, has_second: bool) {
         self.logged(VIEW_STATE, Topic::State.description(), Policy::Newest);
+        if self.id(Topic::Sensor.name()).is_some() {
+            self.logged(VIEW_SENSOR, Topic::Sensor.description(), Policy::Newest);
+        }
         self.logged(FRAME_STATE, Topic::State.description(), Policy::Newest);
         if !has_second {
             return;

@@ -1,7 +1,7 @@
 //! Content of `/view/info`: the scene as the page needs it.
 
 use ipc_types::messages::Pose;
-use ipc_types::scene::{Cutter, Holder, OuterTubeSize, Scene, planned_path_in_bone_mm};
+use ipc_types::scene::{Cutter, Holder, OuterTubeSize, Scene, StructureRole, planned_path_in_bone_mm};
 use serde_json::{Value, json};
 use voxel_grid::slice::ANATOMICAL;
 
@@ -133,6 +133,11 @@ fn scene_part(scene: &Scene) -> Value {
         "predrill": scene.predrill.iter().map(|hole| json!({
             "from_m": hole.from_mm.map(metres), "to_m": hole.to_mm.map(metres),
             "radius_m": 0.5 * metres(hole.diameter_mm),
+        })).collect::<Vec<_>>(),
+        "structures": scene.structure.iter().map(|structure| json!({
+            "name": structure.name,
+            "margin_m": metres(structure.margin_mm),
+            "is_target": structure.role == StructureRole::Target,
         })).collect::<Vec<_>>(),
     })
 }

@@ -5,8 +5,8 @@
 Follows states DELAY_MS late. MANNER `plain` sends one command per part. `rough` also sends a second command with
 other values after each, in changing order, repeats those of the last state, sends one with the stamp of a state that
 does not exist, and answers two states only when they are published again. `before` and `between` also reset the
-simulation once, before the commands for a state or after the first of them. Prints what it saw, with the Jacobians of
-the last state.
+simulation once, before the commands for a state or after the first of them. Prints what it saw, with the Jacobians and
+clearances of the last state.
 """
 
 import json
@@ -46,7 +46,7 @@ listen("/UR5/measured_js", arm)
 listen("/CM/burr/measured_js", burr)
 arrays = {}
 for kind, topic in [(Float64MultiArray, "/CM/jacobian"), (Float64MultiArray, "/CM/compliance"),
-                    (Float64MultiArray, "/UR5/jacobian"), (TwistStamped, "/UR5/measured_cv")]:
+                    (Float64MultiArray, "/clearance"), (Float64MultiArray, "/UR5/jacobian"), (TwistStamped, "/UR5/measured_cv")]:
     node.create_subscription(kind, topic, lambda message, topic=topic: arrays.update({topic: message}), 10)
 motor_jv = node.create_publisher(JointState, "/CM/bend_motor/servo_jv", 10)
 arm_jv = node.create_publisher(JointState, "/UR5/servo_jv", 10)
@@ -103,7 +103,7 @@ while len(answered) < states and time.monotonic() < deadline:
         for _ in range(20):
             rclpy.spin_once(node, timeout_sec=0.02)
         arrays.clear()
-        while len(arrays) < 4 and time.monotonic() < deadline:
+        while len(arrays) < 5 and time.monotonic() < deadline:
             rclpy.spin_once(node, timeout_sec=0.05)
     time.sleep(delay_s)
     commands = answer(stamp)
@@ -132,6 +132,7 @@ data = {topic: list(array.data) for topic, array in arrays.items() if topic in s
 twist = arrays["/UR5/measured_cv"].twist
 print(json.dumps({
     "answered": len(answered), "gaps": gaps, "first": answered[0], "repeated": repeated, "sizes": sizes, "data": data,
+    "structures": [dim.label for dim in arrays["/clearance"].layout.dim],
     "twist": [twist.linear.x, twist.linear.y, twist.linear.z, twist.angular.x, twist.angular.y, twist.angular.z],
 }))
 # The last commands must arrive before the publishers disappear.

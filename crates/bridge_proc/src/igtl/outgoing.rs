@@ -1,7 +1,7 @@
 //! Builds the messages that the bridge sends.
 
-use ipc_types::messages::{Frame, Phase, Pose, RunStatus, State};
-use ipc_types::scene::{Scene, ToolRadii, planned_path_mm};
+use ipc_types::messages::{Frame, Phase, Pose, RunStatus, SensorReading, State};
+use ipc_types::scene::{Scene, StructureRole, ToolRadii, planned_path_mm};
 use openigtlink::{Body, Coordinates, Image, Message, Point, PolyData, Timestamp};
 
 use crate::ras;
@@ -28,7 +28,12 @@ pub const SENT: [(&str, &str, &str); 11] = [
         "the planned path of the burr's centre as a line, if a built-in controller drills; once per \
          connection",
     ),
-    ("STRING", "State", "tick, time, phase, force and removal as `name=value`, five times a second"),
+    (
+        "STRING",
+        "State",
+        "tick, time, phase, force, removal and, with a `[[structure]]`, the least clearance from those to \
+         avoid (`least_clearance_mm`, `nearest_structure`) as `name=value`, five times a second",
+    ),
 ];
 
 /// Corners of the tube's cross-section.
@@ -59,10 +64,25 @@ pub(crate) fn poses(state: &State, timestamp: Timestamp) -> Vec<Message> {
     messages
 }
 
-/// Formats figures of a state as text.
-pub(crate) fn figures(state: &State, status: Option<&RunStatus>, timestamp: Timestamp) -> Message {
+/// Returns the name of the structure to avoid that is closest according to a reading of kind `clearance`, and
+/// the clearance from it, m; `None` without such a structure.
+pub(crate) fn least_clearance<'s>(scene: &'s Scene, reading: &SensorReading) -> Option<(&'s str, f64)> {
+    // Each value is followed by the index of the closest sphere.
+    let all = scene.structure.iter().zip(reading.values().chunks_exact(2));
+    let avoided = all.filter(|(structure, _)| structure.role != StructureRole::Target);
+    let named = avoided.map(|(structure, value)| (structure.name.as_str(), value[0]));
+    named.min_by(|(_, a), (_, b)| a.total_cmp(b))
+}
+
+/// Formats figures of a state as text, with the [`least_clearance`].
+pub(crate) fn figures(
+    state: &State,
+    status: Option<&RunStatus>,
+    least: Option<(&str, f64)>,
+    timestamp: Timestamp,
+) -> Message {
     let phase = status.and_then(|status| status.phase().ok()).unwrap_or(Phase::Running).word();
-    let text = format!(
+    let mut text = format!(
         "tick={} sim_time_s={:.6} phase={phase} bend_deg={:.3} burr_force_n={:.4} burr_speed_rpm={:.1} \
          removed_voxels={}",
         state.tick,
@@ -72,6 +92,9 @@ pub(crate) fn figures(state: &State, status: Option<&RunStatus>, timestamp: Time
         state.burr_speed_rad_per_s * 30.0 / core::f64::consts::PI,
         state.removed_total,
     );
+    if let Some((name, least_m)) = least {
+        text += &format!(" least_clearance_mm={:.3} nearest_structure={name}", least_m * 1e3);
+    }
     message("State", timestamp, Body::Text(text))
 }
 
@@ -179,4 +202,35 @@ pub(crate) fn planned_path(scene: &Scene, timestamp: Timestamp) -> Option<Messag
     let lines = vec![(0..points_mm.len() as u32).collect()];
     let surface = PolyData { points_mm, lines, ..PolyData::default() };
     Some(message("PlannedPath", timestamp, Body::PolyData(surface)))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use ipc_types::messages::SensorKind;
+    use zerocopy::FromZeros;
+
+    use super::*;
+
+    /// The text has nothing of a target, which the tool is meant to enter.
+    #[test]
+    fn the_least_clearance_is_that_of_the_nearest_structure_to_avoid() {
+        let ball = "ball = { centre_mm = [0.0, 9.0, 0.0], radius_mm = 1.0 }";
+        let text = format!(
+            "name = \"bench\"\n[run]\nmode = \"lockstep\"\nduration_s = 1.0\n[tool]\n\
+             burr_start_mm = [0.0, 0.0, 0.0]\ndirection = [0.0, 0.0, 1.0]\nbend_toward = [1.0, 0.0, 0.0]\n\
+             [[structure]]\nname = \"tumour\"\nrole = \"target\"\n{ball}\n\
+             [[structure]]\nname = \"nerve\"\n{ball}\n[[structure]]\nname = \"vessel\"\n{ball}\n"
+        );
+        let scene = Scene::parse(&text, Path::new("bench.toml")).unwrap();
+        let kind = SensorKind::Clearance.code();
+        let mut reading = SensorReading { kind, value_count: 6, ..SensorReading::new_zeroed() };
+        reading.value[..6].copy_from_slice(&[-3e-3, 1.0, 2e-3, 7.0, -0.5e-3, 28.0]);
+        let least = least_clearance(&scene, &reading);
+        let Body::Text(text) = figures(&State::new_zeroed(), None, least, Timestamp::default()).body else {
+            panic!()
+        };
+        assert!(text.ends_with(" least_clearance_mm=-0.500 nearest_structure=vessel"), "{text}");
+    }
 }

@@ -3,7 +3,7 @@
 use std::sync::{Arc, Weak};
 use std::time::{Duration, Instant};
 
-use ipc_types::messages::ControlAction;
+use ipc_types::messages::{ControlAction, RunStatus, SensorReading, State};
 use ipc_types::scene::{Drives, ToolRadii};
 use openigtlink::{Message, StatusCode, Timestamp};
 use trabecula_client::{Client, ClientError, Connection};
@@ -14,7 +14,7 @@ use super::peer::Peer;
 use super::peers::PeerRequest;
 use super::plan::{Follower, Speeds};
 use super::{IgtlError, IgtlOptions};
-use crate::own_controller;
+use crate::{newest_clearances, own_controller};
 
 /// How long one turn of the loop waits for a state.
 const TURN: Duration = Duration::from_millis(5);
@@ -33,6 +33,8 @@ pub(crate) struct IgtlSession {
     slow_due: Instant,
     /// Tick of the newest state that was sent.
     sent_tick: Option<u64>,
+    /// Newest clearances from critical structures.
+    clearances: Option<SensorReading>,
 }
 
 impl IgtlSession {
@@ -52,6 +54,7 @@ impl IgtlSession {
             radii,
             slow_due: Instant::now(),
             sent_tick: None,
+            clearances: None,
         })
     }
 
@@ -91,6 +94,7 @@ impl IgtlSession {
     pub(crate) fn outgoing(&mut self, now: Timestamp) -> Vec<Message> {
         let mut messages = Vec::new();
         let status = self.client.status().ok().flatten();
+        self.clearances = newest_clearances(&mut self.client).or(self.clearances);
         let slow = Instant::now() >= self.slow_due;
         if slow {
             self.slow_due = Instant::now() + SLOW_PERIOD;
@@ -104,7 +108,7 @@ impl IgtlSession {
                 }
             }
             if slow {
-                messages.push(outgoing::figures(state, status.as_ref(), now));
+                messages.push(self.figures(state, status.as_ref(), now));
             }
         }
         messages.extend(self.frames(now));
@@ -127,8 +131,14 @@ impl IgtlSession {
     pub(crate) fn last_words(&mut self, now: Timestamp) -> Vec<Message> {
         let mut messages = self.outgoing(now);
         let status = self.client.status().ok().flatten();
-        messages.extend(self.client.state().map(|state| outgoing::figures(state, status.as_ref(), now)));
+        messages.extend(self.client.state().map(|state| self.figures(state, status.as_ref(), now)));
         messages
+    }
+
+    fn figures(&self, state: &State, status: Option<&RunStatus>, now: Timestamp) -> Message {
+        let clearances = self.clearances.as_ref();
+        let least = clearances.and_then(|reading| outgoing::least_clearance(self.client.scene(), reading));
+        outgoing::figures(state, status, least, now)
     }
 
     /// Executes a permitted request and answers it.

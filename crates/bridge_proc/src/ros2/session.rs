@@ -5,7 +5,7 @@ mod publish;
 use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
 
-use ipc_types::messages::{ControlAction, MAX_ARM_JOINTS, Phase, Severity};
+use ipc_types::messages::{ControlAction, MAX_ARM_JOINTS, Phase, SensorReading, Severity};
 use ipc_types::scene::{Controller, Drives};
 use ros_interface::commander::{Commander, OperatingState};
 use ros_interface::image::ImageForm;
@@ -57,6 +57,8 @@ pub(crate) struct Ros2Session {
     /// In exact runs: the answers to the newest state.
     exchange: Option<Exchange>,
     round_trips: RoundTrips,
+    /// Newest clearances from critical structures.
+    clearances: Option<SensorReading>,
     /// `None` without a volume.
     bone: Option<Bone>,
     /// A cloud for which there was no room.
@@ -100,6 +102,7 @@ impl Ros2Session {
             ran_out: None,
             exchange,
             round_trips: RoundTrips::default(),
+            clearances: None,
             bone,
             unsent: None,
         })

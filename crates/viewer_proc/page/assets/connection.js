@@ -9,7 +9,7 @@ const SERVICE_RESPONSE = 3;
 const SERVICE_REQUEST = 2;
 const RETRY_MS = 1500;
 /** Topics with a message per tick. A browser that renders in software gets only the newest, at most 30 times a second. */
-const EACH_TICK = /^\/(state|latched|timing\/tick|command\/.*)$/;
+const EACH_TICK = /^\/(state|sensor|latched|timing\/tick|command\/.*)$/;
 /** Close reason when the same address will show something else next, and the delay before reconnecting. */
 export const GOES_ON = "the viewer goes on";
 const GOES_ON_MS = 50;
@@ -62,11 +62,11 @@ export class Connection extends EventTarget {
     if (this.socket?.readyState === WebSocket.OPEN) this.#subscribe();
   }
 
-  /** Whether to subscribe to a channel. Of a log's states only the one at its position is streamed; its
+  /** Whether to subscribe to a channel. Of a log's states and readings only those at its position are streamed; its
    * plots are requested (`log_series.js`). */
   #wants({ topic }) {
     const isLog = [...this.channels.values()].some((channel) => channel.topic === "/view/state");
-    if (isLog && (topic === "/event" || topic === "/view/miss" || /^(\/second)?\/state$/.test(topic))) return false;
+    if (isLog && (topic === "/event" || topic === "/view/miss" || /^(\/second)?\/state$|^\/sensor$/.test(topic))) return false;
     return this.handlers.has(topic) || (!isLog && this.more.has(topic));
   }
 

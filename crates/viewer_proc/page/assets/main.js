@@ -1,6 +1,7 @@
 // The page: connects, passes messages to the model, and draws when something has changed.
 
 import { Actions } from "/assets/actions.js";
+import { showClearances } from "/assets/clearance.js";
 import { Connection, GOES_ON, json } from "/assets/connection.js";
 import { Cursor } from "/assets/cursor.js";
 import { Drive } from "/assets/drive.js";
@@ -223,7 +224,8 @@ function listMarks(marks) {
 }
 
 function takeLegend(second) {
-  fillLegend(element("legend"), { planned: !!model.info?.scene?.planned_path_m, target: !!model.info?.scene?.target_m, second });
+  const scene = model.info?.scene;
+  fillLegend(element("legend"), { planned: !!scene?.planned_path_m, target: !!scene?.target_m, structures: scene?.structures?.length > 0, second });
 }
 
 function takeNotice({ level, text }) {
@@ -245,6 +247,7 @@ for (const prefix of ["", "/second"]) {
   for (const topic of ["/state", "/view/state"]) connection.on(`${prefix}${topic}`, takeState);
   connection.on(`${prefix}/drr/image`, (data) => page.xRay.take(decodeImage(data), prefix !== ""));
 }
+for (const topic of ["/sensor", "/view/sensor"]) connection.on(topic, (...message) => (model.takeReading(...message), changed("scene")));
 connection.on("/view/miss", (data) => (model.takeMiss(data), changed("plots")));
 connection.on("/drr/frame", (...message) => (model.takeFrame(...message), changed("xRay")));
 connection.on("/view/frame_state", (...message) => (model.takeFrameState(...message), changed("xRay")));
@@ -344,6 +347,7 @@ function showTexts() {
   showRun(model, connected, page.timeLine.state, rate.add(model.info?.kind === "log" ? page.timeLine.state.time_ns / 1e9 : model.time, now));
   showFrame(model, page.xRay);
   showGuidance(model);
+  showClearances(model.clearances);
   const [from, to] = page.plots.range();
   showTicks(model, page.plots.misses(), from, to, page.theme.colours);
   const { reading } = page.plots;

@@ -10,7 +10,11 @@ const MAX_ARM_JOINTS = 7;
 const LINKS = 32;
 const BODIES = 4;
 const CONTACTS = 40;
+const STRUCTURES = 16;
 const PHASES = ["connecting", "running", "paused", "ended"];
+
+/** Kind of the readings of clearances. */
+const CLEARANCE = 6;
 
 /** Maximum number of misses kept. */
 const MOST_MISSES = 20000;
@@ -72,6 +76,8 @@ export class Model {
     this.pace = undefined;
     this.status = undefined;
     this.frame = undefined;
+    /** Clearances in metres, in the scene's order. @type {number[] | undefined} */
+    this.distances = undefined;
     /** Whether the run has ended, so that a closed connection is not an error. */
     this.hasEnded = false;
     /** Wall-clock time of the last state. */
@@ -139,6 +145,18 @@ export class Model {
     this.time = timeNs / 1e9;
     this.stateAt = performance.now();
     this.trail.add(read.burr.map((f) => f(data)), timeNs);
+  }
+
+  /** Takes a sensor reading, if it is one of clearances. @type {import("/assets/connection.js").Handler} */
+  takeReading(data, _timeNs, channel) {
+    // Each structure has two values: its clearance, and the index of the tool's closest sphere.
+    const read = this.#read(channel, (layout) => ({ kind: reader(layout, "kind"), values: many(layout, "value", 2 * STRUCTURES) }));
+    if (read.kind(data) === CLEARANCE) this.distances = read.values.filter((_, i) => i % 2 === 0).map((f) => f(data));
+  }
+
+  /** Structures of the scene with the tool's clearance from them. @returns {import("/assets/clearance.js").Clearance[]} */
+  get clearances() {
+    return (this.info?.scene?.structures ?? []).map((structure, i) => ({ ...structure, clearance_m: this.distances?.[i] }));
   }
 
   /** Takes the state at the time of the shown frame (logs only). @type {import("/assets/connection.js").Handler} */
@@ -235,6 +253,7 @@ export class Model {
     this.frameStates.clear();
     this.misses = [];
     this.time = this.status = undefined;
+    this.distances = undefined;
     this.state = this.secondState = this.frame = this.heldFrame = this.stateAt = this.pace = undefined;
   }
 }

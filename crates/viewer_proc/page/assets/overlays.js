@@ -50,12 +50,13 @@ const SHAPES = {
   arrow: (c) => (c.rect(1, 5, 13, 2), c.moveTo(13, 1), c.lineTo(21, 6), c.lineTo(13, 11), c.fill()),
 };
 
-/** @param {HTMLElement} list @param {{planned: boolean, target: boolean, second: boolean}} has */
+/** @param {HTMLElement} list @param {{planned: boolean, target: boolean, structures: boolean, second: boolean}} has */
 export function fillLegend(list, has) {
   /** Colour key, label, shape, and whether it is shown. @type {[string, string, string, boolean][]} */
   const entries = [
     ["burr", "burr", "ball", true], ["linkEven", "links", "bars", true], ["drilled", "burr path", "line", true],
     ["planned", "planned path", "dashes", has.planned], ["target", "target", "cross", has.target],
+    ["margin", "tool within a margin", "ball", has.structures], ["breach", "tool in a structure", "ball", has.structures],
     ["force", `contact force, 10 N = ${ARROW_M_PER_N * 1e4} mm`, "arrow", true], ["second", "tool of the second log", "bars", has.second],
   ];
   list.replaceChildren(...entries.filter((entry) => entry[3]).map(([colour, text, shape]) => {

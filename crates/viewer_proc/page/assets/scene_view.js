@@ -1,6 +1,7 @@
 // The 3D view: bone, tool, paths and forces, drawn with WebGL2 on change.
 
 import { Camera } from "/assets/camera.js";
+import { toolColour } from "/assets/clearance.js";
 import { Detail } from "/assets/detail.js";
 import { InstancedShape, program } from "/assets/gl.js";
 import { PartsList } from "/assets/parts_list.js";
@@ -115,8 +116,8 @@ export class SceneView {
   /** @param {import("/assets/model.js").Model} model */
   draw(model) {
     // State-dependent values are computed once per frame.
-    const { info, poses, second, contacts, bodies, trail } = model;
-    const scene = { info, poses, second, contacts, bodies, trail };
+    const { info, poses, second, contacts, bodies, trail, clearances } = model;
+    const scene = { info, poses, second, contacts, bodies, trail, clearances };
     const { gl, camera } = this;
     const colours = this.dark ? DARK_SIDE : LIGHT_SIDE;
     if (scene.poses && camera.follows) camera.centre = scene.poses.burr.position;
@@ -133,9 +134,9 @@ export class SceneView {
     this.pictures += 1;
   }
 
-  #opaque({ info, poses, contacts, bodies, trail }) {
+  #opaque({ info, poses, contacts, bodies, trail, clearances }) {
     const list = new PartsList();
-    if (poses && info?.tool) addTool(list, poses, info.tool);
+    if (poses && info?.tool) addTool(list, poses, info.tool, toolColour(clearances));
     addContacts(list, contacts);
     addBodies(list, info?.bodies ?? [], bodies);
     list.path(info?.scene?.planned_path_m ?? [], 0.00045, COLOURS.planned, 0.001);

@@ -19,6 +19,7 @@ export const COLOURS = {
   arm: [0.5, 0.51, 0.53, 0.4], shaft: [0.66, 0.67, 0.7, 1], holder: [0.46, 0.47, 0.5, 1], outerTube: [0.58, 0.6, 0.64, 1], linkEven: [0.16, 0.55, 0.78, 1], linkOdd: [0.52, 0.8, 0.93, 1],
   burr: [0.96, 0.45, 0.08, 1], cursor: [0.2, 0.72, 0.45, 1], measure: [0.9, 0.75, 0.05, 1], target: [0.85, 0.15, 0.65, 1], planned: [0.1, 0.62, 0.33, 1], drilled: [0.95, 0.75, 0.1, 1],
   force: [0.86, 0.1, 0.16, 1], body: [0.55, 0.5, 0.75, 1], second: [0.45, 0.4, 0.95, 0.45],
+  margin: [1, 0.8, 0.2, 1], breach: [0.8, 0.05, 0.2, 1],
 };
 
 /** @typedef {{arm: Pose[], flange: Pose, base: Pose, links: Pose[], burr: Pose}} Poses */

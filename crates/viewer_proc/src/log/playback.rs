@@ -22,7 +22,7 @@ use super::player::Player;
 use super::series::{Lane, LogSeries, SeriesRequest};
 use crate::board::Board;
 use crate::calls::{Call, CallSender, Calls, call_queue};
-use crate::channels::{COMPARE, FRAME_STATE, INFO, PLAYBACK, SECOND, SECOND_TOPICS, VIEW_STATE};
+use crate::channels::{COMPARE, FRAME_STATE, INFO, PLAYBACK, SECOND, SECOND_TOPICS, VIEW_SENSOR, VIEW_STATE};
 use crate::error::ViewerError;
 use crate::info::VolumeBox;
 use crate::left::IdleTimer;
@@ -416,6 +416,10 @@ impl LogPlayback {
     }
 
     fn publish_state(&self, now: u64) -> Result<(), PlayError> {
+        // Of the readings of a tick the clearances are the last.
+        if let Some(message) = self.logs.0.run.newest(Topic::Sensor, now)? {
+            self.board.publish(VIEW_SENSOR, message.time_ns, 0, message.payload);
+        }
         let second = self.logs.1.as_ref().map(|second| (SECOND, &second.run));
         for (prefix, log) in core::iter::once(("", &self.logs.0.run)).chain(second) {
             if let Some(message) = log.newest(Topic::State, now)? {

@@ -8,6 +8,7 @@ use ros_interface::outgoing::{self, Outgoing};
 use ros_interface::topics::{Input, Output};
 
 use super::{Ros2Session, TURN};
+use crate::newest_clearances;
 use crate::ros2::node::Node;
 use crate::ros2::notices::Notices;
 
@@ -36,6 +37,10 @@ impl Ros2Session {
         }
         if is_new && let Ok(Some(jacobian)) = self.client.tip_jacobian() {
             node.publish(outgoing::of_tip_jacobian(robot, jacobian));
+        }
+        self.clearances = newest_clearances(&mut self.client).or(self.clearances);
+        if is_new && let Some(reading) = &self.clearances {
+            node.publish(outgoing::of_clearances(&self.client.scene().structure, reading));
         }
         self.refuse_takes(node, notices);
         self.publish_image(node);
