@@ -51,6 +51,38 @@ impl FigurePlace<'_> {
     }
 }
 
+/// An output folder that is created before a long job, so that one that cannot be written to fails at once.
+/// On drop, the folders that were created for it are removed again if they are empty.
+#[derive(Debug)]
+pub struct OutputFolder {
+    /// Innermost first.
+    created: Vec<PathBuf>,
+}
+
+impl OutputFolder {
+    /// Creates the folder of a file that will be written.
+    ///
+    /// # Errors
+    /// The folder cannot be created, or the file cannot be created in it.
+    pub fn of(file: &Path) -> Result<OutputFolder, Failure> {
+        let folder = output_file::folder_of(file);
+        let missing = folder.ancestors().take_while(|it| *it != Path::new("") && !it.exists());
+        let created = OutputFolder { created: missing.map(Path::to_owned).collect() };
+        output_file::create_folder(folder).map_err(Failure::folder(folder))?;
+        output_file::OutputFile::create(file)?;
+        Ok(created)
+    }
+}
+
+impl Drop for OutputFolder {
+    fn drop(&mut self) {
+        for folder in &self.created {
+            // Fails if there is something in it.
+            let _ = std::fs::remove_dir(folder);
+        }
+    }
+}
+
 /// Returns the paths of these names in a folder.
 pub fn within(folder: &Path, names: &[&str]) -> Vec<PathBuf> {
     names.iter().map(|name| folder.join(name)).collect()
@@ -58,6 +90,22 @@ pub fn within(folder: &Path, names: &[&str]) -> Vec<PathBuf> {
 
 #[cfg(test)]
 mod tests {
+    use super::*;
+
+    #[test]
+    fn a_folder_created_for_nothing_is_removed_and_one_that_cannot_be_written_to_is_refused() {
+        let place = tempfile::tempdir().unwrap();
+        let file = place.path().join("a/b/plans.png");
+        drop(OutputFolder::of(&file).unwrap());
+        assert!(!place.path().join("a").exists() && place.path().exists());
+        let folder = OutputFolder::of(&file).unwrap();
+        output_file::write(&file, "").unwrap();
+        drop(folder);
+        assert!(file.exists());
+        let refused = OutputFolder::of(&file.join("c/plans.png")).unwrap_err();
+        assert!(refused.code == 2 && refused.message.contains("plans.png/c: cannot be created"), "{refused}");
+    }
+
     /// Commands with an output, and the argument that names it. All are in the table of
     /// `tests/processes/outputs.rs`, except `run` and `stress`, which create a folder with a new name, and
     /// `proc recorder`, which `run` starts in it; `sweep list`, which writes nothing; and `sweep run`, which

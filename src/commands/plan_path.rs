@@ -10,8 +10,10 @@ use serde_json::{Value, json};
 use sweep::Proportion;
 
 use crate::failure::Failure;
-use crate::output::refuse_existing;
-use crate::plan_path::{self, Bounds, Candidate, Offsets, Risk, Search, Settings};
+use crate::launcher::volume_source::VolumeFiles;
+use crate::output::{OutputFolder, refuse_existing};
+use crate::plan_edit::rounded;
+use crate::plan_path::{self, Bounds, Candidate, Offsets, Risk, Search, Settings, Uncertainty};
 use crate::report::ReportError;
 use crate::say::{Figures, path_text};
 use crate::scenes::{BuiltIn, SceneSource};
@@ -34,30 +36,37 @@ pub struct PathArguments {
     #[arg(short, long, default_value = "out/plans")]
     output: PathBuf,
     /// Move the entry by up to this much, in both directions across the feed.
-    #[arg(long, value_name = "MM", default_value_t = 3.0, value_parser = within(0.0, 50.0))]
+    #[arg(long, value_name = "MM", default_value_t = 3.0)]
+    #[arg(value_parser = within(0.0, 50.0), allow_negative_numbers = true)]
     entry_mm: f64,
     /// Tilt the feed by up to this much, in both directions; a straight path always aims at its target.
-    #[arg(long, value_name = "DEG", default_value_t = 4.0, value_parser = within(0.0, 45.0))]
+    #[arg(long, value_name = "DEG", default_value_t = 4.0)]
+    #[arg(value_parser = within(0.0, 45.0), allow_negative_numbers = true)]
     tilt_deg: f64,
     /// Begin the bend up to this much earlier or later along the feed.
-    #[arg(long, value_name = "MM", default_value_t = 2.0, value_parser = within(0.0, 50.0))]
+    #[arg(long, value_name = "MM", default_value_t = 2.0)]
+    #[arg(value_parser = within(0.0, 50.0), allow_negative_numbers = true)]
     bend_mm: f64,
     /// Change the final tension by up to this much, beyond what the angle of the bend needs.
-    #[arg(long, value_name = "PERCENT", default_value_t = 10.0, value_parser = within(0.0, 90.0))]
+    #[arg(long, value_name = "PERCENT", default_value_t = 10.0)]
+    #[arg(value_parser = within(0.0, 90.0), allow_negative_numbers = true)]
     tension_percent: f64,
     /// Feed up to this much shorter or longer than the planned path.
-    #[arg(long, value_name = "MM", default_value_t = 0.5, value_parser = within(0.0, 20.0))]
+    #[arg(long, value_name = "MM", default_value_t = 0.5)]
+    #[arg(value_parser = within(0.0, 20.0), allow_negative_numbers = true)]
     feed_mm: f64,
-    /// Number of paths to simulate, the scene's own included.
+    /// Largest number of paths to simulate, the scene's own included.
     #[arg(long, default_value_t = 40, value_parser = clap::value_parser!(u64).range(1..=MAX_CANDIDATES))]
     candidates: u64,
     /// Largest number of plans to write.
     #[arg(long, default_value_t = 4, value_parser = clap::value_parser!(u64).range(1..=MAX_PLANS))]
     plans: u64,
-    /// Number of sampled runs of each plan, for its probabilities; 0 for none.
+    /// Number of sampled runs of each plan, for its probabilities, at most the points of the study; 0 for
+    /// none.
     #[arg(long, default_value_t = 15, value_parser = clap::value_parser!(u64).range(0..=MAX_SAMPLES))]
     samples: u64,
-    /// Sweep study (TOML) whose points are the sampled worlds, as keys of `[truth]`; its scene is not used.
+    /// Sweep study (TOML) whose points are the sampled worlds. It may only set keys of `[truth]`; its scene
+    /// is not used.
     /// Default: the registration by up to 1 mm and 1 deg about each axis, the tool's stiffness by 10 %, the
     /// tendons' friction from 0 to 0.2.
     #[arg(long, value_name = "FILE")]
@@ -65,6 +74,8 @@ pub struct PathArguments {
     /// Seed of the search.
     #[arg(long, default_value_t = 1)]
     seed: u64,
+    #[command(flatten)]
+    volume_files: VolumeFiles,
     #[command(flatten)]
     figures: Figures,
 }
@@ -87,11 +98,13 @@ pub fn run(arguments: &PathArguments) -> Result<(), Failure> {
     let mut files: Vec<PathBuf> = (0..arguments.plans as usize).map(file).collect();
     files.push(folder.join(PICTURE));
     refuse_existing(&files)?;
+    let _created = OutputFolder::of(&folder.join(PICTURE))?;
     let end = EndRequest::install().map_err(Failure::signals)?;
     let is_to_end = || end.is_set();
-    let study = plan_path::study(arguments.study.as_deref())?;
+    let uncertainty = Uncertainty::read(arguments.study.as_deref())?;
     let source = SceneSource::new(arguments.scene.as_deref(), BuiltIn::Femur);
     let search = Search::new(&source, settings(arguments), &is_to_end)?;
+    search.check(&uncertainty)?;
     let candidates = search.run(&|found: &[Candidate]| tell!("simulated {}", tally(found)))?;
     let plans = plan_path::spread(&plan_path::front(&candidates), arguments.plans as usize);
     if plans.is_empty() {
@@ -101,11 +114,13 @@ pub fn run(arguments: &PathArguments) -> Result<(), Failure> {
         )));
     }
     let chosen: Vec<&Candidate> = plans.iter().map(|index| &candidates[*index]).collect();
-    let risks = search.risks(&chosen, &study, arguments.samples)?;
+    if arguments.samples > 0 {
+        tell!("{}", uncertainty.progress(chosen.len(), arguments.samples));
+    }
+    let risks = search.risks(&chosen, &uncertainty, arguments.samples)?;
     let picture = plan_path::draw(&search.scene().name, &candidates, &plans)
         .and_then(|figure| figure.png(&folder.join(PICTURE)))
         .map_err(ReportError::from)?;
-    output_file::create_folder(folder).map_err(Failure::folder(folder))?;
     let mut contents: Vec<(PathBuf, Vec<u8>)> = chosen
         .iter()
         .enumerate()
@@ -125,13 +140,14 @@ fn settings(arguments: &PathArguments) -> Settings {
         bounds: Bounds { entry_mm, tilt_deg, bend_mm, tension_percent, feed_mm },
         candidates: arguments.candidates as usize,
         seed: arguments.seed,
+        volume_files: arguments.volume_files,
     }
 }
 
 /// Returns the number of simulated paths, and how many have which fault.
 fn tally(found: &[Candidate]) -> String {
     let good = found.iter().filter(|candidate| candidate.outcome.fault.is_none()).count();
-    let faults = plan_path::faults(found).into_iter().map(|(fault, count)| (count, fault.verb()));
+    let faults = plan_path::faults(found).into_iter().map(|(fault, count)| (count, fault.verb(count)));
     let parts = std::iter::once((good, "without a fault")).chain(faults);
     let parts: Vec<String> = parts.map(|(count, what)| format!("{count} {what}")).collect();
     format!("{}: {}", counted(found.len(), "path"), parts.join(", "))
@@ -158,6 +174,9 @@ impl Written<'_> {
         lines.extend(self.candidates.iter().take(1).map(|own| row("scene", own, None)));
         let plans = self.plans.iter().zip(self.risks).enumerate();
         lines.extend(plans.map(|(number, (plan, risk))| row(&(number + 1).to_string(), plan, Some(risk))));
+        lines.extend(self.risks.iter().enumerate().filter_map(|(number, risk)| {
+            Some(format!("no result    plan {}: {}", number + 1, risk.without_result()?))
+        }));
         lines.push(format!(
             "written      {} and {PICTURE} in {}",
             counted(self.plans.len(), "plan"),
@@ -204,8 +223,8 @@ fn line(cells: [String; 10]) -> String {
 fn row(name: &str, path: &Candidate, risk: Option<&Risk>) -> String {
     let outcome = &path.outcome;
     let Offsets { entry_mm, tilt_deg, bend_mm, tension_percent, feed_mm } = path.offsets;
-    let number = |x: Option<f64>| x.map_or("-".to_owned(), |x| format!("{x:.2}"));
-    let pair = |[a, b]: [f64; 2]| format!("{a:+.2} {b:+.2}");
+    let number = |x: Option<f64>| x.map_or("-".to_owned(), |x| format!("{:.2}", rounded(x, 2)));
+    let pair = |[a, b]: [f64; 2]| format!("{} {}", signed(a, 2), signed(b, 2));
     line([
         name.to_owned(),
         number(outcome.clearance_mm),
@@ -213,15 +232,20 @@ fn row(name: &str, path: &Candidate, risk: Option<&Risk>) -> String {
         number(outcome.target_error_mm),
         pair(entry_mm),
         pair(tilt_deg),
-        format!("{bend_mm:+.2}"),
-        format!("{tension_percent:+.1}"),
-        format!("{feed_mm:+.2}"),
+        signed(bend_mm, 2),
+        signed(tension_percent, 1),
+        signed(feed_mm, 2),
         match (risk, outcome.fault) {
             (Some(risk), _) => format!("{}, {}", proportion(risk.breach), proportion(risk.miss)),
-            (None, Some(fault)) => fault.verb().to_owned(),
+            (None, Some(fault)) => fault.verb(1).to_owned(),
             (None, None) => String::new(),
         },
     ])
+}
+
+/// Formats a number with its sign; a rounded zero has a plus.
+fn signed(x: f64, decimals: u8) -> String {
+    format!("{:+.*}", decimals.into(), rounded(x, decimals.into()))
 }
 
 fn proportion(of: Proportion) -> String {

@@ -13,15 +13,16 @@ mod parallel;
 mod risk;
 mod screen;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashSet};
 
 use ipc_types::process::EXIT_BAD_INPUT;
-use ipc_types::scene::{Scene, StructureRole};
+use ipc_types::scene::{MAX_STRUCTURES, Scene, StructureRole};
 use serde::Serialize;
 use sim::{SharedScene, SimError};
 use sweep::{pareto_front, pareto_order, sobol_point};
 
 use crate::failure::{EXIT_INTERRUPTED, Failure};
+use crate::launcher::volume_source::VolumeFiles;
 use crate::plan_edit::approach::{approached, portable, with_outside};
 use crate::prediction::Prediction;
 use crate::scenes::SceneSource;
@@ -32,7 +33,7 @@ use screen::Screen;
 pub use figure::draw;
 pub use offsets::{Bounds, Offsets};
 pub use outcome::{Fault, Outcome};
-pub use risk::{Risk, study};
+pub use risk::{Risk, Uncertainty};
 
 /// Points of the sequence for each candidate to simulate.
 const DRAWS: usize = 16;
@@ -55,14 +56,16 @@ pub struct Candidate {
 }
 
 /// Settings of a search.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy)]
 pub struct Settings {
     /// Largest offsets.
     pub bounds: Bounds,
-    /// Number of approaches to simulate, the scene's own included.
+    /// Largest number of approaches to simulate, the scene's own included.
     pub candidates: usize,
     /// Seed of the sequence.
     pub seed: u64,
+    /// Which files the scene's volume may name.
+    pub volume_files: VolumeFiles,
 }
 
 /// A search for approaches.
@@ -97,11 +100,13 @@ impl<'a> Search<'a> {
         let has_added_outside =
             !original.structure.iter().any(|structure| structure.role == StructureRole::Avoid);
         let edited = edited.and_then(|text| match has_added_outside {
-            true => with_outside(&text, OUTSIDE.0, OUTSIDE.1),
+            true => with_outside(&text, &free_name(&original), OUTSIDE.1),
             false => Ok(text),
         });
         let text = edited.map_err(|cause| Failure::bad_input(format!("{source}: {cause}")))?;
-        let shared = SharedScene::of_source(None, changed(source, &text), &[], None).map_err(failure_of)?;
+        let files = settings.volume_files;
+        let shared =
+            SharedScene::of_source(None, changed(source, &text), &[], None, files).map_err(failure_of)?;
         let scene = changed(source, &text).load()?;
         let limits = drilling(&scene).map_or([0.0; DIMENSIONS], |plan| settings.bounds.limits(&scene, plan));
         Ok(Search {
@@ -121,68 +126,72 @@ impl<'a> Search<'a> {
         &self.scene
     }
 
-    /// Simulates the candidates; the first one is the scene itself. Calls `tell` after each round.
+    /// Simulates the candidates; the first one is the scene itself. Calls `tell` after each round
+    /// that adds some.
     ///
     /// # Errors
     /// Out of memory (1); Ctrl-C (130).
     pub fn run(&self, tell: &dyn Fn(&[Candidate])) -> Result<Vec<Candidate>, Failure> {
         let screen = Screen::of(&self.scene);
         let refined = self.settings.candidates / 4;
-        let mut found = Vec::new();
+        let mut found: Vec<Candidate> = Vec::new();
+        let mut known = HashSet::from([Offsets::default().key()]);
         let mut next = 0;
         for (round, share) in ROUNDS.into_iter().enumerate() {
             let (parents, count) = match round {
                 0 => (vec![Offsets::default()], self.settings.candidates - 2 * refined),
                 _ => (parents(&found), refined),
             };
-            let mut offsets = self.pick(&screen, &parents, (share, count), &mut next);
+            let mut offsets = self.pick(&screen, &parents, (share, count), &mut next)?;
+            offsets.retain(|offsets| known.insert(offsets.key()));
             if round == 0 {
                 offsets.insert(0, Offsets::default());
                 offsets.truncate(count);
             }
-            let known: Vec<Offsets> = found.iter().map(|candidate: &Candidate| candidate.offsets).collect();
-            offsets.retain(|offsets| !known.contains(offsets));
             let new = on_all_cores(&offsets, |offsets| self.candidate(*offsets))?;
+            let count = found.len();
             found.extend(new.into_iter().flatten());
-            tell(&found);
+            if found.len() > count {
+                tell(&found);
+            }
         }
         Ok(found)
     }
 
     /// Chooses offsets around parents: half of them by their planned paths, the rest as they come.
+    ///
+    /// # Errors
+    /// Ctrl-C (130).
     fn pick(
         &self,
         screen: &Screen,
         parents: &[Offsets],
         (share, count): (f64, usize),
         next: &mut u64,
-    ) -> Vec<Offsets> {
+    ) -> Result<Vec<Offsets>, Failure> {
         let draw = |index: usize| {
             let unit: [f64; DIMENSIONS] = sobol_point(self.settings.seed, *next + index as u64);
             let parent = parents[index % parents.len()].numbers();
             Offsets::of(std::array::from_fn(|i| {
                 let limit = self.limits[i];
-                (parent[i] + share * limit * (2.0 * unit[i] - 1.0)).clamp(-limit, limit)
+                // Without negative zeros.
+                (parent[i] + share * limit * (2.0 * unit[i] - 1.0)).clamp(-limit, limit) + 0.0
             }))
         };
         let draws = DRAWS * count;
-        let drawn: Vec<Offsets> = (0..draws).map(draw).collect();
+        let mut planned: Vec<(Offsets, [f64; 2])> = Vec::new();
+        for offsets in (0..draws).map(draw) {
+            self.refuse_interrupted()?;
+            planned.extend(screen.objectives(&offsets).map(|score| (offsets, score)));
+        }
         *next += draws as u64;
-        let planned: Vec<(Offsets, [f64; 2])> =
-            drawn.into_iter().filter_map(|offsets| Some((offsets, screen.objectives(&offsets)?))).collect();
         let scores: Vec<[f64; 2]> = planned.iter().map(|(_, score)| *score).collect();
         let mut chosen = pareto_order(&scores);
         chosen.truncate(count.div_ceil(2));
-        let others: Vec<usize> = (0..planned.len()).filter(|index| !chosen.contains(index)).collect();
-        chosen.extend(others);
+        let best: HashSet<usize> = chosen.iter().copied().collect();
+        chosen.extend((0..planned.len()).filter(|index| !best.contains(index)));
         chosen.truncate(count);
-        let mut offsets: Vec<Offsets> = Vec::with_capacity(count);
-        for index in chosen {
-            if !offsets.contains(&planned[index].0) {
-                offsets.push(planned[index].0);
-            }
-        }
-        offsets
+        Ok(chosen.into_iter().map(|index| planned[index].0).collect())
     }
 
     /// Simulates a candidate; `None` if it cannot reach the target.
@@ -198,22 +207,24 @@ impl<'a> Search<'a> {
         Ok(Some(Candidate { offsets, outcome, text }))
     }
 
+    fn refuse_interrupted(&self) -> Result<(), Failure> {
+        let message = "interrupted; nothing was written".to_owned();
+        if (self.is_to_end)() { Err(Failure { message, code: EXIT_INTERRUPTED }) } else { Ok(()) }
+    }
+
     /// Simulates a scene with keys set.
     fn outcome(&self, text: &str, settings: &[String]) -> Result<Outcome, Failure> {
-        let source = changed(&self.source, text);
+        let (source, files) = (changed(&self.source, text), self.settings.volume_files);
         let refused = |failure: Failure| match failure.code {
             EXIT_BAD_INPUT => Ok(Outcome::refused(failure.message)),
             _ => Err(failure),
         };
-        let shared = match SharedScene::of_source(Some(&self.shared), source, settings, None) {
+        let shared = match SharedScene::of_source(Some(&self.shared), source, settings, None, files) {
             Ok(shared) => shared,
             Err(error) => return refused(failure_of(error)),
         };
         let predicted = Prediction::unless(shared.scene(), shared.ct().cloned(), &mut || (self.is_to_end)());
-        if (self.is_to_end)() {
-            let message = "interrupted; nothing was written".to_owned();
-            return Err(Failure { message, code: EXIT_INTERRUPTED });
-        }
+        self.refuse_interrupted()?;
         predicted.map_or_else(refused, |prediction| Ok(Outcome::of(shared.scene(), &prediction)))
     }
 }
@@ -248,7 +259,20 @@ fn refuse(source: &SceneSource, scene: &Scene) -> Result<(), Failure> {
     if scene.volume.is_none() && !scene.structure.iter().any(is_avoided) {
         return bad("nothing to keep away from; add a `[[structure]]` or a `[volume]`");
     }
+    if scene.structure.len() == MAX_STRUCTURES && !scene.structure.iter().any(is_avoided) {
+        return bad(&format!(
+            "nothing to keep away from: all {MAX_STRUCTURES} structures are targets, so the outside of the \
+             bone cannot be added; remove one"
+        ));
+    }
     Ok(())
+}
+
+/// Returns a name for the structure that is added.
+fn free_name(scene: &Scene) -> String {
+    let is_free = |name: &String| scene.structure.iter().all(|structure| structure.name != *name);
+    let numbered = (2..).map(|number| format!("{}_{number}", OUTSIDE.0));
+    std::iter::once(OUTSIDE.0.to_owned()).chain(numbered).find(is_free).unwrap_or_default()
 }
 
 /// Returns the offsets to search around: those of the front, or else of the path that ends closest to the
@@ -292,6 +316,24 @@ pub fn faults(found: &[Candidate]) -> BTreeMap<Fault, usize> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn an_added_structure_has_a_free_name_and_drawing_can_be_interrupted() {
+        use crate::scenes::BuiltIn;
+        let femur = BuiltIn::Femur.text();
+        let target = "[[structure]]\nname = \"outside_of_bone\"\nrole = \"target\"\n\
+                      ball = { centre_mm = [0.0, 0.0, 0.0], radius_mm = 1.0 }\n";
+        let source = changed(&SceneSource::BuiltIn(BuiltIn::Femur), &format!("{femur}\n{target}"));
+        let bounds =
+            Bounds { entry_mm: 3.0, tilt_deg: 5.0, bend_mm: 2.0, tension_percent: 10.0, feed_mm: 1.0 };
+        let settings = Settings { bounds, candidates: 4, seed: 1, volume_files: VolumeFiles::default() };
+        let search = Search::new(&source, settings, &|| true).unwrap();
+        let names: Vec<&str> = search.scene().structure.iter().map(|it| it.name.as_str()).collect();
+        assert_eq!(names, ["outside_of_bone", "outside_of_bone_2"]);
+        let screen = Screen::of(search.scene());
+        let drawn = search.pick(&screen, &[Offsets::default()], (1.0, 4), &mut 0);
+        assert_eq!(drawn.unwrap_err().code, EXIT_INTERRUPTED);
+    }
 
     #[test]
     fn a_long_front_is_thinned_evenly_with_both_ends() {

@@ -39,7 +39,15 @@ impl Offsets {
         let Offsets { entry_mm: [u, v], tilt_deg: [a, b], bend_mm, tension_percent, feed_mm } = self;
         [u, v, a, b, bend_mm, tension_percent, feed_mm]
     }
+
+    /// Returns what equal offsets have in common.
+    pub fn key(self) -> Key {
+        self.numbers().map(|number| (number + 0.0).to_bits())
+    }
 }
+
+/// Identity of offsets: the bits of their numbers, without negative zeros.
+pub type Key = [u64; DIMENSIONS];
 
 /// Largest offsets that are searched, in both directions.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]

@@ -28,15 +28,16 @@ pub enum Fault {
 }
 
 impl Fault {
-    /// Returns what candidates with this fault do.
-    pub fn verb(self) -> &'static str {
-        match self {
-            Fault::Refused => "are refused",
-            Fault::Failed => "fail",
-            Fault::Stop => "stop the arm",
-            Fault::Breach => "breach",
-            Fault::Miss => "miss the target",
-        }
+    /// Returns what `count` candidates with this fault do.
+    pub fn verb(self, count: usize) -> &'static str {
+        let [one, more] = match self {
+            Fault::Refused => ["is refused", "are refused"],
+            Fault::Failed => ["fails", "fail"],
+            Fault::Stop => ["stops the arm", "stop the arm"],
+            Fault::Breach => ["breaches", "breach"],
+            Fault::Miss => ["misses the target", "miss the target"],
+        };
+        if count == 1 { one } else { more }
     }
 }
 
@@ -101,6 +102,11 @@ impl Outcome {
             fault: faults.into_iter().find(|(is_so, _)| *is_so).map(|(_, fault)| fault),
             reason,
         }
+    }
+
+    /// Returns whether the simulation got to its end.
+    pub fn has_result(&self) -> bool {
+        !matches!(self.fault, Some(Fault::Refused | Fault::Failed))
     }
 
     /// Returns the objectives, both to be minimised; `None` if it is not a plan.

@@ -76,6 +76,15 @@ fn the_plans_keep_more_clearance_than_the_scene_and_do_what_is_said() {
 }
 
 #[test]
+fn without_bounds_the_scene_is_simulated_once() {
+    let place = Place::new();
+    fs::write(place.path("scene.toml"), SCENE).unwrap();
+    let none = "--entry-mm 0 --tilt-deg 0 --bend-mm 0 --tension-percent 0 --feed-mm 0 --samples 0";
+    let found = json(&place, &format!("plan path @scene.toml --json {none} -o @plans"));
+    assert_eq!(found["candidates"].as_array().unwrap().len(), 1);
+}
+
+#[test]
 fn what_has_no_path_to_plan_is_refused_by_name() {
     let place = Place::new();
     let refused = |text: &str, more: &str, code: i32, expected: &str| {
@@ -107,6 +116,25 @@ fn what_has_no_path_to_plan_is_refused_by_name() {
         &strict,
         "--candidates 1",
         1,
-        "no path without a fault: of 1 path: 0 without a fault, 1 miss the target",
+        "no path without a fault: of 1 path: 0 without a fault, 1 misses the target",
     );
+    refused(SCENE, "--tilt-deg -1", 2, "invalid value '-1' for '--tilt-deg <DEG>': expected a number");
+    let ball = "ball = { centre_mm = [3.0, 0.0, -16.0], radius_mm = 1.0 }";
+    let target = |number| format!("[[structure]]\nname = \"t{number}\"\nrole = \"target\"\n{ball}\n");
+    let targets: String = (0..16).map(target).collect();
+    let (before, after) = SCENE.split_at(SCENE.find("[[structure]]").unwrap());
+    let after = &after[after.find("[[controller]]").unwrap()..];
+    refused(&format!("{before}{targets}{after}"), "", 2, "all 16 structures are targets");
+    // The study, before a search that would take more than a minute.
+    let study = |key: &str, high: f64| {
+        let design = "design = \"random\"\nsamples = 2\n[[parameter]]\nmin = 400.0\n";
+        fs::write(place.path("study.toml"), format!("{design}key = \"{key}\"\nmax = {high}\n")).unwrap();
+    };
+    study("truth.nonsense", 500.0);
+    refused(SCENE, "--candidates 2000 --study @study.toml", 2, "study.toml: `truth.nonsense`: unknown field");
+    study("truth.registration_error_mm.0", 500.0);
+    refused(SCENE, "--candidates 1 --study @study.toml", 2, "study.toml: all sampled runs are refused: ");
+    fs::write(place.path("taken"), "").unwrap();
+    let done = call(&place.words("plan path @scene.toml --candidates 2000 -o @taken/plans"));
+    assert!(done.code == Some(2) && done.err.contains("taken/plans: cannot be created"), "{}", done.err);
 }

@@ -62,10 +62,11 @@ impl SharedScene {
         settings: &[String],
         seed: Option<u64>,
     ) -> Result<Arc<SharedScene>, SimError> {
-        Self::of_source(other, SceneSource::new(file, BuiltIn::Femur), settings, seed)
+        let source = SceneSource::new(file, BuiltIn::Femur);
+        Self::of_source(other, source, settings, seed, VolumeFiles::default())
     }
 
-    /// As [`SharedScene::load_beside`], of any source.
+    /// As [`SharedScene::load_beside`], of any source; `files` are those that its volume may name.
     ///
     /// # Errors
     /// As [`SharedScene::load`].
@@ -74,6 +75,7 @@ impl SharedScene {
         source: SceneSource,
         settings: &[String],
         seed: Option<u64>,
+        files: VolumeFiles,
     ) -> Result<Arc<SharedScene>, SimError> {
         let source = source.with(settings)?;
         let (mut scene, choice) = plan::load_scene(&source)?;
@@ -88,7 +90,7 @@ impl SharedScene {
             let notes = feasibility::check(&scene, &source, Some(&ct.volume))?;
             return Ok(Arc::new(SharedScene { scene, ct: Some(ct), notes }));
         }
-        let loaded = volume_source::load_with_notes(&scene, VolumeFiles::default()).map_err(Failure::from)?;
+        let loaded = volume_source::load_with_notes(&scene, files).map_err(Failure::from)?;
         let mut notes: Vec<String> = choice.into_iter().collect();
         let ct = loaded.map(|loaded| {
             notes.extend(loaded.notes);

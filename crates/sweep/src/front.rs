@@ -3,14 +3,7 @@
 /// Returns the indices of the points that no other point beats in both coordinates, both to be minimised, by
 /// the first coordinate. Of equal points, the first one is kept. Points that are not finite are left out.
 pub fn pareto_front(points: &[[f64; 2]]) -> Vec<usize> {
-    let is_finite = |index: &usize| points[*index].iter().all(|x| x.is_finite());
-    let mut order: Vec<usize> = (0..points.len()).filter(is_finite).collect();
-    let by_first = |a: &usize, b: &usize| {
-        let [a, b] = [points[*a], points[*b]];
-        a[0].total_cmp(&b[0]).then(a[1].total_cmp(&b[1]))
-    };
-    // Stable: equal points keep their order.
-    order.sort_by(by_first);
+    let mut order = sorted(points);
     let mut least = f64::INFINITY;
     order.retain(|index| {
         let is_better = points[*index][1] < least;
@@ -20,10 +13,23 @@ pub fn pareto_front(points: &[[f64; 2]]) -> Vec<usize> {
     order
 }
 
+/// Returns the indices of the finite points by their coordinates; equal points keep their order.
+fn sorted(points: &[[f64; 2]]) -> Vec<usize> {
+    let is_finite = |index: &usize| points[*index].iter().all(|x| x.is_finite());
+    let mut order: Vec<usize> = (0..points.len()).filter(is_finite).collect();
+    let by_first = |a: &usize, b: &usize| {
+        let [a, b] = [points[*a], points[*b]];
+        a[0].total_cmp(&b[0]).then(a[1].total_cmp(&b[1]))
+    };
+    order.sort_by(by_first);
+    order
+}
+
 /// Returns the indices of all finite points, front by front: the Pareto front, then the front of the rest,
 /// and so on (non-dominated sorting, Srinivas and Deb 1994, doi 10.1162/evco.1994.2.3.221).
 pub fn pareto_order(points: &[[f64; 2]]) -> Vec<usize> {
-    let mut left: Vec<usize> = (0..points.len()).collect();
+    // Sorting what is sorted takes linear time.
+    let mut left = sorted(points);
     let mut order = Vec::with_capacity(points.len());
     loop {
         let rest: Vec<[f64; 2]> = left.iter().map(|index| points[*index]).collect();

@@ -10,6 +10,7 @@ use identify::study::{
 };
 use inputs::failure::Failure;
 use inputs::scenes::{BuiltIn, SceneSource};
+use inputs::volume_source::VolumeFiles;
 use messages::Latched;
 use messages::layout::Message;
 use recorder_proc::log_file::{LogFile, log_path};
@@ -239,7 +240,8 @@ fn opened(
         }
         _ => SceneSource::BuiltIn(BuiltIn::Femur),
     };
-    let shared = SharedScene::of_source(first, source.clone(), &experiment.set, None);
+    let files = VolumeFiles::default();
+    let shared = SharedScene::of_source(first, source.clone(), &experiment.set, None, files);
     let shared = shared.map_err(|error| match error {
         SimError::Input(failure) => SimError::Input(named(failure)),
         other => other,

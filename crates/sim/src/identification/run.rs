@@ -6,6 +6,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use identify::quantity::Kind;
 use identify::signal::Trace;
 use identify::study::{ColumnOrValue, CommandTable, Commands};
+use inputs::volume_source::VolumeFiles;
 use messages::{Command, State, Tick};
 use xray::from_scene::scene_c_arm;
 use zerocopy::IntoBytes;
@@ -91,7 +92,8 @@ pub(super) fn simulated(
 ) -> Result<Vec<Trace>, SimError> {
     let (experiment, opened) = (&study.study.experiments[job.experiment], &study.experiments[job.experiment]);
     let settings = study.settings(job.experiment, &job.values);
-    let shared = SharedScene::of_source(Some(&opened.shared), opened.source.clone(), &settings, None)?;
+    let (source, files) = (opened.source.clone(), VolumeFiles::default());
+    let shared = SharedScene::of_source(Some(&opened.shared), source, &settings, None, files)?;
     let needs_c_arm = experiment.measured.iter().any(|it| it.quantity.kind == Kind::Pixel);
     let c_arm = match (&shared.scene().drr, needs_c_arm) {
         (Some(drr), true) => Some(scene_c_arm(drr)?),
