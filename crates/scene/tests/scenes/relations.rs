@@ -232,8 +232,8 @@ fn a_driven_body_has_one_driver_that_suits_its_motion() {
             "`controller.body` is `ball`; expected the name of a `[[body]]`: [\"table\", \"bone\", \"clamp\"]",
         ),
         (
-            vec![table.replace("\"table\"", "\"tabel\"")],
-            "`controller.body` is `tabel` (did you mean `table`?); expected the name of a `[[body]]`: [\"table\"",
+            vec![table.replace("\"table\"", "\"tables\"")],
+            "`controller.body` is `tables` (did you mean `table`?); expected the name of a `[[body]]`: [\"table\"",
         ),
         (
             vec![table.clone(), driver("b", "external = true\nbody = \"clamp\"")],
