@@ -32,7 +32,10 @@ fn call(command: &str) -> Call {
         "log cat-files" => As("log cat-files @log @log -o @both#.mcap"),
         "log split" => As("log split @two.mcap -o @runs#"),
         "calibrate" => As("calibrate @sweep.toml -o @cal#"),
-        "plan" => As("plan @scene.toml"),
+        // It simulates for minutes: `tests/processes/plan_paths.rs`.
+        "plan path" => HelpOnly,
+        "device list" => As("device list"),
+        "device mapping" => As("device mapping pedal"),
         "scene check" => As("scene check @scene.toml"),
         "scene from-markups" => As("scene from-markups @plan.fcsv --ct @ball.nrrd -o @p#.toml"),
         "scene show" => As("scene show @ball.toml -o @show#.png"),
@@ -67,7 +70,7 @@ fn call(command: &str) -> Call {
         "view" | "stress" => HelpOnly,
         // Covered by `tests/processes/sweeps.rs`.
         _ if command.starts_with("sweep ") => HelpOnly,
-        _ if ["bridge ", "proc "].iter().any(|group| command.starts_with(group)) => HelpOnly,
+        _ if ["bridge ", "device ", "proc "].iter().any(|group| command.starts_with(group)) => HelpOnly,
         unknown => panic!("`{unknown}` is new: say here how it is called"),
     }
 }
@@ -145,7 +148,7 @@ fn an_answer_that_cannot_be_written_ends_with_1_whatever_the_command() {
             lines.push(words);
         }
     }
-    lines.push("run @scene.toml --output @out --json");
+    lines.extend(["plan @scene.toml", "run @scene.toml --output @out --json"]);
     for line in lines {
         let told = fresh(line);
         let told: Vec<&str> = told.iter().map(String::as_str).collect();
