@@ -177,11 +177,8 @@ impl ClearanceWatch {
     /// Adds a reading, if it is one of clearances.
     pub fn add(&mut self, reading: &SensorReading) {
         if reading.kind() == Ok(SensorKind::Clearance) {
-            let values = reading.values().chunks_exact(2);
-            self.0
-                .iter_mut()
-                .zip(values)
-                .for_each(|(structure, value)| structure.add(reading.tick, value[0]));
+            let clearances = self.0.iter_mut().zip(reading.clearances_m());
+            clearances.for_each(|(structure, clearance_m)| structure.add(reading.tick, clearance_m));
         }
     }
 

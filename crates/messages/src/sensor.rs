@@ -32,6 +32,12 @@ impl SensorReading {
         &self.value[..(self.value_count as usize).min(MAX_SENSOR_VALUES)]
     }
 
+    /// Returns the clearances of a reading of kind [`SensorKind::Clearance`], m: those from the scene's
+    /// structures, in their order. Each is followed by the index of the tool's closest sphere.
+    pub fn clearances_m(&self) -> impl Iterator<Item = f64> + '_ {
+        self.values().iter().step_by(2).copied()
+    }
+
     /// Returns whether the reading is valid.
     pub fn is_valid(&self) -> bool {
         self.valid == 1

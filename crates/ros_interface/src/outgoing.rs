@@ -142,15 +142,12 @@ pub fn of_tip_jacobian(robot: &Robot, jacobian: &TipJacobian) -> Vec<Outgoing> {
 /// Returns the message of a reading of kind `clearance`: the clearances of a scene's structures, m.
 pub fn of_clearances(structures: &[Structure], reading: &SensorReading) -> Vec<Outgoing> {
     let mut out = Vec::new();
-    // Each value is followed by the index of the closest sphere.
-    let (dim, data) = structures.iter().zip(reading.values().chunks_exact(2)).map(of_clearance).unzip();
+    let label = |structure: &Structure| structure.name.clone();
+    let named = structures.iter().map(|it| MultiArrayDimension { label: label(it), size: 1, stride: 1 });
+    let (dim, data) = named.zip(reading.clearances_m()).unzip();
     let layout = MultiArrayLayout { dim, data_offset: 0 };
     push(&mut out, Output::Clearance, &Float64MultiArray { layout, data });
     out
-}
-
-fn of_clearance((structure, value): (&Structure, &[f64])) -> (MultiArrayDimension, f64) {
-    (MultiArrayDimension { label: structure.name.clone(), size: 1, stride: 1 }, value[0])
 }
 
 pub(crate) fn transform(placed: FrameInParent, stamp: Time) -> TransformStamped {
@@ -227,7 +224,8 @@ mod tests {
             panic!()
         };
         let hex: String = cdr.iter().map(|byte| format!("{byte:02x}")).collect();
-        let expected = "02000000060000006e6572766500000001000000010000000700000076657373656c00000100000001000000\
+        let expected = "02000000060000006e65727665000000010000000100000007000000\
+                        76657373656c00000100000001000000\
                         000000000200000000000000fca9f1d24d62603ffca9f1d24d6240bf";
         assert_eq!(hex, expected);
     }

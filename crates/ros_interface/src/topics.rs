@@ -154,8 +154,8 @@ topics! {
     TipCompliance "/<cm>/compliance" "std_msgs/Float64MultiArray" State
         "displacement of the tip in `world` per wrench on it; needs `manipulator.tip_jacobian`";
     Clearance "/clearance" "std_msgs/Float64MultiArray" State
-        "clearance of the tool from each `[[structure]]` in m, negative inside; `layout.dim[i].label` names that \
-         of `data[i]`";
+        "clearance of the tool from each `[[structure]]` in m, negative inside; `layout.dim[i].label` names \
+         that of `data[i]`";
     RemovedVoxels "/removed_voxels" "std_msgs/UInt64" State
         "voxels removed since the start or the last reset";
     RemovedPoints "/removed_voxels/points" "sensor_msgs/PointCloud2" Lossless

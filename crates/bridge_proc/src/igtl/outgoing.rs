@@ -67,10 +67,9 @@ pub(crate) fn poses(state: &State, timestamp: Timestamp) -> Vec<Message> {
 /// Returns the name of the structure to avoid that is closest according to a reading of kind `clearance`, and
 /// the clearance from it, m; `None` without such a structure.
 pub(crate) fn least_clearance<'s>(scene: &'s Scene, reading: &SensorReading) -> Option<(&'s str, f64)> {
-    // Each value is followed by the index of the closest sphere.
-    let all = scene.structure.iter().zip(reading.values().chunks_exact(2));
+    let all = scene.structure.iter().zip(reading.clearances_m());
     let avoided = all.filter(|(structure, _)| structure.role != StructureRole::Target);
-    let named = avoided.map(|(structure, value)| (structure.name.as_str(), value[0]));
+    let named = avoided.map(|(structure, clearance_m)| (structure.name.as_str(), clearance_m));
     named.min_by(|(_, a), (_, b)| a.total_cmp(b))
 }
 
