@@ -6,7 +6,8 @@
 //! escapes like `\u001b`: harmless, visible, and the same character in JSON.
 //!
 //! [`foreign`] formats a single value within a line; [`nearest_name`] finds what a misspelled name may mean;
-//! [`counted`] puts a noun after a count. [`EscapingWriter`] is the last filter before the
+//! [`counted`] puts a noun after a count; [`line_at`]
+//! finds the line of an error. [`EscapingWriter`] is the last filter before the
 //! terminal: everything that a command prints goes through it.
 //!
 //! **Boundary:** text only; opens nothing and prints nothing. **Invariant:** the output holds no control
@@ -46,6 +47,11 @@ pub fn foreign_path(path: &Path) -> String {
 /// Formats a line from an untrusted program: at most [`MOST_OF_A_LINE`] characters.
 pub fn foreign_line(text: &str) -> EscapedText<'_> {
     EscapedText { text, most: MOST_OF_A_LINE }
+}
+
+/// Returns the line, from 1, of a byte of a text.
+pub fn line_at(text: &str, byte: usize) -> usize {
+    text.bytes().take(byte).filter(|byte| *byte == b'\n').count() + 1
 }
 
 /// Formats a count with its noun, whose plural ends in `s`: "1 frame", "2 frames".

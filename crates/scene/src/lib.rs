@@ -94,7 +94,7 @@ fn malformed(text: &str, path: &Path, parsed: &str, cause: &toml::de::Error) -> 
     let start = cause.span().map(|span| span.start);
     let key = start.and_then(|start| place::key_at(parsed, start));
     let line = match (&key, start) {
-        (_, Some(start)) if parsed == text => place::line_at(text, start),
+        (_, Some(start)) if parsed == text => foreign_text::line_at(text, start),
         (Some(key), _) => place::line_of(text, key).unwrap_or(0),
         _ => 0,
     };

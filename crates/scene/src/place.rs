@@ -20,12 +20,7 @@ pub(crate) fn line_of(text: &str, wanted: &str) -> Option<usize> {
     let document = DeTable::parse(text).ok()?;
     let here = |path: &str, [key, _]: [Range<usize>; 2]| (path == wanted).then_some(key.start);
     let byte = search_table(document.get_ref(), "", &here)?;
-    Some(line_at(text, byte))
-}
-
-/// The line, from 1, of a byte of the text.
-pub(crate) fn line_at(text: &str, byte: usize) -> usize {
-    text.bytes().take(byte).filter(|byte| *byte == b'\n').count() + 1
+    Some(foreign_text::line_at(text, byte))
 }
 
 /// Called with a key's path and the spans of its name and value; the first result ends the search. Nested

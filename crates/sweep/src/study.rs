@@ -227,8 +227,7 @@ impl Study {
 
 fn read(text: &str, file: &Path) -> Result<Text, StudyError> {
     toml::from_str(text).map_err(|error| {
-        let start = error.span().map_or(0, |span| span.start).min(text.len());
-        let line = text.as_bytes()[..start].iter().filter(|byte| **byte == b'\n').count() + 1;
+        let line = foreign_text::line_at(text, error.span().map_or(0, |span| span.start));
         StudyError::Malformed { file: file.to_owned(), line, cause: error.message().to_owned() }
     })
 }

@@ -165,8 +165,7 @@ impl Mapping {
 
     fn parse(text: &str, file: PathBuf) -> Result<Mapping, MappingError> {
         let read: Text = toml::from_str(text).map_err(|error| {
-            let start = error.span().map_or(0, |span| span.start).min(text.len());
-            let line = text.as_bytes()[..start].iter().filter(|byte| **byte == b'\n').count() + 1;
+            let line = foreign_text::line_at(text, error.span().map_or(0, |span| span.start));
             let cause = foreign_text::foreign_line(error.message()).to_string();
             MappingError::Malformed { file: file.clone(), line, cause }
         })?;

@@ -57,8 +57,7 @@ impl Checker<'_> {
 
 pub(super) fn study(text: &str, file: &Path) -> Result<Study, StudyError> {
     let read: Text = toml::from_str(text).map_err(|error| {
-        let start = error.span().map_or(0, |span| span.start).min(text.len());
-        let line = text.as_bytes()[..start].iter().filter(|byte| **byte == b'\n').count() + 1;
+        let line = foreign_text::line_at(text, error.span().map_or(0, |span| span.start));
         StudyError::Malformed { file: file.to_owned(), line, cause: with_suggestion(error.message()) }
     })?;
     let check = Checker { file };
