@@ -9,7 +9,6 @@
 mod figure;
 mod offsets;
 mod outcome;
-mod parallel;
 mod risk;
 mod screen;
 
@@ -18,7 +17,7 @@ use std::collections::{BTreeMap, HashSet};
 use ipc_types::process::EXIT_BAD_INPUT;
 use ipc_types::scene::{MAX_STRUCTURES, Scene, StructureRole};
 use serde::Serialize;
-use sim::{SharedScene, SimError};
+use sim::{SharedScene, SimError, on_all_cores};
 use sweep::{pareto_front, pareto_order, sobol_point};
 
 use crate::failure::{EXIT_INTERRUPTED, Failure};
@@ -27,7 +26,6 @@ use crate::plan_edit::approach::{approached, portable, with_outside};
 use crate::prediction::Prediction;
 use crate::scenes::SceneSource;
 use offsets::{DIMENSIONS, drilling, offset};
-use parallel::on_all_cores;
 use screen::Screen;
 
 pub use figure::draw;
@@ -148,7 +146,7 @@ impl<'a> Search<'a> {
                 offsets.insert(0, Offsets::default());
                 offsets.truncate(count);
             }
-            let new = on_all_cores(&offsets, |offsets| self.candidate(*offsets))?;
+            let new = on_all_cores("path", &offsets, |offsets| self.candidate(*offsets))?;
             let count = found.len();
             found.extend(new.into_iter().flatten());
             if found.len() > count {

@@ -4,10 +4,10 @@ use std::path::Path;
 
 use foreign_text::counted;
 use serde::Serialize;
+use sim::on_all_cores;
 use sweep::{Proportion, Study};
 
 use super::outcome::{Fault, Outcome};
-use super::parallel::on_all_cores;
 use super::{Candidate, Search, changed};
 use crate::failure::Failure;
 
@@ -137,7 +137,8 @@ impl Search<'_> {
         let samples = uncertainty.worlds(samples);
         let all: Vec<(&str, u64)> =
             plans.iter().flat_map(|plan| (0..samples).map(|point| (plan.text.as_str(), point))).collect();
-        let outcomes = on_all_cores(&all, |(text, point)| self.outcome(text, &uncertainty.settings(*point)))?;
+        let outcomes =
+            on_all_cores("path", &all, |(text, point)| self.outcome(text, &uncertainty.settings(*point)))?;
         let of_plan = |index: usize| {
             let first = index * samples as usize;
             Risk::of(&outcomes[first..first + samples as usize])

@@ -38,6 +38,7 @@
 //! | [`Sim`], [`Snapshot`] | one simulation; its state at a tick |
 //! | [`SharedScene`] | a checked scene with its volume |
 //! | [`Batch`] | many simulations on several threads |
+//! | [`on_all_cores`] | results of many items, on several threads |
 //! | [`LinearModel`] | a tick as A, B, C, D |
 //! | [`identification`] | parameters of scenes from measured files |
 //! | `from_log`, `recording`, `packed`, `x_ray` | from a log, into a log, as bytes, the X-ray of a state |
@@ -48,6 +49,7 @@ mod from_log;
 pub mod identification;
 mod linear;
 mod packed;
+mod parallel;
 mod recording;
 mod shared;
 mod simulator;
@@ -56,6 +58,7 @@ mod x_ray;
 pub use batch::{Batch, SimFactory};
 pub use error::SimError;
 pub use linear::{LinearModel, Signal, used_elements};
+pub use parallel::on_all_cores;
 pub use shared::SharedScene;
 pub use simulator::{Drive, Sim, Snapshot};
 pub use x_ray::View;

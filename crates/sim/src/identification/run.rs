@@ -1,7 +1,6 @@
 //! Simulations of experiments, several at a time.
 
-use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 
 use identify::quantity::Kind;
 use identify::signal::Trace;
@@ -14,6 +13,7 @@ use zerocopy::IntoBytes;
 use super::IsToEnd;
 use super::open::{CommandRows, OpenedCommands, OpenedStudy};
 use crate::error::SimError;
+use crate::parallel::on_all_cores;
 use crate::shared::SharedScene;
 use crate::simulator::Sim;
 
@@ -41,45 +41,14 @@ pub(super) fn run_all(
     jobs: &[Job],
     is_to_end: IsToEnd<'_>,
 ) -> Result<Vec<Traces>, SimError> {
-    let next = AtomicUsize::new(0);
-    let results: Mutex<Vec<Option<Traces>>> = Mutex::new(vec![None; jobs.len()]);
-    let failure: Mutex<Option<SimError>> = Mutex::new(None);
-    let work = || {
-        loop {
-            let index = next.fetch_add(1, Ordering::Relaxed);
-            let has_failed = failure.lock().unwrap_or_else(PoisonError::into_inner).is_some();
-            let Some(job) = jobs.get(index).filter(|_| !has_failed) else { return };
-            let traces = match simulated(study, job, is_to_end, &mut |_| Ok(())) {
-                Ok(traces) => Ok(Arc::new(traces)),
-                Err(error) if error.is_of_the_machine() || matches!(error, SimError::GivenUp { .. }) => {
-                    failure.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(error);
-                    return;
-                }
-                Err(error) => {
-                    let name = &study.study.experiments[job.experiment].name;
-                    Err(format!("experiment `{name}`: {error}"))
-                }
-            };
-            if let Some(place) = results.lock().unwrap_or_else(PoisonError::into_inner).get_mut(index) {
-                *place = Some(traces);
-            }
+    on_all_cores("identify", jobs, |job| match simulated(study, job, is_to_end, &mut |_| Ok(())) {
+        Ok(traces) => Ok(Ok(Arc::new(traces))),
+        Err(error) if error.is_of_the_machine() || matches!(error, SimError::GivenUp { .. }) => Err(error),
+        Err(error) => {
+            let name = &study.study.experiments[job.experiment].name;
+            Ok(Err(format!("experiment `{name}`: {error}")))
         }
-    };
-    let cores = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
-    let threads = cores.min(jobs.len());
-    std::thread::scope(|scope| {
-        for number in 1..threads {
-            let thread = std::thread::Builder::new().name(format!("identify-{number}"));
-            // With fewer threads the work takes longer, and its results are the same.
-            let _ = thread.spawn_scoped(scope, work);
-        }
-        work();
-    });
-    if let Some(error) = failure.into_inner().unwrap_or_else(PoisonError::into_inner) {
-        return Err(error);
-    }
-    let results = results.into_inner().unwrap_or_else(PoisonError::into_inner);
-    results.into_iter().map(|traces| traces.ok_or(SimError::Gone)).collect()
+    })
 }
 
 /// Runs an experiment and records its measured quantities at every tick. `prepare` gets the simulation at
