@@ -11,7 +11,7 @@ use std::path::Path;
 use ipc_types::scene::Scene;
 use toml_edit::{Array, ArrayOfTables, DocumentMut, InlineTable, Item, Table, TableLike, Value};
 
-use super::{EditError, entry, set, table};
+use super::{EditError, entry, replace, rounded, set, table};
 
 /// Decimals of lengths, tensions and times.
 pub const DECIMALS: i32 = 3;
@@ -132,11 +132,11 @@ impl Number for [f64; 3] {
 
 impl Number for f64 {
     fn put(self, table: &mut dyn TableLike, key: &str, decimals: i32) {
-        let mut new = Value::from(super::rounded(self, decimals));
-        if let Some(old) = table.get(key).and_then(Item::as_value) {
-            *new.decor_mut() = old.decor().clone();
+        let new = rounded(self, decimals);
+        match table.get_mut(key).and_then(Item::as_value_mut) {
+            Some(value) => replace(value, new),
+            None => drop(table.insert(key, toml_edit::value(new))),
         }
-        table.insert(key, Item::Value(new));
     }
 }
 
@@ -180,11 +180,9 @@ fn make_absolute(table: &mut dyn TableLike, folder: &Path) {
         if let Some(path) = item.as_str().filter(|_| PATHS.contains(&key.get())) {
             let absolute = folder.join(path);
             let absolute = std::path::absolute(&absolute).unwrap_or(absolute);
-            let mut new = Value::from(absolute.to_string_lossy().into_owned());
-            if let Some(old) = item.as_value() {
-                *new.decor_mut() = old.decor().clone();
+            if let Some(value) = item.as_value_mut() {
+                replace(value, absolute.to_string_lossy().into_owned());
             }
-            *item = Item::Value(new);
             continue;
         }
         match item {

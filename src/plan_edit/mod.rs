@@ -171,9 +171,15 @@ fn set(table: &mut dyn TableLike, key: &str, place: [f64; 3], decimals: i32) {
 
 /// Sets a number if it is in the text; a default is either derived from the target or independent of it.
 fn set_number(table: &mut dyn TableLike, key: &str, number: f64) {
-    let Some(value) = table.get_mut(key).and_then(Item::as_value_mut) else { return };
+    if let Some(value) = table.get_mut(key).and_then(Item::as_value_mut) {
+        replace(value, rounded(number, 3));
+    }
+}
+
+/// Replaces a value, keeping the whitespace and comments around it.
+fn replace(value: &mut Value, new: impl Into<Value>) {
     let decor = value.decor().clone();
-    *value = Value::from(rounded(number, 3));
+    *value = new.into();
     *value.decor_mut() = decor;
 }
 
