@@ -15,7 +15,8 @@ use run_log::EndReason;
 
 use super::hub::{DRR, PHYSICS, RECORDER};
 use super::part::PartProcess;
-use super::run::{Outcome, RunPlan, RunState, has_gap, judge};
+use super::run::{Outcome, RunPlan, has_gap};
+use super::running::{RunState, judge};
 
 const POLL_PERIOD: Duration = Duration::from_millis(5);
 /// Timeout for a part to end.

@@ -8,6 +8,7 @@ pub mod part;
 pub mod progress;
 mod replacements;
 pub mod run;
+mod running;
 mod subscriptions;
 
 pub use inputs::volume_source;
