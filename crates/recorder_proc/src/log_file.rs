@@ -55,8 +55,8 @@ fn absent(path: &Path, cause: io::Error) -> io::Error {
         return cause;
     }
     let text = format!(
-        "{cause}; the flight recorder has the last seconds in {} and removes the oldest as the run continues: \
-         name one of them, or save one with `trabecula session save`",
+        "{cause}; the flight recorder has the last seconds in {} and removes the oldest as the run \
+         continues: name one of them, or save one with `trabecula session save`",
         open.join(", ")
     );
     io::Error::new(ErrorKind::NotFound, text)
@@ -138,7 +138,7 @@ mod tests {
         for name in ["ring-2", "ring-10"] {
             fs::write(run.path().join(name).join(LANES[0]), "begun").unwrap();
         }
-        // Of the run, and of an open log that has been removed.
+        // The log of the run, and an open log that has been removed.
         for name in ["", "ring-1"] {
             assert!(error(name).contains("the last seconds in ring-2, ring-10 and"), "{}", error(name));
         }

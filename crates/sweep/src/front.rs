@@ -55,11 +55,15 @@ mod tests {
         a[0] <= b[0] && a[1] <= b[1] && a != b
     }
 
+    fn point() -> impl Strategy<Value = [f64; 2]> {
+        [0..12_i32, 0..12].prop_map(|point| point.map(f64::from))
+    }
+
     proptest! {
         /// Few values, so that many coordinates are equal.
         #[test]
         fn the_front_is_that_of_all_pairs(
-            points in proptest::collection::vec([(0..12_i32).prop_map(f64::from), (0..12_i32).prop_map(f64::from)], 0..60),
+            points in proptest::collection::vec(point(), 0..60),
         ) {
             let is_first = |index: usize| !points[..index].contains(&points[index]);
             let is_beaten = |index: usize| points.iter().any(|other| beats(*other, points[index]));

@@ -52,8 +52,9 @@ struct InputValue {
 /// Rates of all parts.
 #[derive(Debug, Default, PartialEq)]
 struct Rates {
-    /// Of the burr, in the mapping's frame.
+    /// Velocity of the burr, in the mapping's frame.
     linear_m_per_s: Vector3<f64>,
+    /// Angular velocity of the tool, in the mapping's frame.
     angular_rad_per_s: Vector3<f64>,
     tendon_m_per_s: [f64; MAX_TENDONS],
     burr_rad_per_s: f64,

@@ -3,11 +3,26 @@
 
 use std::io::Write;
 use std::path::Path;
+use std::time::{Duration, Instant};
 
-use recorder_proc::ring_files::{Disposal, LANES, RingFiles};
+use recorder_proc::ring_files::{Disposal, LANES, LogFiles, RingFiles};
+
+const LIMIT: Duration = Duration::from_secs(60);
 
 fn saved(output: &Path, name: &str) -> Vec<u8> {
     LANES.iter().flat_map(|lane| std::fs::read(output.join(name).join(lane)).unwrap()).collect()
+}
+
+/// Waits for the files asked for.
+fn created(ring: &RingFiles) -> LogFiles {
+    let end = Instant::now() + LIMIT;
+    loop {
+        if let Some(files) = ring.asked().unwrap() {
+            return files;
+        }
+        assert!(Instant::now() < end, "no files within {LIMIT:?}");
+        std::thread::sleep(Duration::from_millis(1));
+    }
 }
 
 /// Regression: a foreign `saved-1` or `ring-1` ended the run.
@@ -22,7 +37,7 @@ fn a_log_whose_name_is_taken_gets_a_number_that_no_other_log_gets() {
     let ring = RingFiles::start(output, 3).unwrap();
     for number in 1..=3 {
         ring.ask(number);
-        let mut files = ring.wait().unwrap().unwrap();
+        let mut files = created(&ring);
         for file in [&mut files.run, &mut files.timing] {
             file.write_all(&[number as u8]).unwrap();
         }

@@ -51,7 +51,8 @@ pub(super) fn check(scene: &Scene, checker: &Checker) -> Result<(), SceneError> 
     match scene.body.iter().find(is_undriven) {
         Some(Body { name, .. }) => {
             let problem = format!(
-                "of `{name}` is \"driven\", but no `controller.body` names it; use \"fixed\" for a body that stays"
+                "of `{name}` is \"driven\", but no `controller.body` names it; use \"fixed\" for a body that \
+                 stays"
             );
             Err(checker.invalid("body.motion", problem))
         }

@@ -233,7 +233,8 @@ fn a_driven_body_has_one_driver_that_suits_its_motion() {
         ),
         (
             vec![table.replace("\"table\"", "\"tables\"")],
-            "`controller.body` is `tables` (did you mean `table`?); expected the name of a `[[body]]`: [\"table\"",
+            "`controller.body` is `tables` (did you mean `table`?); expected the name of a `[[body]]`: \
+             [\"table\"",
         ),
         (
             vec![table.clone(), driver("b", "external = true\nbody = \"clamp\"")],

@@ -416,7 +416,7 @@ impl LogPlayback {
     }
 
     fn publish_state(&self, now: u64) -> Result<(), PlayError> {
-        // Of the readings of a tick the clearances are the last.
+        // The reading of the clearances is the last one of each tick.
         if let Some(message) = self.logs.0.run.newest(Topic::Sensor, now)? {
             self.board.publish(VIEW_SENSOR, message.time_ns, 0, message.payload);
         }
