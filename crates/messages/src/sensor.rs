@@ -32,8 +32,9 @@ impl SensorReading {
         &self.value[..(self.value_count as usize).min(MAX_SENSOR_VALUES)]
     }
 
-    /// Returns the clearances of a reading of kind [`SensorKind::Clearance`], m: those from the scene's
-    /// structures, in their order. Each is followed by the index of the tool's closest sphere.
+    /// Returns the clearances from the scene's structures, m, in their order, of a reading of kind
+    /// [`Clearance`](crate::SensorKind::Clearance). In `value`, each is followed by the index of the tool's
+    /// closest sphere.
     pub fn clearances_m(&self) -> impl Iterator<Item = f64> + '_ {
         self.values().iter().step_by(2).copied()
     }
