@@ -6,6 +6,7 @@ from xml.etree import ElementTree
 
 import detail
 import slices
+import structures
 from page import BURR_PIXELS, Page, count, is_burr, is_link
 from playwright.sync_api import Browser
 
@@ -237,7 +238,7 @@ def finds_where_they_part(page: Page) -> None:
 def check(browser: Browser, url: str, pictures: Path) -> None:
     """Checks one log."""
     page = Page(browser, url)
-    for one in (opens_a_log, plots_are_whole, plays_fast_without_loss, times_agree, plots_any_field, hides_panels, answers_odd_requests, scrubs, steps_by_ticks, draws, shows_clearances, detail.draws_each_triangle_once, detail.follows_the_rendering_time, detail.costs_a_picture, shows_frames, pauses, plays, goes_to_marks):
+    for one in (opens_a_log, plots_are_whole, plays_fast_without_loss, times_agree, plots_any_field, hides_panels, answers_odd_requests, scrubs, steps_by_ticks, draws, shows_clearances, structures.shows_structures, detail.draws_each_triangle_once, detail.follows_the_rendering_time, detail.costs_a_picture, shows_frames, pauses, plays, goes_to_marks):
         _run(one, page)
     page.page.focus("#scrub")
     page.page.keyboard.press("End")

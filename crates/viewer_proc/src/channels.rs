@@ -16,6 +16,8 @@ pub const COARSE_SURFACE: &str = "/view/surface_coarse";
 /// The arm's links that have a mesh, one message per link, in the frame that it moves with
 /// ([`crate::surface::mesh`]).
 pub const ARM: &str = "/view/arm";
+/// The critical structures, one message per structure ([`crate::surface::mesh`]).
+pub const STRUCTURES: &str = "/view/structures";
 /// The connected parts and their rates (JSON).
 pub const PARTS: &str = "/view/parts";
 /// Position on the time line (JSON; logs only).
@@ -102,7 +104,7 @@ impl Channels {
         let (name, schema) = schema_of(Frame::DESCRIPTION);
         let schema = Schema { name, text: schema, encoding: "ros2msg" };
         channels.add(ASKED_FRAME, "trabecula.frame", schema, Policy::Newest);
-        for topic in [SURFACE, COARSE_SURFACE, ARM] {
+        for topic in [SURFACE, COARSE_SURFACE, ARM, STRUCTURES] {
             let schema = Schema { name: "trabecula.view.Surface", text: String::new(), encoding: "" };
             channels.add(topic, "trabecula.mesh", schema, Policy::Newest);
         }

@@ -48,6 +48,7 @@ pub mod scene_update;
 pub mod server;
 pub mod services;
 pub mod slice;
+mod structure_meshes;
 pub mod surface;
 mod threads;
 

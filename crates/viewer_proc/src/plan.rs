@@ -28,6 +28,7 @@ use crate::live::CALL_QUEUE;
 use crate::server::{ListeningPort, Server};
 use crate::services::{Places, PlanRequest, Reply, Request};
 use crate::slice::{NO_VOLUME, Slicer};
+use crate::structure_meshes;
 use crate::surface::Voxel;
 use crate::surface::bone::{Bone, volume_box};
 use crate::threads;
@@ -132,6 +133,7 @@ pub fn view(
     first.findings.iter().for_each(|text| shown.board.notice("warning", text));
     shown.take(&first);
     looks.publish(&shown.board);
+    structure_meshes::publish(scene, &shown.board);
     let (asked, asking) = mpsc::sync_channel(PLAN_QUEUE);
     let (tell, told) = mpsc::channel();
     let stop = Arc::clone(&over);

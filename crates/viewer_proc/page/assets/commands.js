@@ -130,6 +130,8 @@ export function commands(page) {
     { id: "view-above", group: "View", keys: ["3"], text: "from the head", when: drawn, run: () => view.camera.look(VIEWS.above) },
     { id: "bone", group: "View", keys: ["b"], text: "bone: section, glass, solid, hidden", when: drawn,
       run: () => (element("bone-mode").textContent = `Bone: ${view.nextBoneMode()}`) },
+    { id: "structures", group: "View", keys: ["5"], text: "show or hide the critical structures", when: () => page.structures.meshes.size > 0,
+      run: () => page.structures.toggle() },
     { id: "longer", group: "View", keys: ["["], text: "longer time axis", run: () => plots.changeWindow(1) },
     { id: "whole", group: "View", keys: ["\\"], text: "reset the time axis: the last seconds, or the whole log", run: () => (plots.axis.reset(), page.changed()) },
     { id: "field", group: "View", keys: ["/"], text: "choose a field to plot", run: () => plots.picker.open() },

@@ -24,6 +24,7 @@ import { SceneOverlay } from "/assets/scene_overlay.js";
 import { fillSigns } from "/assets/signs.js";
 import { sliceCommands } from "/assets/slice_commands.js";
 import { Slices } from "/assets/slices.js";
+import { Structures } from "/assets/structures.js";
 import { endParts, showComparison, showParts } from "/assets/tables.js";
 import { Theme } from "/assets/theme.js";
 import { TimeLine } from "/assets/time_line.js";
@@ -81,11 +82,14 @@ page.xRay = new XRay(element("x-ray-canvas"), () => changed("xRay"));
 page.xRay.listen();
 page.cursor = new Cursor(() => changed());
 page.measures = new Measures(() => (showMeasures(), changed()));
+page.structures = new Structures(model, () => showStructures());
 page.xRayOverlay = new XRayOverlay(element("x-ray-overlay"), page.xRay, model, page.cursor, page.measures);
+page.xRayOverlay.structures = page.structures;
 page.planEdit = new PlanEdit((request) => (token ? connection.call("/plan", request) : Promise.resolve({ ok: false, error: READ_ONLY })), () => (changed("scene"), changed("slices")), page.cursor);
 // Slices need no control token: any client that can watch can see them.
 page.slices = new Slices(model, page.cursor, page.measures, (request) => connection.call("/slice", request), () => changed("slices"));
 page.slices.edit = page.planEdit;
+page.slices.structures = page.structures;
 page.plots = new PlotsPanel(element("plots-grid"), model, {
   changed: () => changed("plots"),
   ask: (request) => connection.call("/series", request),
@@ -106,7 +110,7 @@ page.drive = new Drive((request) => connection.call("/drive", request), () => sh
 connectDrivePanel(page.drive);
 try {
   page.view = new SceneView(element("scene-canvas"), () => changed("scene"));
-  Object.assign(page.view, { cursor: page.cursor, measures: page.measures });
+  Object.assign(page.view, { cursor: page.cursor, measures: page.measures, structures: page.structures });
   page.sceneOverlay = new SceneOverlay(element("scene-overlay"), page.view, page.measures, page.planEdit);
   page.planEdit.listenToView(page.view, (point) => page.sceneOverlay.pixelOf(point));
   listenToClicks(element("scene-canvas"));
@@ -141,6 +145,13 @@ function showMeasures() {
   element("measure-facts").textContent = measures.text;
   element("measure-clear").hidden = measures.lines.length === 0;
   document.body.classList.toggle("measuring", measures.on);
+}
+
+function showStructures() {
+  element("structures-switch").hidden = page.structures.meshes.size === 0;
+  element("structures-switch").setAttribute("aria-pressed", String(page.structures.on));
+  takeLegend(document.body.classList.contains("compare"));
+  changed();
 }
 
 function showDriveNow() {
@@ -225,7 +236,7 @@ function listMarks(marks) {
 
 function takeLegend(second) {
   const scene = model.info?.scene;
-  fillLegend(element("legend"), { planned: !!scene?.planned_path_m, target: !!scene?.target_m, structures: scene?.structures?.length > 0, second });
+  fillLegend(element("legend"), { planned: !!scene?.planned_path_m, target: !!scene?.target_m, margins: scene?.structures?.length > 0, structures: page.structures.all, second });
 }
 
 function takeNotice({ level, text }) {
@@ -263,6 +274,7 @@ connection.on("/view/info", takeInfo);
 const isCoarse = (address.get("surface") ?? (page.view?.software ? "coarse" : "fine")) === "coarse";
 connection.on(isCoarse ? "/view/surface_coarse" : "/view/surface", (data) => (page.view?.surface.update(data), changed("scene")));
 connection.on("/view/arm", (data) => (page.view?.arm.update(data), changed("scene")));
+connection.on("/view/structures", (data) => (page.view?.structureMeshes.update(data), page.structures.take(data)));
 connection.on("/view/parts", (data) => showParts(json(data)));
 connection.on("/view/playback", takePlayback);
 connection.on("/view/notice", (data) => takeNotice(json(data)));
@@ -275,6 +287,8 @@ connection.addEventListener("open", () => {
   page.plots.clear();
   page.view?.surface.clear();
   page.view?.arm.clear();
+  page.view?.structureMeshes.clear();
+  page.structures.clear();
   page.asked = 0;
   page.xRay.hold(undefined);
   said = undefined;

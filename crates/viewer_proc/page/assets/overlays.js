@@ -50,20 +50,24 @@ const SHAPES = {
   arrow: (c) => (c.rect(1, 5, 13, 2), c.moveTo(13, 1), c.lineTo(21, 6), c.lineTo(13, 11), c.fill()),
 };
 
-/** @param {HTMLElement} list @param {{planned: boolean, target: boolean, structures: boolean, second: boolean}} has */
+/**
+ * @param {HTMLElement} list
+ * @param {{planned: boolean, target: boolean, margins: boolean, second: boolean, structures: {name: string, colour: number[]}[]}} has
+ */
 export function fillLegend(list, has) {
-  /** Colour key, label, shape, and whether it is shown. @type {[string, string, string, boolean][]} */
+  /** Colour or its key, label, shape, and whether it is shown. @type {[string | number[], string, string, boolean][]} */
   const entries = [
     ["burr", "burr", "ball", true], ["linkEven", "links", "bars", true], ["drilled", "burr path", "line", true],
     ["planned", "planned path", "dashes", has.planned], ["target", "target", "cross", has.target],
-    ["margin", "tool within a margin", "ball", has.structures], ["breach", "tool in a structure", "ball", has.structures],
+    ["margin", "tool within a margin", "ball", has.margins], ["breach", "tool in a structure", "ball", has.margins],
     ["force", `contact force, 10 N = ${ARROW_M_PER_N * 1e4} mm`, "arrow", true], ["second", "tool of the second log", "bars", has.second],
+    ...has.structures.map(({ name, colour }) => /** @type {[number[], string, string, boolean]} */ ([colour, name, "ball", true])),
   ];
   list.replaceChildren(...entries.filter((entry) => entry[3]).map(([colour, text, shape]) => {
     const item = document.createElement("li");
     const mark = item.appendChild(Object.assign(document.createElement("canvas"), { width: 22, height: 12 }));
     const context = mark.getContext("2d");
-    context.fillStyle = css(COLOURS[colour]);
+    context.fillStyle = css(typeof colour === "string" ? COLOURS[colour] : colour);
     context.beginPath();
     SHAPES[shape](context);
     item.append(text);

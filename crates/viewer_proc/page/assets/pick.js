@@ -112,5 +112,11 @@ export function unproject({ intrinsics: k, rotation: r, translation: t }, column
   return [world(0), world(1), world(2)];
 }
 
+/** Returns the position of the X-ray source. @param {Projection} p @returns {Vector} */
+export function sourceOf({ rotation: r, translation: t }) {
+  const world = (axis) => -(r[axis] * t[0] + r[3 + axis] * t[1] + r[6 + axis] * t[2]);
+  return [world(0), world(1), world(2)];
+}
+
 /** Returns pixels per millimetre at a depth, for sizes. @param {Projection} p @param {number} depth */
 export const pixelsPerMetre = ({ intrinsics: k }, depth) => length([k[0], 0, 0]) / depth;

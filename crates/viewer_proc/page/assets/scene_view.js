@@ -20,7 +20,10 @@ export const BONE_MODES = ["section", "glass", "solid", "hidden"];
 const STILL_MS = 250;
 /** Within this distance from the line of sight to the tool, the arm is faded. */
 const FADE_M = 0.03;
+const STRUCTURE_OPACITY = 0.5;
 /** @typedef {import("/assets/vector.js").Vector} Vector */
+/** The patient frame in itself. @type {import("/assets/vector.js").Pose} */
+const HERE = { position: [0, 0, 0], rotation: [0, 0, 0, 1] };
 /** @type {Record<"bone" | "inside" | "background", Vector>} */
 const LIGHT_SIDE = { bone: [0.93, 0.88, 0.78], inside: [0.78, 0.62, 0.5], background: [0.925, 0.94, 0.955] };
 /** @type {Record<"bone" | "inside" | "background", Vector>} */
@@ -41,12 +44,16 @@ export class SceneView {
     this.surface = new Surface(gl, this.software);
     /** Links of the arm that have a mesh, by the frame they move with. */
     this.arm = new Surface(gl);
+    /** Structures that have a mesh, by their index in the scene. */
+    this.structureMeshes = new Surface(gl);
     this.parts = program(gl, PART_VERTEX, PART_FRAGMENT);
     this.bone = program(gl, SURFACE_VERTEX, SURFACE_FRAGMENT);
     const upload = (corners) => Object.fromEntries(Object.entries(shapes(corners)).map(([name, shape]) => [name, new InstancedShape(gl, shape)]));
     this.fine = upload(FINE);
     this.light = this.software ? upload(LIGHT) : this.fine;
     this.boneMode = BONE_MODES[0];
+    /** @type {import("/assets/structures.js").Structures | undefined} */
+    this.structures = undefined;
     /** Cross-hair and distances. @type {import("/assets/cursor.js").Cursor | undefined} */
     this.cursor = undefined;
     /** @type {import("/assets/measure.js").Measures | undefined} */
@@ -127,6 +134,7 @@ export class SceneView {
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
     this.#drawParts(this.#opaque(scene), clipFromWorld);
     this.#drawBone(scene, clipFromWorld, colours);
+    this.#drawStructures(clipFromWorld);
     this.#drawTranslucent(scene, clipFromWorld);
     this.begun = performance.now();
     this.fence = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
@@ -161,6 +169,24 @@ export class SceneView {
     for (const [name, numbers] of Object.entries(list.shapes)) this.shapes[name].draw(numbers);
   }
 
+  /** Draws the front sides of the structures, which hide nothing. */
+  #drawStructures(clipFromWorld) {
+    const { gl } = this;
+    const shown = this.structures?.shown ?? [];
+    if (shown.length === 0) return;
+    this.#drawParts(new PartsList(), clipFromWorld);
+    gl.enable(gl.BLEND);
+    gl.enable(gl.CULL_FACE);
+    gl.depthMask(false);
+    for (const { index, colour: [red, green, blue] } of shown) {
+      const mesh = this.structureMeshes.blocks.get(index);
+      if (mesh) this.#drawMesh(mesh, HERE, [red, green, blue, STRUCTURE_OPACITY]);
+    }
+    gl.depthMask(true);
+    gl.disable(gl.CULL_FACE);
+    gl.disable(gl.BLEND);
+  }
+
   /** Draws the arm, which would hide the bone, and the tool of the second log: only their foremost
    * surface. */
   #drawTranslucent({ info, poses, second }, clipFromWorld) {
@@ -181,19 +207,22 @@ export class SceneView {
     gl.depthFunc(gl.LESS);
   }
 
-  /** Draws the arm's meshes with the current program; the per-instance attributes are constant for a link. */
+  /** Draws the arm's meshes with the current program. */
   #drawLinks(poses) {
     if (!poses || poses.arm.length === 0) return;
-    const { gl } = this;
     const frames = [...poses.arm, poses.flange];
-    for (const [link, { vertexArray, indexCount, origin, scale }] of this.arm.blocks) {
-      gl.bindVertexArray(vertexArray);
-      gl.vertexAttrib3fv(2, transform(frames[link], origin));
-      gl.vertexAttrib4fv(3, frames[link].rotation);
-      gl.vertexAttrib3f(4, scale, scale, scale);
-      gl.vertexAttrib4fv(5, COLOURS.arm);
-      gl.drawElements(gl.TRIANGLES, indexCount, gl.UNSIGNED_INT, 0);
-    }
+    for (const [link, mesh] of this.arm.blocks) this.#drawMesh(mesh, frames[link], COLOURS.arm);
+  }
+
+  /** Draws a mesh with the current program; the per-instance attributes are constant for it. */
+  #drawMesh({ vertexArray, indexCount, origin, scale }, pose, colour) {
+    const { gl } = this;
+    gl.bindVertexArray(vertexArray);
+    gl.vertexAttrib3fv(2, transform(pose, origin));
+    gl.vertexAttrib4fv(3, pose.rotation);
+    gl.vertexAttrib3f(4, scale, scale, scale);
+    gl.vertexAttrib4fv(5, colour);
+    gl.drawElements(gl.TRIANGLES, indexCount, gl.UNSIGNED_INT, 0);
   }
 
   /** Returns the point on bone or burr under a pixel, else the one nearest to the cross-hair. @param {number} x @param {number} y pixels of the page */

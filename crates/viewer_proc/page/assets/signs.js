@@ -18,12 +18,13 @@ const SIGNS = {
     [line(PLANNED, "solid"), "planned path in the slice"], [line(PLANNED, "dashed"), "planned path in front of or behind the slice"],
     [{ colour: TARGET, shape: "cross" }, "target; faint: outside the slice"], [{ colour: CROSS_HAIR, shape: "cross" }, "cross-hair, the same point in all views"],
     [line(css(COLOURS.linkOdd), "solid"), "outline of the tool"], [line(css(COLOURS.burr), "solid"), "outline of the burr"],
-    [{ colour: "rgb(178 128 20)", shape: "box" }, "drilled away"], [{ colour: "rgb(92 98 106)", shape: "box" }, "outside the CT"],
+    ["○", "outline of a critical structure, in its colour in the 3D view"], [{ colour: "rgb(178 128 20)", shape: "box" }, "drilled away"], [{ colour: "rgb(92 98 106)", shape: "box" }, "outside the CT"],
     ["L R", "patient's left, right"], ["A P", "front (anterior), back (posterior)"], ["H F", "head, feet"],
   ],
   "x-ray-signs": [
     [line(PLANNED, "dashed"), "planned path"], [{ colour: TARGET, shape: "cross" }, "target"], [{ colour: CROSS_HAIR, shape: "cross" }, "cross-hair"],
     [line(css(COLOURS.linkOdd), "solid"), "tool axis at the time of the frame"], [{ colour: css(COLOURS.burr), shape: "ring" }, "burr at the time of the frame"],
+    ["○", "outline of a critical structure, in its colour in the 3D view"],
   ],
   "plot-signs": [
     [line("currentColor", "solid"), "mean; pale band: minimum to maximum"], [line("currentColor", "dashed"), "the same for the second log"],

@@ -1,4 +1,4 @@
-// Intersections of a plane with cylinders and balls of the tool.
+// Intersections of a plane with cylinders and balls of the tool, and with meshes.
 
 import { add, cross, dot, length, scale, subtract, unit } from "/assets/vector.js";
 
@@ -76,4 +76,34 @@ export function cutBall(plane, centre, radius) {
   const [right, down, behind] = place(plane, centre);
   const left = radius * radius - behind * behind;
   return left > 0 ? { at: [right, down], radius: Math.sqrt(left) } : undefined;
+}
+
+/**
+ * Returns where a plane cuts a closed mesh: two ends of a segment for each triangle, to the right and down.
+ * @param {Plane} plane @param {import("/assets/structures.js").Mesh} mesh @returns {[Point, Point][]}
+ */
+export function cutMesh(plane, { corners, indices }) {
+  const [x, y, z] = normal(plane);
+  const at = dot(plane.centre, [x, y, z]);
+  const behind = new Float64Array(corners.length / 3);
+  for (let i = 0; i < behind.length; i++) behind[i] = x * corners[3 * i] + y * corners[3 * i + 1] + z * corners[3 * i + 2] - at;
+  /** @param {number} i @param {Vector} axis */
+  const along = (i, axis) => dot([corners[3 * i], corners[3 * i + 1], corners[3 * i + 2]], axis) - dot(plane.centre, axis);
+  /** @param {number} a @param {number} b @returns {Point} */
+  const crossing = (a, b) => {
+    const share = behind[a] / (behind[a] - behind[b]);
+    const [right, down] = [plane.right, plane.down].map((axis) => along(a, axis) + share * (along(b, axis) - along(a, axis)));
+    return [right, down];
+  };
+  /** @type {[Point, Point][]} */
+  const segments = [];
+  for (let i = 0; i < indices.length; i += 3) {
+    const [a, b, c] = [indices[i], indices[i + 1], indices[i + 2]];
+    const [isA, isB, isC] = [behind[a] > 0, behind[b] > 0, behind[c] > 0];
+    if (isA === isB && isB === isC) continue;
+    // One corner is on its own side.
+    const [alone, other, third] = isB === isC ? [a, b, c] : isA === isC ? [b, c, a] : [c, a, b];
+    segments.push([crossing(alone, other), crossing(alone, third)]);
+  }
+  return segments;
 }

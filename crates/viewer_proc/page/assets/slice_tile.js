@@ -1,7 +1,7 @@
 // One slice: the newest image of a plane, and the overlay on it.
 
 import { distanceText } from "/assets/measure.js";
-import { cutBall, cutCylinder, normal, place, pointAt } from "/assets/slice_geometry.js";
+import { cutBall, cutCylinder, cutMesh, normal, place, pointAt } from "/assets/slice_geometry.js";
 import { textScale } from "/assets/plot.js";
 import { drawHandles } from "/assets/plan_edit.js";
 import { context2d } from "/assets/software.js";
@@ -181,7 +181,8 @@ export class SliceTile {
   /**
    * @param {Plane} plane @param {number} field
    * @param {{poses?: import("/assets/tool_model.js").Poses, tool?: any, path: Vector[], target?: Vector, cursor?: Vector,
-   *   measures: import("/assets/measure.js").Measures, handles: import("/assets/plan_edit.js").Handle[]}}
+   *   measures: import("/assets/measure.js").Measures, handles: import("/assets/plan_edit.js").Handle[],
+   *   structures: import("/assets/structures.js").Structures["shown"]}}
    *   scene
    */
   draw(plane, field, scene) {
@@ -201,6 +202,7 @@ export class SliceTile {
     // Letters and lines scale with the page's text.
     const mark = ratio * textScale();
     const paint = { context, at, ratio: mark, scaleBy, width, height, plane };
+    for (const { mesh, colour } of scene.structures) this.#drawStructure(paint, mesh, css(colour));
     if (scene.poses && scene.tool) this.#drawTool(paint, scene.poses, scene.tool);
     this.#drawPath(paint, scene.path);
     if (scene.target) this.#drawTarget(paint, scene.target);
@@ -217,6 +219,23 @@ export class SliceTile {
     const [w, h] = [side[0] * scaleBy, side[1] * scaleBy];
     context.imageSmoothingEnabled = true;
     context.drawImage(this.picture, x - w / 2, y - h / 2, w, h);
+  }
+
+  /** Outlines where the plane cuts a structure. */
+  #drawStructure({ context, plane, ratio, scaleBy, width, height }, mesh, colour) {
+    const outline = new Path2D();
+    for (const ends of cutMesh(plane, mesh)) {
+      const [[x0, y0], [x1, y1]] = ends.map(([right, down]) => [width / 2 + right * scaleBy, height / 2 + down * scaleBy]);
+      outline.moveTo(x0, y0);
+      outline.lineTo(x1, y1);
+    }
+    context.lineCap = "round";
+    for (const [style, size] of [["rgb(0 0 0 / .6)", 4], [colour, 2]]) {
+      context.strokeStyle = /** @type {string} */ (style);
+      context.lineWidth = /** @type {number} */ (size) * ratio;
+      context.stroke(outline);
+    }
+    context.lineCap = "butt";
   }
 
   /** Outlines where the plane cuts the holder, shaft and links together, and the burr. */

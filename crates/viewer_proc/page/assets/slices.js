@@ -40,6 +40,8 @@ export class Slices {
     this.tiles = [];
     /** Points of a plan that can be moved. @type {import("/assets/plan_edit.js").PlanEdit | undefined} */
     this.edit = undefined;
+    /** @type {import("/assets/structures.js").Structures | undefined} */
+    this.structures = undefined;
     this.on = true;
     this.field = 0.08;
     this.window = { ...HU_WINDOWS.bone };
@@ -136,11 +138,12 @@ export class Slices {
     const { poses, info } = model;
     const planes = this.tiles.map((tile) => (tile.measure(), tile.planeAt(point, this.field)));
     planes.forEach((plane, i) => this.#request(this.tiles[i], plane));
-    const key = this.#key(planes, poses);
+    const structures = this.structures?.shown ?? [];
+    const key = [this.#key(planes, poses), this.structures?.version, structures.map(({ colour }) => colour)].join();
     if (key === this.key) return;
     this.key = key;
     this.pictures += 1;
-    const scene = { poses, tool: info?.tool, path: info?.scene?.planned_path_m ?? [], target: info?.scene?.target_m, cursor: cursor.point, measures: this.measures, handles: this.edit?.handles ?? [] };
+    const scene = { poses, tool: info?.tool, path: info?.scene?.planned_path_m ?? [], target: info?.scene?.target_m, cursor: cursor.point, measures: this.measures, handles: this.edit?.handles ?? [], structures };
     planes.forEach((plane, i) => this.tiles[i].draw(plane, this.field, scene));
     this.#facts(point);
   }

@@ -1,11 +1,12 @@
-// Overlay on the X-ray in the frame's own projection: plan, tool and tip at the time of the frame,
-// cross-hair, distances.
+// Overlay on the X-ray in the frame's own projection: plan, structures, tool and tip at the time of the
+// frame, cross-hair, distances.
 
 import { CLICK_PX } from "/assets/measure.js";
 import { textScale } from "/assets/plot.js";
-import { pixelsPerMetre, project, unproject } from "/assets/pick.js";
+import { pixelsPerMetre, project, sourceOf, unproject } from "/assets/pick.js";
 import { drawMeasures } from "/assets/slice_tile.js";
 import { context2d } from "/assets/software.js";
+import { outlineFrom } from "/assets/structures.js";
 import { COLOURS, burrBalls } from "/assets/tool_model.js";
 import { transform } from "/assets/vector.js";
 
@@ -28,6 +29,8 @@ export class XRayOverlay {
     this.model = model;
     this.cursor = cursor;
     this.measures = measures;
+    /** @type {import("/assets/structures.js").Structures | undefined} */
+    this.structures = undefined;
     this.on = true;
     this.#listen();
   }
@@ -67,6 +70,7 @@ export class XRayOverlay {
     context.clip();
     const mark = ratio * textScale();
     const paint = { context, at, ratio: mark, scale, projection: frame.projection };
+    this.#drawStructures(paint);
     this.#drawPlan(paint);
     this.#drawTool(paint, frame);
     drawMeasures(context, this.measures, at, mark);
@@ -88,6 +92,20 @@ export class XRayOverlay {
     for (const place of points.map(at)) if (place) context.lineTo(place[0], place[1]);
     context.stroke();
     context.setLineDash([]);
+  }
+
+  #drawStructures({ context, at, ratio, projection }) {
+    context.lineWidth = 1.5 * ratio;
+    for (const { mesh, colour } of this.structures?.shown ?? []) {
+      context.strokeStyle = css(colour);
+      context.beginPath();
+      for (const [from, to] of outlineFrom(mesh, sourceOf(projection)).map((ends) => ends.map(at))) {
+        if (!from || !to) continue;
+        context.moveTo(from[0], from[1]);
+        context.lineTo(to[0], to[1]);
+      }
+      context.stroke();
+    }
   }
 
   #drawPlan(paint) {

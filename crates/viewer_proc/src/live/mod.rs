@@ -28,6 +28,7 @@ use crate::left::IdleTimer;
 use crate::server::{ListeningPort, Server};
 use crate::services::Request;
 use crate::slice::NO_VOLUME;
+use crate::structure_meshes;
 use crate::surface::bone::volume_box;
 use crate::threads;
 use bone::BoneThread;
@@ -77,6 +78,7 @@ pub fn view(
     let origin = Origin::Live(name);
     board.publish_json(INFO, &info(&scene, &origin, &tool, None));
     looks.publish(&board);
+    structure_meshes::publish(&scene, &board);
     let subscriptions = Subscriptions::open(&session, &scene, &tool)?;
     let slices = if let Some(volume) = &scene.volume {
         let (slices, asked) = call_queue(CALL_QUEUE);

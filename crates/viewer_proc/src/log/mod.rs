@@ -32,6 +32,7 @@ use crate::left::IdleTimer;
 use crate::live::CALL_QUEUE;
 use crate::scene_update::Drawer;
 use crate::server::{ListeningPort, Server};
+use crate::structure_meshes;
 use crate::threads;
 use background::{BackgroundResult, Reader, divergence};
 use file::LogFile;
@@ -125,6 +126,7 @@ pub fn view(
     let origin = Origin::Log(name);
     board.publish_json(INFO, &info(&scene, &origin, &tool, None));
     looks.publish(&board);
+    structure_meshes::publish(&scene, &board);
     let both = second.as_ref().map(|second| (first.path.clone(), second.path.clone()));
     let header = first.header.clone();
     let logs: Logs = Arc::new((first.shown, second.map(|second| second.shown)));

@@ -12,9 +12,15 @@ pub mod field;
 pub mod link;
 pub mod mesh;
 pub mod nets;
+pub mod structure;
+mod tube;
 
 pub use coarse::CoarseBone;
 pub use field::{Field, Voxel};
-pub use link::link_mesh;
+pub use link::{link_mesh, smooth_mesh};
 pub use mesh::BlockMesh;
 pub use nets::{BLOCK, Blocks};
+pub use structure::{SurfaceError, structure_surface};
+
+/// Corners of a triangle, m, counterclockwise seen from outside.
+pub type Triangle = [[f64; 3]; 3];
