@@ -23,7 +23,7 @@ const HUE_STEP = 0.618;
 function saturated(hue) {
   const part = (n) => {
     const k = (n + hue / 30) % 12;
-    return 0.5 - 0.35 * Math.max(-1, Math.min(k - 3, 9 - k, 1));
+    return 0.56 - 0.31 * Math.max(-1, Math.min(k - 3, 9 - k, 1));
   };
   return [part(0), part(8), part(4), 1];
 }
