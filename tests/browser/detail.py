@@ -8,7 +8,8 @@ from page import Page
 # Draws the section twice: with the triangles sorted by the cut, and with all of them in both passes. Returns
 # the triangles of the bone in each picture and the mean difference of a pixel's channels.
 SORTED = """() => {
-    const { view, model } = trabecula, { gl, surface } = view;
+    const { view, model, structures } = trabecula, { gl, surface } = view;
+    structures.on = false;
     const drawElements = gl.drawElements, draw = surface.draw;
     const picture = () => {
         let triangles = 0;
@@ -25,6 +26,7 @@ SORTED = """() => {
     delete gl.drawElements;
     delete surface.draw;
     view.filmed = false;
+    structures.on = true;
     const away = sorted.pixels.reduce((sum, value, i) => sum + Math.abs(value - all.pixels[i]), 0);
     const marked = new Set(sorted.pixels).size;
     return { sorted: sorted.triangles, all: all.triangles, whole: surface.triangles, away: away / sorted.pixels.length, marked };

@@ -14,7 +14,7 @@ use super::{Blocks, Field, Triangle};
 /// Most triangles of a label's surface before they are merged.
 const MOST_EXTRACTED: usize = 2_000_000;
 /// Factor by which the cells grow in which corners are merged.
-const GROWTH: f64 = 1.1;
+const GROWTH: f64 = 1.2;
 /// Hounsfield units of a label's voxels above and below the threshold: as those outside of a grid.
 const HALF_HU: i16 = 1000;
 
@@ -112,8 +112,8 @@ fn merged(triangles: Vec<Triangle>, most: usize) -> Vec<Triangle> {
     let corners = || triangles.iter().flatten().copied().map(Vector3::from);
     let least_m = corners().fold(Vector3::repeat(f64::INFINITY), |least, corner| least.inf(&corner));
     let area_m2: f64 = triangles.iter().map(area_m2).sum();
-    // A cell that the surface crosses leaves about two triangles.
-    let mut cell_m = (2.0 * area_m2 / most.max(1) as f64).sqrt().max(f64::MIN_POSITIVE);
+    // A cell that the surface crosses leaves about two triangles; fewer where they are long and thin.
+    let mut cell_m = (0.1 * area_m2 / most.max(1) as f64).sqrt().max(f64::MIN_POSITIVE);
     loop {
         let mut first_m: HashMap<[i64; 3], [f64; 3]> = HashMap::new();
         let mut place = |corner: [f64; 3]| {
