@@ -8,7 +8,7 @@ use crate::surface::{smooth_mesh, structure_surface};
 
 /// Most triangles of all structures of a scene, in equal shares. In software, a picture takes as long as it
 /// has triangles; the bone's coarse surface has about 50 000.
-const MOST_TRIANGLES: usize = 40_000;
+const MOST_TRIANGLES: usize = 20_000;
 
 /// Publishes a mesh of each structure with a surface of its own, also to clients that connect later. Its
 /// block is the structure's index in the scene.

@@ -258,6 +258,8 @@ fn balls_are_round_and_boxes_have_edges() {
     let mesh = smooth_mesh(3, &surface(&ball));
     let centre = ball.in_bone_mm([0.0; 3]).map(|x| x * 1e-3);
     assert_eq!(mesh.block, 3);
+    // One normal at each corner: 23 rings of 48, and two poles.
+    assert_eq!(mesh.positions.len(), 23 * 48 + 2);
     for (number, normal) in mesh.normals.iter().enumerate() {
         let at = mesh.vertex_m(number as u32);
         let out = Vector3::from([0, 1, 2].map(|axis| at[axis] - centre[axis])).normalize();
