@@ -68,8 +68,9 @@ def holds_the_frame_that_was_asked_for(page: Page) -> None:
     held = page.text("frame-facts")
     assert ", 40.0° / " in held, held
     newest = "trabecula.model.frame.sequence"
+    # The picture follows the text once the 3D view is rendered.
+    shown = page.settled(lambda: page.picture("x-ray-canvas").tobytes())
     sequence = page.page.evaluate(newest)
-    shown = page.picture("x-ray-canvas").tobytes()
     page.until("scheduled frames go on", lambda: page.page.evaluate(newest) > sequence + 1)
     assert page.text("frame-facts") == held
     assert page.picture("x-ray-canvas").tobytes() == shown, "a scheduled frame replaced the one that was asked for"
