@@ -19,7 +19,8 @@ const MOST: usize = 100_000;
 fn scene(structure: &str) -> Scene {
     let text = format!(
         "name = \"a\"\n[run]\nmode = \"lockstep\"\nduration_s = 1.0\n[volume]\nphantom = \"block\"\n\
-         [tool]\nburr_start_mm = [0.0, 0.0, -40.0]\ndirection = [0.0, 0.0, 1.0]\nbend_toward = [1.0, 0.0, 0.0]\n\
+         [tool]\nburr_start_mm = [0.0, 0.0, -40.0]\n\
+         direction = [0.0, 0.0, 1.0]\nbend_toward = [1.0, 0.0, 0.0]\n\
          [truth]\nregistration_error_mm = [3.0, -2.0, 1.0]\nregistration_error_deg = [10.0, 20.0, -30.0]\n\
          [[structure]]\nname = \"nerve\"\n{structure}"
     );
@@ -71,7 +72,8 @@ fn balls_boxes_and_capsules_have_the_volume_and_the_distance_of_their_closed_for
     for (text, expected_mm3) in [
         ("ball = { centre_mm = [5.0, -8.0, 12.0], radius_mm = 4.0 }", 4.0 / 3.0 * PI * 64.0),
         (
-            "cuboid = { centre_mm = [5.0, 1.0, 2.0], half_extents_mm = [3.0, 2.0, 0.5], rotation_vector_deg = [20.0, 70.0, -40.0] }",
+            "cuboid = { centre_mm = [5.0, 1.0, 2.0], half_extents_mm = [3.0, 2.0, 0.5], \
+             rotation_vector_deg = [20.0, 70.0, -40.0] }",
             24.0,
         ),
         (
@@ -101,7 +103,8 @@ fn a_bent_tube_has_the_volume_and_the_distance_of_its_closed_form() {
         let angle = f64::to_radians(angle_deg);
         let (x, y) = (leg + leg * angle.cos(), leg * angle.sin());
         let scene = scene(&format!(
-            "tube = {{ points_mm = [[0.0, 0.0, 0.0], [{leg:?}, 0.0, 0.0], [{x:?}, {y:?}, 0.0]], radius_mm = {radius:?} }}"
+            "tube = {{ points_mm = [[0.0, 0.0, 0.0], [{leg:?}, 0.0, 0.0], [{x:?}, {y:?}, 0.0]], \
+             radius_mm = {radius:?} }}"
         ));
         let triangles = surface(&scene);
         let straight = PI * radius * radius * 2.0 * leg + 4.0 / 3.0 * PI * radius.powi(3);
