@@ -162,8 +162,12 @@ impl Summary {
             ));
         }
         rows.extend(self.logs.fmus.iter().map(|note| ("FMUs", note.clone())));
-        if !self.logs.saved.is_empty() {
-            rows.push(("saved", self.logs.saved.join(", ")));
+        match &self.logs.saved[..] {
+            [] => {}
+            [first, .., last] if self.logs.saved.len() > 4 => {
+                rows.push(("saved", format!("{} logs, {first} to {last}", self.logs.saved.len())));
+            }
+            few => rows.push(("saved", few.join(", "))),
         }
         // Shared memory is counted in every process that maps it, so show private memory.
         let own = self

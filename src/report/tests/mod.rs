@@ -257,8 +257,11 @@ fn a_log_that_begins_late_is_reported_as_what_it_is() {
     fs::create_dir(folder.path().join("saved-1")).unwrap();
     run.finish(EndReason::Completed, &BTreeMap::new()).unwrap();
     lane.finish(EndReason::Completed, &BTreeMap::new()).unwrap();
-    let summary = write(folder.path(), &facts()).unwrap();
+    let mut summary = write(folder.path(), &facts()).unwrap();
     assert_eq!(summary.logs.saved, ["saved-1", "saved-2 as run.mcap"]);
+    assert!(summary.to_string().contains("\nsaved        saved-1, saved-2 as run.mcap\n"), "{summary}");
+    summary.logs.saved = (1..=45).map(|number| format!("saved-{number}")).collect();
+    assert!(summary.to_string().contains("\nsaved        45 logs, saved-1 to saved-45\n"), "{summary}");
     let cautions: Vec<&str> = summary.cautions.iter().map(String::as_str).collect();
     let unchecked = "`tolerance.target_mm` and `tolerance.path_deviation_mm` not checked: \
                      the start of the run was not kept";
