@@ -68,12 +68,13 @@ impl Dimension {
         UNITS.iter().filter(|(_, dimension, _)| *dimension == self).map(|(name, ..)| *name).collect()
     }
 
-    /// Returns the size of a unit of this dimension in SI units.
+    /// Returns the size of a unit of this dimension in SI units. Spaces do not count: `N mm` is `Nmm`.
     ///
     /// # Errors
     /// The units that it has, with the nearest one, for another or unknown unit.
     pub fn size_of(self, unit: &str) -> Result<f64, String> {
-        let own = UNITS.iter().find(|(name, dimension, _)| *name == unit && *dimension == self);
+        let compact = unit.replace(' ', "");
+        let own = UNITS.iter().find(|(name, dimension, _)| *name == compact && *dimension == self);
         own.map(|(.., size)| *size).ok_or_else(|| {
             let units = self.units();
             let near = nearest_name(unit, units.iter().copied());
@@ -108,6 +109,7 @@ mod tests {
     #[test]
     fn a_unit_of_another_dimension_is_refused_with_those_that_fit() {
         assert_eq!(Dimension::Length.size_of("mm").unwrap(), 1e-3);
+        assert_eq!(Dimension::Torque.size_of("N mm").unwrap(), 1e-3);
         assert_eq!(Dimension::Force.size_of("mm").unwrap_err(), "one of `N`, `mN`, `gf`");
         assert!(Dimension::Angle.size_of("degs").unwrap_err().ends_with("(did you mean `deg`?)"));
     }
