@@ -19,7 +19,7 @@ from scenes import drill
 
 cv2, coco_file, coco_judge = support.needs("cv2", "pycocotools.coco", "pycocotools.cocoeval")
 
-CLASSES = {"bone": 1, "tool": 2, "burr": 4, "tunnel": 8}
+CLASSES = {"bone": 1, "tool": 2, "burr": 4, "tunnel": 8, "object": 16}
 
 
 def points_of(log: Path) -> dict[int, Any]:
