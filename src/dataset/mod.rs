@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 use ipc_types::messages::{CArmProjection, Frame};
 use ipc_types::scene::LabelImage;
 use serde_json::{Value, json};
-use xray::{Labels, keypoint_name};
+use xray::{Labels, Marker, keypoint_name};
 
 pub use split::Split;
 
@@ -56,13 +56,13 @@ impl Run {
 }
 
 impl Sample {
-    /// Returns camera and pose of the frame: `rotation` and `translation_m` map world points to the camera
-    /// frame, and `intrinsics` maps those to the image, with pixel centres at integers.
+    /// Returns camera, pose and markers of the frame: `rotation` and `translation_m` map world points to
+    /// the camera frame, and `intrinsics` maps those to the image, with pixel centres at integers.
     fn pose(&self, run: &Run) -> Value {
         let CArmProjection { intrinsics, rotation, translation_m, .. } = self.frame.projection;
         let rows = |m: [f64; 9]| [[m[0], m[1], m[2]], [m[3], m[4], m[5]], [m[6], m[7], m[8]]];
         let burr = self.frame.t_world_burr;
-        json!({
+        let mut pose = json!({
             "run": run.id,
             "tick": self.frame.tick,
             "sim_time_s": self.frame.sim_time_s,
@@ -72,7 +72,17 @@ impl Sample {
             "t_world_burr": {
                 "position_m": burr.position_m, "orientation_xyzw": burr.orientation_xyzw,
             },
-        })
+        });
+        let marker = |Marker { name, centre_m, point }: &Marker| {
+            json!({
+                "name": name, "position_m": centre_m, "column": point.column, "row": point.row,
+                "depth_m": point.depth_m, "visibility": point.visibility.code(),
+            })
+        };
+        if !self.labels.markers.is_empty() {
+            pose["markers"] = self.labels.markers.iter().map(marker).collect();
+        }
+        pose
     }
 }
 

@@ -7,10 +7,10 @@ use ipc_types::messages::{Frame, Restores, State, Tick, TickRange};
 use recorder_proc::log_file::LogFile;
 use run_log::diff::compare_frame;
 use run_log::{FrameReader, FrameRecord, LogError, LogReader, Verdict, frames};
-use xray::arm_model::ArmModel;
 use xray::frame::{Cache, Job, label_job, render_job};
 use xray::from_scene::{renderer_parameters, scene_isocentre_m};
 use xray::message::c_arm_of;
+use xray::surroundings::Surroundings;
 use xray::{DrrRenderer, Labels, VolumeView};
 use zerocopy::IntoBytes;
 
@@ -34,7 +34,7 @@ pub struct FrameReplay<'l> {
     state: Box<State>,
     restores: Restores,
     removed: Vec<u32>,
-    arm: Option<Arc<ArmModel>>,
+    around: Arc<Surroundings>,
 }
 
 impl<'l> FrameReplay<'l> {
@@ -48,6 +48,8 @@ impl<'l> FrameReplay<'l> {
         let view = VolumeView::try_from(&ct.volume).map_err(Failure::failed)?;
         let parameters =
             xray::DrrParameters { threads, ..renderer_parameters(drr, log.scene.tolerance.as_ref()) };
+        let arm = arm_model(&log.scene.arm).map_err(Failure::bad_input)?;
+        let around = Surroundings::new(&log.scene, arm).map_err(Failure::bad_input)?;
         let ticks = log.reader()?;
         let (predrilled, removed) = match ticks.beginning() {
             None => (ticks.predrilled().to_vec(), ticks.predrilled().to_vec()),
@@ -63,7 +65,7 @@ impl<'l> FrameReplay<'l> {
             predrilled,
             ticks,
             replies: Replies::open(log, drr)?,
-            arm: arm_model(&log.scene.arm).map_err(Failure::bad_input)?,
+            around: Arc::new(around),
             log,
         }))
     }
@@ -135,7 +137,7 @@ impl<'l> FrameReplay<'l> {
             noise_seed: self.log.scene.run.seed,
             radii: self.log.scene.manipulator.radii(),
             holder: self.log.scene.arm.holder(),
-            arm: self.arm.clone(),
+            around: Arc::clone(&self.around),
             notch: self.log.scene.drr.as_ref().and_then(|drr| drr.notch),
         }))
     }

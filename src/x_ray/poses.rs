@@ -142,6 +142,8 @@ impl Pose {
             detector: Default::default(),
             spectrum: None,
             scatter: None,
+            grid: None,
+            object: Vec::new(),
             carm,
             labels: None,
             notch: None,

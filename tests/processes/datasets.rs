@@ -3,7 +3,7 @@
 
 use std::fs;
 
-use crate::common::program::{Place, as_words, trabecula};
+use crate::common::program::{Place, Run, as_words, trabecula};
 use crate::common::scenes;
 
 /// A recorded run of the block in `run`.
@@ -153,5 +153,38 @@ fn a_log_that_cannot_be_taken_refuses_the_export_before_its_first_file() {
         let done = trabecula(&[&"log", &"export", &log, second, &"-o", &output, &"--dataset", &"coco"]);
         assert!(done.code == Some(2) && done.err.contains(expected), "{:?} {}", done.code, done.err);
         assert!(!output.exists(), "{expected}: something is left");
+    }
+}
+
+/// The bead phantom of the example: the projection of each bead by the camera beside it.
+#[test]
+fn markers_are_in_both_descriptions_of_a_data_set_where_its_camera_puts_them() {
+    let scene = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("configs/examples/drr_objects.toml");
+    let place = Place::new();
+    let ended = Run::start(&scene, place.path("out"), &["--set", "run.duration_s=0.3"]).end();
+    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    for (format, file, frames) in [("npz", "dataset.json", "frames"), ("coco", "annotations.json", "images")]
+    {
+        let output = place.path(format);
+        let done = trabecula(&[&"log", &"export", &ended.folder, &"-o", &output, &"--dataset", &format]);
+        assert_eq!(done.code, Some(0), "{}", done.err);
+        let about: serde_json::Value = serde_json::from_slice(&fs::read(output.join(file)).unwrap()).unwrap();
+        let frame = &about[frames][0];
+        let number = |value: &serde_json::Value| value.as_f64().unwrap();
+        let row = |name: &str, i: usize, v: [f64; 3]| -> f64 {
+            (0..3).map(|j| number(&frame["camera"][name][i][j]) * v[j]).sum()
+        };
+        let markers = frame["markers"].as_array().unwrap();
+        assert_eq!(markers.len(), 6);
+        for (marker, count) in markers.iter().zip(1..) {
+            let centre_m = [0, 1, 2].map(|i| number(&marker["position_m"][i]));
+            let shift = |i: usize| number(&frame["camera"]["translation_m"][i]);
+            let seen = [0, 1, 2].map(|i| row("rotation", i, centre_m) + shift(i));
+            let [u, v, s] = [0, 1, 2].map(|i| row("intrinsics", i, seen));
+            let (column, line) = (number(&marker["column"]), number(&marker["row"]));
+            assert!((column - u / s).abs() < 1e-9 && (line - v / s).abs() < 1e-9, "{format}: {marker}");
+            assert_eq!(marker["name"], format!("bead_{count}"));
+            assert_eq!(marker["visibility"], 2, "{format}: {marker}");
+        }
     }
 }

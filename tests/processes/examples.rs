@@ -9,7 +9,7 @@ use crate::common::logs::assert_replays;
 use crate::common::program::{Place, Run, trabecula};
 
 /// Each scene, and the line that shows its feature.
-const GALLERY: [(&str, &str); 26] = [
+const GALLERY: [(&str, &str); 27] = [
     ("arm_compliance.toml", "[arm.compliance]"),
     ("arm_gantry.toml", "model = \"gantry\""),
     ("arm_joints.toml", "[[arm.joint]]"),
@@ -21,6 +21,7 @@ const GALLERY: [(&str, &str); 26] = [
     ("drr_carm.toml", "[drr.carm]"),
     ("drr_detector.toml", "[drr.detector]"),
     ("drr_notch.toml", "[drr.notch]"),
+    ("drr_objects.toml", "[[drr.object]]"),
     ("drr_projector.toml", "projector = \"siddon\""),
     ("drr_spectrum.toml", "[drr.spectrum]"),
     ("manipulator_model.toml", "model = \"spatial\""),

@@ -91,7 +91,7 @@ fn drilled_voxels_are_gone_in_the_frames() {
             noise_seed: scene.run.seed,
             radii: ipc_types::scene::STANDARD_RADII,
             holder: scene.arm.holder(),
-            arm: None,
+            around: Default::default(),
         };
         let mut renderer =
             DrrRenderer::new(&view, renderer_parameters(drr, scene.tolerance.as_ref()), &ThisMachine)

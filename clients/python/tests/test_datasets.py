@@ -19,7 +19,7 @@ from scenes import drill
 
 cv2, coco_file, coco_judge = support.needs("cv2", "pycocotools.coco", "pycocotools.cocoeval")
 
-CLASSES = {"bone": 1, "tool": 2, "burr": 4, "tunnel": 8}
+CLASSES = {"bone": 1, "tool": 2, "burr": 4, "tunnel": 8, "object": 16}
 
 
 def points_of(log: Path) -> dict[int, Any]:
@@ -146,7 +146,7 @@ def test_yolo_lines_follow_the_rules_of_a_pose_data_set(folder: Path) -> None:
     ]
     about = dict(line.split(": ", 1) for line in lines if ": " in line)
     count = json.loads(about["kpt_shape"])[0]
-    assert [about[f"  {number}"] for number in range(4)] == list(CLASSES) and about["train"] == about[
+    assert [about[f"  {number}"] for number in range(len(CLASSES))] == list(CLASSES) and about["train"] == about[
         "val"
     ] == "images"
     assert json.loads(about["flip_idx"]) == list(range(count))
@@ -213,7 +213,13 @@ def test_a_picture_of_the_labels_is_drawn(folder: Path) -> None:
     grow = {"fx": scale, "fy": scale, "interpolation": cv2.INTER_NEAREST}
     grey = cv2.resize((frame["image"] // 257).astype(np.uint8), None, **grow)
     shown = cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)
-    colours = {"bone": (178, 114, 0), "tool": (0, 159, 230), "burr": (0, 94, 213), "tunnel": (115, 158, 0)}
+    colours = {
+        "bone": (178, 114, 0),
+        "tool": (0, 159, 230),
+        "burr": (0, 94, 213),
+        "tunnel": (115, 158, 0),
+        "object": (167, 121, 204),
+    }
     for name, bit in CLASSES.items():
         mask = cv2.resize((frame["mask"] & bit != 0).astype(np.uint8), None, **grow)
         edges, _ = cv2.findContours(mask, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)

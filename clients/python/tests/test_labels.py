@@ -114,7 +114,8 @@ def test_labels_agree_with_siddon_and_the_tools_geometry_in_numpy(tmp_path: Path
             assert metal is None or found.where(Mask.TOOL)[here] == metal, (here, metal)
     assert worst < 1e-7, worst
     assert unsure < 0.02 * rows * columns, unsure
-    assert all(found.where(each).sum() > 10 for each in Mask), [int(found.where(each).sum()) for each in Mask]
+    pixels_of = {each: int(found.where(each).sum()) for each in Mask}
+    assert pixels_of.pop(Mask.OBJECT) == 0 and min(pixels_of.values()) > 10, pixels_of
     seen = (
         np.array(nodes) @ found.image.frame.projection.rotation.reshape(3, 3).T
         + found.image.frame.projection.translation_m
@@ -134,3 +135,18 @@ def test_labels_agree_with_siddon_and_the_tools_geometry_in_numpy(tmp_path: Path
         sim.labels(bone_from_hu=40000)
     with pytest.raises(trabecula.ArgumentError, match="expected a CArmGeometry"):
         sim.labels("ap")  # type: ignore[arg-type]
+
+
+def test_markers_are_the_projections_of_their_centres() -> None:
+    """The example's beads, by the camera of the frame, from two sides."""
+    sim = Sim(Path(__file__).parents[3] / "configs/examples/drr_objects.toml")
+    for pose in (None, (25.0, -10.0)):
+        found = sim.labels(pose)
+        camera = found.image.frame.projection
+        assert found.marker_names == [f"bead_{number}" for number in range(1, 7)]
+        seen = found.marker_positions_m @ camera.rotation.reshape(3, 3).T + camera.translation_m
+        in_image = seen @ camera.intrinsics.reshape(3, 3).T
+        assert np.allclose(found.markers[:, :2], in_image[:, :2] / in_image[:, 2:], atol=1e-9)
+        columns, rows = np.rint(found.markers[:, :2]).astype(int).T
+        is_inside = (columns >= 0) & (columns < 256) & (rows >= 0) & (rows < 256)
+        assert is_inside.sum() >= 5 and found.where(Mask.OBJECT)[rows[is_inside], columns[is_inside]].all()

@@ -24,6 +24,8 @@ class Mask(IntFlag):
     BURR = 4
     #: The ray crosses drilled voxels.
     TUNNEL = 8
+    #: The ray crosses an object of the scene: a wire, a screw, a marker, a rigid body.
+    OBJECT = 16
 
 
 class Labels(NamedTuple):
@@ -35,9 +37,9 @@ class Labels(NamedTuple):
     image: Image
     #: Bits of `Mask`.
     mask: npt.NDArray[np.uint8]
-    #: Attenuation (-ln of the transmission) of the anatomy without the part displaced by the tool.
+    #: Attenuation (-ln of the transmission) of the anatomy without the part displaced by tool and objects.
     anatomy: npt.NDArray[np.float32]
-    #: Attenuation added by the tool's metal.
+    #: Attenuation added by the tool's metal and by objects.
     metal: npt.NDArray[np.float32]
     #: Length of the ray in bone, m; not reduced by the tool.
     bone_m: npt.NDArray[np.float32]
@@ -54,12 +56,21 @@ class Labels(NamedTuple):
     #: 0: outside the image; 1: the ray also crosses another part of the tool; 2: it crosses no other part.
     #: Shape (joints + 2,).
     visibility: npt.NDArray[np.uint8]
+    #: Names of the marker balls: those of the scene's objects, numbered from 1 where an object has several.
+    marker_names: list[str]
+    #: Column, row and depth, m, of their centres, as of `keypoints`; shape (markers, 3).
+    markers: npt.NDArray[np.float64]
+    #: Their centres in the world, m; shape (markers, 3).
+    marker_positions_m: npt.NDArray[np.float64]
 
     @staticmethod
-    def of(image: Image, mask: bytes, images: bytes, points: bytes) -> Labels:
+    def of(
+        image: Image, mask: bytes, images: bytes, points: bytes, marker_names: list[str], markers: bytes
+    ) -> Labels:
         """Creates labels from their bytes."""
         shape = image.pixels.shape
         places = np.frombuffer(points, "<f8").reshape(-1, 4)
+        centres = np.frombuffer(markers, "<f8").reshape(-1, 6)
         layers = np.frombuffer(images, "<f4").reshape(6, *shape)
         anatomy, metal, bone_m, tunnel_m, tool_depth_m, bone_depth_m = layers
         return Labels(
@@ -73,6 +84,9 @@ class Labels(NamedTuple):
             bone_depth_m,
             places[:, :3],
             places[:, 3].astype(np.uint8),
+            marker_names,
+            centres[:, :3],
+            centres[:, 3:],
         )
 
     @property

@@ -385,7 +385,7 @@ class Sim:
 
     def labels(self, c_arm: CArm = None, *, bone_from_hu: Optional[int] = None) -> Labels:
         """Renders the X-ray of the current state like `render`, with labels: masks, separate line integrals,
-        lengths, depths and keypoints.
+        lengths, depths, keypoints and markers.
 
         Labels have neither noise nor blur. They trace a ray through the voxels for every pixel, which costs a
         hundred times as much as a frame.
@@ -400,8 +400,9 @@ class Sim:
             Error: The scene has no X-ray.
         """
         threshold = None if bone_from_hu is None else _hounsfield("bone_from_hu", bone_from_hu)
-        frame_bytes, pixels, mask, images, points = self._native.labels(*_seen_from(c_arm), threshold)
-        return Labels.of(_image(frame_bytes, pixels), mask, images, points)
+        parts, names = self._native.labels(*_seen_from(c_arm), threshold)
+        frame_bytes, pixels, mask, images, points, markers = parts
+        return Labels.of(_image(frame_bytes, pixels), mask, images, points, names, markers)
 
     def volume(self) -> Optional[Ct]:
         """Returns a copy of the CT before any drilling; None if the scene has none."""

@@ -1,5 +1,5 @@
-//! Reads the label maps and meshes of a scene's `[[structure]]` into the scene, so that its copies in the
-//! session and in the log need no files.
+//! Reads the label maps and meshes of a scene's `[[structure]]` and `[[drr.object]]` into the scene, so that
+//! its copies in the session and in the log need no files.
 
 use std::path::Path;
 
@@ -16,8 +16,8 @@ use volume_io::{Label, ReadOptions};
 /// Bytes at the start of a mesh file in which 3D Slicer states the patient frame.
 const HEAD_BYTES: usize = 1024;
 
-/// Reads the files of a scene's structures, except those whose content the scene already holds; `file` is the
-/// scene's, for errors.
+/// Reads the files of a scene's structures and X-ray objects, except those whose content the scene already
+/// holds; `file` is the scene's, for errors.
 ///
 /// # Errors
 /// [`SceneError::Invalid`] for the first file that is refused.
@@ -30,9 +30,14 @@ pub fn put_in(scene: &mut Scene, file: &Path) -> Result<(), SceneError> {
             label.voxels = Some(voxels(label).map_err(|problem| refuse((key("label"), problem)))?);
         }
         if let Some(mesh) = structure.mesh.as_mut().filter(|mesh| mesh.surface.is_none()) {
-            mesh.surface = Some(surface(mesh).map_err(|problem| {
-                refuse((key("mesh"), format!("names {}, which {problem}", foreign_path(&mesh.file))))
-            })?);
+            mesh.surface = Some(surface(mesh, None).map_err(|problem| refuse((key("mesh"), problem)))?);
+        }
+    }
+    for object in scene.drr.iter_mut().flat_map(|drr| &mut drr.object) {
+        if let Some(mesh) = object.mesh.as_mut().filter(|mesh| mesh.surface.is_none()) {
+            let key = format!("drr.object `{}`.mesh", object.name);
+            let read = surface(mesh, Some(PatientFrame::Lps));
+            mesh.surface = Some(read.map_err(|problem| refuse((key, problem)))?);
         }
     }
     scene.check_structure_content().map_err(refuse)
@@ -67,19 +72,23 @@ fn voxels(of: &StructureLabel) -> Result<StructureVoxels, String> {
     Ok(StructureVoxels::pack(dims, grid.spacing_m().map(|x| x * 1e3), origin_mm, grid.axes(), is_inside))
 }
 
-/// Reads a closed mesh.
-fn surface(of: &StructureMesh) -> Result<StructureSurface, String> {
+/// Reads a closed mesh. `unstated` is the frame of a file that states none.
+fn surface(of: &StructureMesh, unstated: Option<PatientFrame>) -> Result<StructureSurface, String> {
+    read_surface(of, unstated).map_err(|problem| format!("names {}, which {problem}", foreign_path(&of.file)))
+}
+
+fn read_surface(of: &StructureMesh, unstated: Option<PatientFrame>) -> Result<StructureSurface, String> {
     let format = MeshFormat::of(&of.file).ok_or("is not an STL or OBJ file")?;
     let content = text_file::read_bytes(&of.file, MAX_MESH_BYTES)
         .map_err(|cause| format!("cannot be read ({cause})"))?;
     let frame = match (of.frame, stated_frame(&content)) {
-        (None, None) => {
+        (None, None) if unstated.is_none() => {
             return Err("does not state its patient frame; set `frame` to \"lps\" or \"ras\"".to_owned());
         }
         (Some(given), Some(stated)) if given != stated => {
             return Err(format!("states {stated:?}, but `frame` is {given:?}; remove `frame`"));
         }
-        (given, stated) => given.or(stated),
+        (given, stated) => given.or(stated).or(unstated),
     };
     let mut triangles =
         triangles(&content, format, MAX_STRUCTURE_TRIANGLES).map_err(|cause| cause.to_string())?;
@@ -203,6 +212,35 @@ mod tests {
             let refused = place.load(shape).unwrap_err();
             assert!(refused.contains("structure `nerve`.mesh") && refused.contains(problem), "{refused}");
         }
+    }
+
+    #[test]
+    fn a_mesh_of_an_x_ray_object_is_taken_as_it_is_unless_its_file_states_a_frame() {
+        let files: [(&str, &[u8]); 3] = [
+            ("ras.obj", &tetrahedron("# 3D Slicer output. SPACE=RAS", 4)),
+            ("bare.obj", &tetrahedron("# from elsewhere", 4)),
+            ("open.obj", &tetrahedron("# from elsewhere", 3)),
+        ];
+        let place = Place::with(&files);
+        let load = |name: &str| {
+            place.load(&format!(
+                "ball = {{ centre_mm = [0.0, 0.0, 0.0], radius_mm = 1.0 }}\n[volume]\nphantom = \"block\"\n[drr]\n\
+                 rate_hz = 0.0\nisocentre_mm = [0.0, 0.0, 0.0]\ncolumns = 16\nrows = 16\npixel_pitch_mm = 1.0\n\
+                 [[drr.object]]\nname = \"screw\"\nmaterial = \"titanium\"\nmesh = {{ file = \"{name}\" }}"
+            ))
+        };
+        for (name, far) in [("ras.obj", [0.0, 0.0, 30.0]), ("bare.obj", [10.0, 20.0, 30.0])] {
+            let scene = load(name).unwrap();
+            let mesh = scene.drr.as_ref().unwrap().object[0].mesh.as_ref().unwrap();
+            assert_eq!(mesh.surface.as_ref().unwrap().mesh().unwrap().bounds()[1], far, "{name}");
+            let copy = toml::to_string(&scene).unwrap();
+            assert_eq!(Scene::parse(&copy, Path::new("elsewhere/a.toml")).unwrap(), scene);
+        }
+        let refused = load("open.obj").unwrap_err();
+        assert!(
+            refused.contains("drr.object `screw`.mesh") && refused.contains("is not closed"),
+            "{refused}"
+        );
     }
 
     #[test]

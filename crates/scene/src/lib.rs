@@ -179,6 +179,11 @@ impl Scene {
         for mesh in self.arm.mesh.iter_mut().flatten() {
             mesh.file = absolute(folder.join(&mesh.file));
         }
+        for object in self.drr.iter_mut().flat_map(|drr| &mut drr.object) {
+            if let Some(mesh) = &mut object.mesh {
+                mesh.file = absolute(folder.join(&mesh.file));
+            }
+        }
         for structure in &mut self.structure {
             let label = structure.label.iter_mut().map(|label| &mut label.file);
             for file in label.chain(structure.mesh.iter_mut().map(|mesh| &mut mesh.file)) {

@@ -14,7 +14,10 @@ pub fn keys_without_effect(scene: &Scene) -> impl Iterator<Item = NoEffect> {
     let of_scene = vain(
         scene.drr.is_none(),
         "without `[drr]`",
-        [("arm.xray_density_g_per_cm3", scene.arm.xray_density_g_per_cm3.is_some())],
+        [
+            ("arm.xray_density_g_per_cm3", scene.arm.xray_density_g_per_cm3.is_some()),
+            ("body.material", scene.body.iter().any(|body| body.material.is_some())),
+        ],
     )
     .chain(vain(
         matches!(scene.arm.model, Some(ArmModel::Gantry | ArmModel::Fixed)),
@@ -97,6 +100,13 @@ fn of_drr(drr: &Drr) -> impl Iterator<Item = NoEffect> {
     let other_model = |scatter: Scatter| scatter.model != ScatterModel::MonteCarlo;
     let changed = |scatter: Scatter| scatter.photons != Scatter::default_photons();
     let photons = [("drr.scatter.photons", drr.scatter.is_some_and(changed))];
+    let grid = [("drr.grid", drr.grid.is_some())];
+    let has_scatter = drr.scatter.is_some_and(|scatter| scatter.model != ScatterModel::None);
+    let by_c_arm = by_c_arm.chain(vain(
+        !has_scatter && drr.photons_per_pixel == 0.0,
+        "without `[drr.scatter]` and without noise",
+        grid,
+    ));
     by_c_arm.chain(vain(drr.spectrum.is_some(), "together with `[drr.spectrum]`", energy)).chain(vain(
         drr.scatter.is_some_and(other_model),
         "without `model = \"monte_carlo\"`",

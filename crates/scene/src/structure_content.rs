@@ -1,5 +1,6 @@
-//! What the files of `[[structure]]` hold, as text in the scene: voxels as run lengths, surfaces as indexed
-//! triangles. The text may come from an untrusted log, so its sizes are checked before memory is allocated.
+//! What the files of `[[structure]]` and `[[drr.object]]` hold, as text in the scene: voxels as
+//! run lengths, surfaces as indexed triangles. The text may come from an untrusted log, so its sizes are
+//! checked before memory is allocated.
 
 use data_encoding::BASE64;
 
@@ -9,7 +10,7 @@ use crate::model::{FARTHEST_MM, Scene, Structure, StructureSurface, StructureVox
 
 /// Largest number of voxels of the distance fields of a scene's labels together, with the space around each.
 pub const MAX_STRUCTURE_VOXELS: usize = 1 << 26;
-/// Largest number of triangles of a scene's structures together.
+/// Largest number of triangles of a scene's structures and X-ray objects together.
 pub const MAX_STRUCTURE_TRIANGLES: usize = 100_000;
 /// Width of the space around a label, to every side, in which distances from it are exact.
 pub const FIELD_REACH_MM: f64 = 20.0;
@@ -129,13 +130,14 @@ impl StructureSurface {
 }
 
 impl Scene {
-    /// Checks what was read from the files of `[[structure]]`; as an error, the key and the problem.
+    /// Checks what was read from the files of `[[structure]]` and `[[drr.object]]`; as an error, the
+    /// key and the problem.
     ///
     /// # Errors
     /// Content is malformed, or there is too much of it.
     pub fn check_structure_content(&self) -> Result<(), (String, String)> {
-        let (mut voxels, mut triangles) = (0_usize, 0);
-        for Structure { name, label, mesh, .. } in &self.structure {
+        let mut voxels = 0_usize;
+        for Structure { name, label, .. } in &self.structure {
             if let Some(content) = label.as_ref().and_then(|label| label.voxels.as_ref()) {
                 let refuse = |problem: String| (format!("structure `{name}`.label"), problem);
                 voxels = content.field_voxels().unwrap_or(usize::MAX).saturating_add(voxels);
@@ -147,17 +149,22 @@ impl Scene {
                 }
                 content.is_inside().map_err(refuse)?;
             }
-            if let Some(surface) = mesh.as_ref().and_then(|mesh| mesh.surface.as_ref()) {
-                let refuse = |problem: String| (format!("structure `{name}`.mesh"), problem);
-                triangles += surface.triangle_count();
-                if triangles > MAX_STRUCTURE_TRIANGLES {
-                    return Err(refuse(format!(
-                        "has, with the meshes before it, {triangles} triangles; allowed: \
-                         {MAX_STRUCTURE_TRIANGLES}; use coarser meshes"
-                    )));
-                }
-                surface.mesh().map_err(refuse)?;
+        }
+        let structures = self.structure.iter().map(|it| ("structure", &it.name, it.mesh.as_ref()));
+        let objects = self.drr.iter().flat_map(|drr| &drr.object);
+        let objects = objects.map(|it| ("drr.object", &it.name, it.mesh.as_ref()));
+        let mut triangles = 0;
+        for (table, name, mesh) in structures.chain(objects) {
+            let Some(surface) = mesh.and_then(|mesh| mesh.surface.as_ref()) else { continue };
+            let refuse = |problem: String| (format!("{table} `{name}`.mesh"), problem);
+            triangles += surface.triangle_count();
+            if triangles > MAX_STRUCTURE_TRIANGLES {
+                return Err(refuse(format!(
+                    "has, with the meshes before it, {triangles} triangles; allowed: \
+                     {MAX_STRUCTURE_TRIANGLES}; use coarser meshes"
+                )));
             }
+            surface.mesh().map_err(refuse)?;
         }
         Ok(())
     }

@@ -5,10 +5,10 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use drr_proc::{ThisMachine, arm_model};
 use messages::{CArmGeometry, Restores, State, Tick};
-use xray::arm_model::ArmModel;
 use xray::frame::{Cache, Job, RenderedFrame, label_job, render_job, render_poses};
 use xray::from_scene::{renderer_parameters, scene_c_arm, scene_isocentre_m};
 use xray::message::c_arm_of;
+use xray::surroundings::Surroundings;
 use xray::{CArm, DetectorFormat, DrrError, DrrRenderer, Labels, PositionerAngles, VolumeView};
 
 use crate::error::SimError;
@@ -23,7 +23,7 @@ pub(crate) struct XRay {
     renderer: DrrRenderer,
     c_arm: CArm,
     predrilled: Vec<u32>,
-    arm: Option<Arc<ArmModel>>,
+    around: Arc<Surroundings>,
     /// Number of voxels of the simulation's list that are removed here; `None` if everything must be applied
     /// again.
     told: Option<usize>,
@@ -37,7 +37,7 @@ impl XRay {
             renderer: DrrRenderer::new(&volume(shared)?, parameters, &ThisMachine)?,
             c_arm: scene_c_arm(drr)?,
             predrilled: predrilled.to_vec(),
-            arm: arm_model(&shared.scene().arm)?,
+            around: Arc::new(Surroundings::new(shared.scene(), arm_model(&shared.scene().arm)?)?),
             told: None,
         })
     }
@@ -169,7 +169,7 @@ impl XRay {
             noise_seed: scene.run.seed,
             radii: scene.manipulator.radii(),
             holder: scene.arm.holder(),
-            arm: self.arm.clone(),
+            around: Arc::clone(&self.around),
             notch: scene.drr.as_ref().and_then(|drr| drr.notch),
         })
     }

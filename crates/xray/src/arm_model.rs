@@ -6,6 +6,7 @@ use messages::State;
 use scene::closed_mesh::ClosedMesh;
 use scene::{Arm, ArmMesh};
 
+use crate::attenuation::Material;
 use crate::placement::Placement;
 use crate::solids::PlacedSolids;
 use crate::vector::{Vec3, norm, scale};
@@ -73,6 +74,7 @@ impl ArmModel {
         PlacedSolids {
             solids: Arc::clone(&self.solids),
             places: self.places.iter().map(place).collect(),
+            material: Material::Aluminium,
             density_g_per_cm3: self.density_g_per_cm3,
         }
     }

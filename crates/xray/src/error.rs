@@ -75,6 +75,14 @@ pub enum DrrError {
         /// What is wrong and what is expected.
         reason: &'static str,
     },
+    /// An object of the scene cannot be shown.
+    #[error("drr.object `{name}`: its mesh {problem}")]
+    Object {
+        /// Name of the object.
+        name: String,
+        /// What is wrong.
+        problem: String,
+    },
     /// The reordered copy of the volume does not fit into free memory.
     #[error(
         "the reordered copy of the {} x {} x {} voxel volume needs {:.2} GiB ({bytes_each} B per voxel, plus \

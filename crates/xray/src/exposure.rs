@@ -1,17 +1,18 @@
-//! From line integrals to pixels: tool and arm, Beer-Lambert, noise, blur, readout and display, in two passes
-//! over the image.
+//! From line integrals to pixels: tool, arm and objects, Beer-Lambert, noise, blur, readout and display,
+//! in two passes over the image.
 //!
-//! Pass 1, row by row: tool and arm over anatomy, transmission, noise, blur along the row. Pass 2: blur along
-//! columns, readout, display. Disabled stages cost nothing; without blur the second pass does everything. The
-//! loops ([`crate::lane_math`]) compile to the CPU's vector instructions, with the same bits on every CPU.
+//! Pass 1, row by row: tool, arm and objects over anatomy, transmission, noise, blur along the row.
+//! Pass 2: blur along columns, readout, display. Disabled stages cost nothing; without blur the second pass
+//! does everything. The loops ([`crate::lane_math`]) compile to the CPU's vector instructions, with the same
+//! bits on every CPU.
 
 use std::sync::Arc;
 
 use pulp::Arch;
 use rayon::prelude::*;
 use scene::Display;
+use smallvec::SmallVec;
 
-use crate::attenuation::Material;
 use crate::carm::CArm;
 use crate::detector::{DetectorParameters, EXACT_POISSON_BELOW, FrameSeed, gaussian_weights, photon_number};
 use crate::display::{DisplayParameters, Scale, WindowLimits};
@@ -21,12 +22,12 @@ use crate::exposure_loops::{
 };
 use crate::lane_math;
 use crate::scatter::ScatterImage;
-use crate::solids::SolidLayer;
+use crate::solids::{SolidRow, Solids};
 use crate::spectrum::SpectrumTable;
 use crate::tool_layer::{PlacedTool, ToolCell, ToolMaterials};
 use counter_random::Key;
 
-/// Pixels processed at once; several such buffers fit into the L1 cache.
+/// Pixels processed at once: a bit each in a `u64`. Several such buffers fit into the L1 cache.
 pub(crate) const CHUNK: usize = 64;
 
 /// Every how many pixels the window of a frame with scatter is sampled, along each axis.
@@ -74,13 +75,11 @@ pub struct Anatomy<'a> {
     pub(crate) scatter: Option<&'a ScatterImage>,
 }
 
-/// The tool and arm of a frame: everything but the anatomy.
+/// The tool, the arm and the objects of a frame: everything but the anatomy.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Metal<'a> {
     pub(crate) tool: &'a PlacedTool,
-    pub(crate) arm: &'a SolidLayer,
-    /// Attenuation of aluminium at the frame's energy.
-    pub(crate) aluminium_per_m: f64,
+    pub(crate) solids: &'a Solids,
 }
 
 /// Detector, display and their workspace.
@@ -306,27 +305,26 @@ impl Exposure {
         if let Some(table) = &self.spectrum {
             let bone = &frame.anatomy.bone_m[start..start + count];
             self.arch.dispatch(Tabulate { table, tissue_m: &mut values[..count], bone_m: bone });
-            let mut arm_m = [0.0; CHUNK];
-            if let Some(lengths_m) = frame.metal.arm.row(row, from, count) {
-                arm_m[..count].copy_from_slice(lengths_m);
-            }
-            let (total, aluminium) = (&frame.anatomy.total[start..], Material::Aluminium.index());
+            let solids: SmallVec<[SolidRow<'_>; 4]> = frame.metal.solids.rows(row, from, count).collect();
+            let total = &frame.anatomy.total[start..];
+            // A bit for each pixel of the chunk that the tool covers.
+            let mut covered = 0_u64;
             frame.metal.tool.over_row(row, from, count, |i, cell, materials| {
                 let Some(mut materials) = materials.copied() else { return };
-                materials.lengths_m[aluminium] += core::mem::take(&mut arm_m[i]);
+                covered |= 1 << i;
+                solids.iter().for_each(|solid| materials.lengths_m[solid.material] += solid.lengths_m[i]);
                 values[i] = table.attenuation_with_tool(total[i], bone[i], cell, &materials);
             });
-            // Pixels that the tool does not cover.
-            for i in (0..count).filter(|i| arm_m[*i] > 0.0) {
+            let is_seen = |i: &usize| solids.iter().any(|solid| solid.lengths_m[*i] > 0.0);
+            for i in (0..count).filter(|i| covered >> i & 1 == 0).filter(is_seen) {
                 let mut materials = ToolMaterials::default();
-                materials.lengths_m[aluminium] = arm_m[i];
+                solids.iter().for_each(|solid| materials.lengths_m[solid.material] += solid.lengths_m[i]);
                 values[i] = table.attenuation_with_tool(total[i], bone[i], &ToolCell::default(), &materials);
             }
         } else {
             frame.metal.tool.over_row(row, from, count, |i, cell, _| values[i] = cell.over(values[i]));
-            if let Some(lengths_m) = frame.metal.arm.row(row, from, count) {
-                let arm = lengths_m.iter().map(|length_m| length_m * frame.metal.aluminium_per_m);
-                values.iter_mut().zip(arm).for_each(|(value, arm)| *value += arm);
+            for SolidRow { mu_per_m, lengths_m, .. } in frame.metal.solids.rows(row, from, count) {
+                values.iter_mut().zip(lengths_m).for_each(|(value, length_m)| *value += length_m * mu_per_m);
             }
         }
     }

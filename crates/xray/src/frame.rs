@@ -7,8 +7,8 @@ use scene::{Holder, Notch as SceneNotch, ToolRadii};
 use xxhash_rust::xxh3::xxh3_128;
 use zerocopy::IntoBytes;
 
-use crate::arm_model::ArmModel;
 use crate::message::{c_arm_message, projection_message};
+use crate::surroundings::Surroundings;
 use crate::tool_model::{points_of, tool_of};
 use crate::{
     CArm, DrrError, DrrRenderer, FrameReport, FrameSeed, LabelRequest, Labels, Output, RenderKind, Shot,
@@ -51,8 +51,8 @@ pub struct Job {
     pub holder: Holder,
     /// Notches of the links.
     pub notch: Option<SceneNotch>,
-    /// The arm, if frames show it.
-    pub arm: Option<Arc<ArmModel>>,
+    /// The arm and the objects that frames show.
+    pub around: Arc<Surroundings>,
 }
 
 /// A finished frame.
@@ -90,7 +90,7 @@ pub fn render_job(
     job: &Job,
 ) -> Result<RenderedFrame, DrrError> {
     take_removals(renderer, view, job)?;
-    let tool = tool_and_arm(job);
+    let tool = tool_and_surroundings(job);
     let seed = FrameSeed { seed: job.noise_seed, frame: job.state.tick };
     let mut pixels = vec![0_u16; job.c_arm.pixels()];
     let report = match job.cache {
@@ -113,7 +113,7 @@ pub fn render_poses(
     c_arms: &[CArm],
 ) -> Result<Vec<RenderedFrame>, DrrError> {
     take_removals(renderer, view, job)?;
-    let tool = tool_and_arm(job);
+    let tool = tool_and_surroundings(job);
     let seed = FrameSeed { seed: job.noise_seed, frame: job.state.tick };
     let mut images: Vec<Vec<u16>> = c_arms.iter().map(|c_arm| vec![0; c_arm.pixels()]).collect();
     let shot = |(c_arm, image)| Shot { c_arm, tool: &tool, seed, output: Output::Mono16(image) };
@@ -163,17 +163,19 @@ pub fn label_job(
     bone_from_hu: i16,
 ) -> Result<Labels, DrrError> {
     take_removals(renderer, view, job)?;
-    let tool = tool_and_arm(job);
+    let tool = tool_and_surroundings(job);
     // The burr's parts are the tool's last ones.
     let burr = tool.parts.len().saturating_sub(job.radii.cutter.balls().len());
     let points_m = points_of(&job.state);
-    let request = LabelRequest { tool: &tool, burr, points_m: &points_m, bone_from_hu };
+    let markers = job.around.markers_m(&job.state);
+    let request = LabelRequest { tool: &tool, burr, points_m: &points_m, markers: &markers, bone_from_hu };
     renderer.labels(view, &job.c_arm, &request)
 }
 
-fn tool_and_arm(job: &Job) -> Tool {
-    let arm = job.arm.as_ref().map(|arm| arm.placed(&job.state));
-    Tool { arm, ..tool_of(&job.state, &job.radii, &job.holder, job.notch.as_ref()) }
+fn tool_and_surroundings(job: &Job) -> Tool {
+    let mut tool = tool_of(&job.state, &job.radii, &job.holder, job.notch.as_ref());
+    job.around.put_around(&job.state, &mut tool);
+    tool
 }
 
 fn take_removals(renderer: &mut DrrRenderer, view: &VolumeView<'_>, job: &Job) -> Result<(), DrrError> {

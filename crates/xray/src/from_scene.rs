@@ -43,6 +43,7 @@ pub fn renderer_parameters(drr: &Drr, tolerance: Option<&Tolerance>) -> DrrParam
         energy_kev: drr.energy_kev,
         spectrum: drr.spectrum,
         scatter: drr.scatter,
+        grid: drr.grid,
         threads: drr.threads,
         detector: DetectorParameters {
             photons_per_pixel: if drr.photons_per_pixel > 0.0 { drr.photons_per_pixel } else { 1.0e5 },

@@ -20,13 +20,15 @@ pub enum Class {
     Burr,
     /// The ray crosses drilled voxels, including those drilled before the start.
     Tunnel,
+    /// The ray crosses an object beside the tool: a wire, a screw, a marker, a rigid body.
+    Object,
 }
 
 impl Class {
     /// All classes in order of their bits.
-    pub const ALL: [Self; 4] = [Self::Bone, Self::Tool, Self::Burr, Self::Tunnel];
+    pub const ALL: [Self; 5] = [Self::Bone, Self::Tool, Self::Burr, Self::Tunnel, Self::Object];
 
-    /// The class's bit in [`Labels::mask`]: 1, 2, 4, 8.
+    /// The class's bit in [`Labels::mask`]: 1, 2, 4, 8, 16.
     pub fn bit(self) -> u8 {
         1 << self as u8
     }
@@ -38,6 +40,7 @@ impl Class {
             Self::Tool => "tool",
             Self::Burr => "burr",
             Self::Tunnel => "tunnel",
+            Self::Object => "object",
         }
     }
 }
@@ -51,6 +54,8 @@ pub struct LabelRequest<'a> {
     pub burr: usize,
     /// World points to project into the image: base, joints from base to tip, burr.
     pub points_m: &'a [[f64; 3]],
+    /// Markers to project into the image: names and world positions of their centres.
+    pub markers: &'a [(String, [f64; 3])],
     /// Voxels at or above this are bone.
     pub bone_from_hu: i16,
 }
@@ -64,11 +69,11 @@ pub struct Labels {
     pub rows: u32,
     /// Class bits of each pixel, [`Class::bit`].
     pub mask: Vec<u8>,
-    /// Attenuation (-ln of the transmission) of the anatomy, excluding what the tool displaces. Adding
+    /// Attenuation (-ln of the transmission) of the anatomy, excluding what tool and objects displace. Adding
     /// `metal` gives the frame's attenuation before noise and blur, by Siddon's projector.
     pub anatomy: Vec<f32>,
-    /// Attenuation added by the metal of the tool, and of the arm if frames show it. For a single photon
-    /// energy this is the line integral through the metal; a spectrum is hardened by the anatomy.
+    /// Attenuation added by the metal of the tool, by objects, and by the arm if frames show it. For a single
+    /// photon energy this is the line integral through the metal; a spectrum is hardened by the anatomy.
     pub metal: Vec<f32>,
     /// Length of the ray in bone, m; bone that the tool displaces is included.
     pub bone_m: Vec<f32>,
@@ -81,6 +86,19 @@ pub struct Labels {
     pub bone_depth_m: Vec<f32>,
     /// The points of the request.
     pub keypoints: Vec<Keypoint>,
+    /// The markers of the request.
+    pub markers: Vec<Marker>,
+}
+
+/// The centre of a marker ball in the image.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Marker {
+    /// Name: that of the object, with a number if the object has several balls.
+    pub name: String,
+    /// Centre in the world.
+    pub centre_m: [f64; 3],
+    /// The centre's projection; overlapped where the ray to it also crosses metal of the tool.
+    pub point: Keypoint,
 }
 
 impl Labels {
@@ -142,26 +160,50 @@ pub(crate) fn keypoints(
     let bears = |part: &&ToolPart| points_m.iter().any(|point| is_end(part, *point));
     let width_m = tool.parts.iter().filter(bears).map(half_width_m).fold(0.0, f64::max) * 2.0;
     let at = |&point_m: &Vec3| {
-        let Some(seen) = c_arm.project(point_m) else {
-            let (column, row, depth_m) = (f64::NAN, f64::NAN, f64::NAN);
-            return Keypoint { column, row, depth_m, visibility: Visibility::Outside };
-        };
-        let within = |x: f64, pixels: u32| x >= -0.5 && x < f64::from(pixels) - 0.5;
-        let inside = within(seen.column, c_arm.columns)
-            && within(seen.row, c_arm.rows)
-            && seen.depth_m <= c_arm.sight().1;
-        let ray = WorldRay::between(c_arm.source_m, c_arm.pixel_m(seen.column, seen.row));
-        let is_over = |(part, prepared): (&ToolPart, &PreparedPart)| {
-            is_another(part, point_m, width_m) && prepared.cross(&ray).is_some_and(|c| c.metal_m > 0.0)
-        };
-        let visibility = match inside {
-            false => Visibility::Outside,
-            true if tool.parts.iter().zip(parts).any(is_over) => Visibility::Overlapped,
-            true => Visibility::Alone,
-        };
-        Keypoint { column: seen.column, row: seen.row, depth_m: seen.depth_m, visibility }
+        seen(c_arm, tool, parts, point_m, &|part: &ToolPart| is_another(part, point_m, width_m))
     };
     points_m.iter().map(at).collect()
+}
+
+/// Projects the centres of markers into the image.
+pub(crate) fn markers(
+    c_arm: &CArm,
+    tool: &Tool,
+    parts: &[PreparedPart],
+    markers: &[(String, Vec3)],
+) -> Vec<Marker> {
+    let at = |(name, centre_m): &(String, Vec3)| {
+        let point = seen(c_arm, tool, parts, *centre_m, &|_: &ToolPart| true);
+        Marker { name: name.clone(), centre_m: *centre_m, point }
+    };
+    markers.iter().map(at).collect()
+}
+
+/// Projects a point, which parts of the tool for which `counts` holds can overlap.
+fn seen(
+    c_arm: &CArm,
+    tool: &Tool,
+    parts: &[PreparedPart],
+    point_m: Vec3,
+    counts: &dyn Fn(&ToolPart) -> bool,
+) -> Keypoint {
+    let Some(seen) = c_arm.project(point_m) else {
+        let (column, row, depth_m) = (f64::NAN, f64::NAN, f64::NAN);
+        return Keypoint { column, row, depth_m, visibility: Visibility::Outside };
+    };
+    let within = |x: f64, pixels: u32| x >= -0.5 && x < f64::from(pixels) - 0.5;
+    let inside =
+        within(seen.column, c_arm.columns) && within(seen.row, c_arm.rows) && seen.depth_m <= c_arm.sight().1;
+    let ray = WorldRay::between(c_arm.source_m, c_arm.pixel_m(seen.column, seen.row));
+    let is_over = |(part, prepared): (&ToolPart, &PreparedPart)| {
+        counts(part) && prepared.cross(&ray).is_some_and(|c| c.metal_m > 0.0)
+    };
+    let visibility = match inside {
+        false => Visibility::Outside,
+        true if tool.parts.iter().zip(parts).any(is_over) => Visibility::Overlapped,
+        true => Visibility::Alone,
+    };
+    Keypoint { column: seen.column, row: seen.row, depth_m: seen.depth_m, visibility }
 }
 
 /// Returns true if the part counts as different from the one that the point lies on.
@@ -179,10 +221,10 @@ fn is_end(part: &ToolPart, point_m: Vec3) -> bool {
     axis_ends_m(part).is_some_and(|ends_m| ends_m.iter().any(|end_m| norm(sub(*end_m, point_m)) < 1e-9))
 }
 
-/// The ends of a part's axis; `None` for a ball.
+/// The ends of a part's axis; `None` for a ball or a cuboid.
 fn axis_ends_m(part: &ToolPart) -> Option<[Vec3; 2]> {
     match *part {
-        ToolPart::Sphere { .. } => None,
+        ToolPart::Sphere { .. } | ToolPart::Cuboid { .. } => None,
         ToolPart::SphereZone { centre_m, axis, along_m, .. } => {
             Some(along_m.map(|at_m| add_scaled(centre_m, at_m, axis)))
         }
@@ -195,7 +237,7 @@ fn axis_ends_m(part: &ToolPart) -> Option<[Vec3; 2]> {
 /// Half the width of a part with an axis.
 fn half_width_m(part: &ToolPart) -> f64 {
     match *part {
-        ToolPart::Sphere { .. } => 0.0,
+        ToolPart::Sphere { .. } | ToolPart::Cuboid { .. } => 0.0,
         ToolPart::SphereZone { radius_m, .. } => radius_m,
         ToolPart::Tube { outer_radius_m, .. } => outer_radius_m,
         ToolPart::Cone { start_radius_m, end_radius_m, .. } => start_radius_m.max(end_radius_m),

@@ -7,8 +7,8 @@
 //! 1. Anatomy: the line integral of attenuation along the ray to each pixel centre, by [`slice_ordered`],
 //!    [`joseph`] or [`siddon`]. It is cached while the C-arm is stationary; after [`DrrRenderer::remove`]
 //!    only the pixels that see a removed voxel are recomputed.
-//! 2. Tool: closed-form chords of its parts ([`ToolPart`]); anatomy inside the union of their envelopes is
-//!    subtracted.
+//! 2. Tool and objects: closed-form chords of their parts ([`ToolPart`]); anatomy inside the union of their
+//!    envelopes is subtracted. [`surroundings`]: the arm, the scene's objects and bodies.
 //! 3. Detector ([`DetectorParameters`]): Beer-Lambert, [`scatter`], seeded quantum noise, blur. Then the
 //!    monitor image ([`DisplayParameters`]), as mono16.
 //!
@@ -94,6 +94,7 @@ pub mod siddon;
 pub mod slice_ordered;
 mod solids;
 mod spectrum;
+pub mod surroundings;
 mod tool;
 mod tool_layer;
 pub mod tool_model;
@@ -108,10 +109,10 @@ pub use display::{DisplayParameters, Scale, Window, WindowLimits, window_limits}
 pub use error::DrrError;
 pub use exposure::Output;
 pub use grid::{Grid, VolumeView};
-pub use labels::{Class, Keypoint, LabelRequest, Labels, Visibility, keypoint_name};
+pub use labels::{Class, Keypoint, LabelRequest, Labels, Marker, Visibility, keypoint_name};
 pub use machine::{Machine, Memory};
 pub use renderer::{DrrParameters, DrrRenderer, FrameReport, Projector, RenderKind, Shot};
-pub use scene::{Display, PixelCentre, Scatter, ScatterModel, Spectrum};
+pub use scene::{AntiScatterGrid, Display, PixelCentre, Scatter, ScatterModel, Spectrum};
 pub use solids::PlacedSolids;
 pub use spectrum::{SpectrumTable, weights};
-pub use tool::{Crossing, Notch, PreparedPart, Tool, ToolPart, join_intervals};
+pub use tool::{Crossing, Notch, PlacedObjects, PreparedPart, Tool, ToolPart, join_intervals};

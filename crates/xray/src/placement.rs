@@ -3,7 +3,7 @@
 
 use messages::Pose;
 
-use crate::vector::{Vec3, add_scaled, cross, dot, scale, sub};
+use crate::vector::{Vec3, add_scaled, cross, dot, norm, scale, sub};
 
 /// Pose of a frame in a parent frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -28,6 +28,26 @@ impl Placement {
     pub(crate) fn of_roll_pitch_yaw(position_m: Vec3, [roll, pitch, yaw]: [f64; 3]) -> Self {
         let [x, y, z] = Self::IDENTITY.axes;
         Self { origin_m: position_m, ..Self::IDENTITY }.turned(z, yaw).turned(y, pitch).turned(x, roll)
+    }
+
+    /// Converts a position and a rotation vector (axis times angle, deg).
+    pub(crate) fn of_rotation_vector(position_m: Vec3, rotation_vector_deg: Vec3) -> Self {
+        let at = Self { origin_m: position_m, ..Self::IDENTITY };
+        let angle_deg = norm(rotation_vector_deg);
+        if angle_deg == 0.0 {
+            return at;
+        }
+        at.turned(scale(rotation_vector_deg, 1.0 / angle_deg), angle_deg.to_radians())
+    }
+
+    /// The frame of these perpendicular unit axes and this origin.
+    pub(crate) fn of_axes(axes: [Vec3; 3], origin_m: Vec3) -> Self {
+        Self { axes, origin_m }
+    }
+
+    /// The frame's axes in the parent frame.
+    pub(crate) fn axes(&self) -> [Vec3; 3] {
+        self.axes
     }
 
     /// Transforms a point to the parent frame.

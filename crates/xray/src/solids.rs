@@ -17,12 +17,13 @@ use messages::Pose;
 use rayon::prelude::*;
 use scene::closed_mesh::ClosedMesh;
 
-use crate::attenuation::ALUMINIUM_G_PER_CM3;
+use crate::attenuation::Material;
 use crate::buckets::sort_into_buckets;
 use crate::carm::{CArm, Pinhole};
 use crate::error::{DrrError, check_range};
 use crate::placement::Placement;
 use crate::ray::RayFan;
+use crate::tool::Tool;
 use crate::vector::{Vec3, add_scaled, cross, dot, scale, sub};
 
 /// Near clipping distance from the source's plane, m.
@@ -30,19 +31,21 @@ const NEAREST_M: f64 = 1e-6;
 /// Rows that one thread fills at a time.
 const BAND: usize = 8;
 
-/// Solids whose mass is aluminium spread evenly over the enclosed volume. Where two overlap, both attenuate.
+/// Solids whose mass is one material spread evenly over the enclosed volume. Where two overlap, both
+/// attenuate.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PlacedSolids {
     /// The solids, each in its own frame, m.
     pub(crate) solids: Arc<[ClosedMesh]>,
     /// World pose of each solid.
     pub(crate) places: Vec<Placement>,
+    pub(crate) material: Material,
     /// Mass per enclosed volume.
     pub(crate) density_g_per_cm3: f64,
 }
 
 impl PlacedSolids {
-    /// Creates placed solids from meshes in metres, their world poses and their density.
+    /// Creates placed solids of aluminium from meshes in metres, their world poses and their density.
     ///
     /// # Errors
     /// The number of poses differs from that of solids, the density is outside 0.001 to 2.7 g/cm³, a
@@ -66,13 +69,69 @@ impl PlacedSolids {
             check_range("squared size of a quaternion", size, 1.0 - 1e-6, 1.0 + 1e-6, "a unit quaternion")?;
         }
         let places = t_world_solid.iter().map(Placement::of_pose).collect();
-        Ok(Self { solids, places, density_g_per_cm3 })
+        Ok(Self { solids, places, material: Material::Aluminium, density_g_per_cm3 })
     }
 }
 
-/// Metres of solid aluminium on each ray of a C-arm. Reused from frame to frame.
+/// The arm and the meshes among the objects. Reused from frame to frame.
 #[derive(Debug, Default)]
-pub(crate) struct SolidLayer {
+pub(crate) struct Solids {
+    /// The arm's layer, then one for each material of the objects.
+    layers: Vec<SolidLayer>,
+}
+
+/// What one layer adds to a piece of a row.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct SolidRow<'a> {
+    /// [`Material::index`].
+    pub(crate) material: usize,
+    /// Attenuation of the material at the frame's energy.
+    pub(crate) mu_per_m: f64,
+    /// Metres of the material in each pixel.
+    pub(crate) lengths_m: &'a [f64],
+    pub(crate) is_object: bool,
+}
+
+impl Solids {
+    /// Computes the path lengths on the threads of the current pool.
+    ///
+    /// # Errors
+    /// The energy is outside the range of the attenuation tables.
+    pub(crate) fn draw(
+        &mut self,
+        tool: &Tool,
+        c_arm: &CArm,
+        fan: &RayFan,
+        energy_kev: f64,
+    ) -> Result<(), DrrError> {
+        let objects = &tool.objects.solids;
+        let of = |material: Material| objects.iter().filter(move |placed| placed.material == material);
+        let materials = || Material::ALL.into_iter().filter(|material| of(*material).next().is_some());
+        self.layers.resize_with(1 + materials().count(), SolidLayer::default);
+        self.layers[0].draw(Material::Aluminium, energy_kev, tool.arm.iter(), c_arm, fan)?;
+        for (layer, material) in self.layers[1..].iter_mut().zip(materials()) {
+            layer.draw(material, energy_kev, of(material), c_arm, fan)?;
+        }
+        Ok(())
+    }
+
+    /// The layers that are in view, in the pixels `from..from + count` of a row.
+    #[inline]
+    pub(crate) fn rows(&self, row: usize, from: usize, count: usize) -> impl Iterator<Item = SolidRow<'_>> {
+        self.layers.iter().enumerate().filter_map(move |(number, layer)| {
+            let lengths_m = layer.row(row, from, count)?;
+            let (material, mu_per_m) = (layer.material.index(), layer.mu_per_m);
+            Some(SolidRow { material, mu_per_m, lengths_m, is_object: number > 0 })
+        })
+    }
+}
+
+/// Metres of one solid material on each ray of a C-arm.
+#[derive(Debug)]
+struct SolidLayer {
+    material: Material,
+    /// Attenuation of the material at the frame's energy.
+    mu_per_m: f64,
     facets: Vec<Facet>,
     corners: Vec<Vec3>,
     /// Facet indices, sorted by band and otherwise in their original order.
@@ -81,7 +140,22 @@ pub(crate) struct SolidLayer {
     starts: Vec<usize>,
     columns: usize,
     /// Row-major; empty where no solid is in view.
-    aluminium_m: Vec<f64>,
+    lengths_m: Vec<f64>,
+}
+
+impl Default for SolidLayer {
+    fn default() -> Self {
+        Self {
+            material: Material::Aluminium,
+            mu_per_m: 0.0,
+            facets: Vec::new(),
+            corners: Vec::new(),
+            in_bands: Vec::new(),
+            starts: Vec::new(),
+            columns: 0,
+            lengths_m: Vec::new(),
+        }
+    }
 }
 
 /// A triangle in the image.
@@ -107,29 +181,39 @@ struct View {
 }
 
 impl SolidLayer {
-    /// Computes the path lengths on the threads of the current pool.
-    pub(crate) fn draw(&mut self, placed: Option<&PlacedSolids>, c_arm: &CArm, fan: &RayFan) {
+    /// Computes the path lengths in solids of equal material and density.
+    fn draw<'a>(
+        &mut self,
+        material: Material,
+        energy_kev: f64,
+        placed: impl Iterator<Item = &'a PlacedSolids> + Clone,
+        c_arm: &CArm,
+        fan: &RayFan,
+    ) -> Result<(), DrrError> {
         self.facets.clear();
-        self.aluminium_m.clear();
-        let Some(placed) = placed else { return };
+        self.lengths_m.clear();
+        let Some(first) = placed.clone().next() else { return Ok(()) };
+        (self.material, self.mu_per_m) = (material, material.mu_per_m(energy_kev)?);
         let pinhole = c_arm.pinhole();
         let [.., focal_m] = pinhole.seen(c_arm.detector_centre_m);
         let view = View { pinhole, columns: c_arm.columns, rows: c_arm.rows, focal_m };
-        for (solid, place) in placed.solids.iter().zip(&placed.places) {
-            self.add(solid, place, &view);
+        for placed in placed {
+            for (solid, place) in placed.solids.iter().zip(&placed.places) {
+                self.add(solid, place, &view);
+            }
         }
         if self.facets.is_empty() {
-            return;
+            return Ok(());
         }
         self.columns = view.columns as usize;
         self.sort_into_bands(view.rows as usize);
-        self.aluminium_m.resize(c_arm.pixels(), 0.0);
+        self.lengths_m.resize(c_arm.pixels(), 0.0);
         // Seen from the source, the image's winding is reversed if the axes and the normal are left-handed.
         let leaving = if pinhole.is_right_handed() { 1.0 } else { -1.0 };
-        let fraction = placed.density_g_per_cm3 / ALUMINIUM_G_PER_CM3;
-        let mut aluminium_m = core::mem::take(&mut self.aluminium_m);
+        let fraction = first.density_g_per_cm3 / material.density_g_per_cm3();
+        let mut lengths_m = core::mem::take(&mut self.lengths_m);
         let this: &Self = self;
-        aluminium_m.par_chunks_mut(BAND * this.columns).enumerate().for_each(|(band, lines)| {
+        lengths_m.par_chunks_mut(BAND * this.columns).enumerate().for_each(|(band, lines)| {
             let facets = &this.in_bands[this.starts[band]..this.starts[band + 1]];
             let rows = lines.chunks_mut(this.columns).zip((band * BAND) as u32..);
             for (line, row) in rows {
@@ -141,14 +225,15 @@ impl SolidLayer {
                 }
             }
         });
-        self.aluminium_m = aluminium_m;
+        self.lengths_m = lengths_m;
+        Ok(())
     }
 
-    /// Metres of aluminium in the pixels `from..from + count` of a row; `None` if no solid is in view.
+    /// Metres of the material in the pixels `from..from + count` of a row; `None` if no solid is in view.
     #[inline]
-    pub(crate) fn row(&self, row: usize, from: usize, count: usize) -> Option<&[f64]> {
+    fn row(&self, row: usize, from: usize, count: usize) -> Option<&[f64]> {
         let start = row * self.columns + from;
-        self.aluminium_m.get(start..start + count).filter(|values| !values.is_empty())
+        self.lengths_m.get(start..start + count).filter(|values| !values.is_empty())
     }
 
     /// Adds the facets of a solid, if it is in view.

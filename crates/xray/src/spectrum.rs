@@ -12,6 +12,7 @@
 //! those outside the table, sum over the energies.
 
 use scene::Spectrum;
+use smallvec::SmallVec;
 
 use crate::attenuation::{ALUMINIUM_G_PER_CM3, ENERGY_RANGE_KEV, Material, cortical_bone_hu};
 use crate::error::{DrrError, check_range};
@@ -137,11 +138,13 @@ impl SpectrumTable {
 
     /// The sum over energies, for metres of tissue, of bone and, by [`Material::index`], of other materials.
     pub fn exact(&self, tissue_m: f64, bone_m: f64, materials_m: &[f64; Material::COUNT]) -> f64 {
+        let there = materials_m.iter().enumerate().filter(|(_, length_m)| **length_m != 0.0);
+        let there: SmallVec<[(usize, f64); 4]> = there.map(|(index, length_m)| (index, *length_m)).collect();
         let mut sum = 0.0;
         for line in &self.lines {
             let mut depth = tissue_m * line.water + bone_m * line.bone;
-            for (length, mu) in materials_m.iter().zip(&line.materials) {
-                depth += length * mu;
+            for (index, length_m) in &there {
+                depth += length_m * line.materials[*index];
             }
             sum += line.weight * crate::lane_math::exp(-depth);
         }

@@ -69,7 +69,7 @@ pub fn tool_of(state: &State, radii: &ToolRadii, holder: &Holder, notch: Option<
             material,
         })),
     }
-    Tool { parts, arm: None }
+    Tool { parts, ..Tool::default() }
 }
 
 /// A straight piece between two joints.

@@ -11,6 +11,7 @@ mod ports;
 mod service;
 
 use std::path::Path;
+use std::sync::Arc;
 
 use delivery::x_ray::RemovalLoss;
 use ipc_types::arm_meshes::ArmMeshError;
@@ -23,6 +24,7 @@ use ipc_types::session::{Session, SessionError};
 use thiserror::Error;
 use xray::from_scene::{renderer_parameters, scene_c_arm};
 use xray::message::volume_view;
+use xray::surroundings::Surroundings;
 use xray::{DrrError, DrrRenderer};
 
 use crate::machine::ThisMachine;
@@ -70,7 +72,7 @@ pub fn run(session_folder: &Path) -> Result<(), DrrProcessError> {
     let end = EndRequest::install().map_err(DrrProcessError::Signals)?;
     let scene = session_scene(session_folder)?;
     let drr = scene.drr.clone().ok_or(DrrProcessError::NoDrr)?;
-    let arm = crate::arm_model(&scene.arm)?;
+    let around = Arc::new(Surroundings::new(&scene, crate::arm_model(&scene.arm)?)?);
     // Frames can wait, ticks cannot.
     prioritise(Role::Drr, scene.run.policy);
     let session = Session::join(session_folder)?;
@@ -82,5 +84,5 @@ pub fn run(session_folder: &Path) -> Result<(), DrrProcessError> {
     let mut renderer = DrrRenderer::new(&view, parameters, &ThisMachine)?;
     let c_arm = scene_c_arm(&drr)?;
     renderer.prepare(&view, &c_arm)?;
-    service::serve(&scene, ports, &view, renderer, &c_arm, arm, &end)
+    service::serve(&scene, ports, &view, renderer, &c_arm, around, &end)
 }

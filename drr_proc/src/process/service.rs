@@ -16,10 +16,10 @@ use ipc_types::messages::{
 use ipc_types::ports::PortError;
 use ipc_types::process::EndRequest;
 use ipc_types::scene::{Holder, Notch, Scene, ToolRadii};
-use xray::arm_model::ArmModel;
 use xray::frame::{Cache, Job, RenderedFrame, render_job};
 use xray::from_scene::scene_isocentre_m;
 use xray::message::{c_arm_message, c_arm_of};
+use xray::surroundings::Surroundings;
 use xray::{CArm, DrrError, DrrRenderer, VolumeView};
 use zerocopy::FromBytes;
 
@@ -52,7 +52,7 @@ pub(super) fn serve(
     view: &VolumeView<'_>,
     mut renderer: DrrRenderer,
     c_arm: &CArm,
-    arm: Option<Arc<ArmModel>>,
+    around: Arc<Surroundings>,
     end: &EndRequest,
 ) -> Result<(), DrrProcessError> {
     let (jobs, job_queue) = sync_channel::<Job>(QUEUE);
@@ -71,7 +71,7 @@ pub(super) fn serve(
         };
         let thread = std::thread::Builder::new().name("render".to_owned());
         thread.spawn_scoped(scope, render).map_err(DrrProcessError::Worker)?;
-        Service::new(scene, ports, *c_arm, arm, jobs, outcome_queue).run(end)
+        Service::new(scene, ports, *c_arm, around, jobs, outcome_queue).run(end)
     })
 }
 
@@ -84,7 +84,7 @@ struct Service {
     noise_seed: u64,
     radii: ToolRadii,
     holder: Holder,
-    arm: Option<Arc<ArmModel>>,
+    around: Arc<Surroundings>,
     jobs: SyncSender<Job>,
     outcomes: Receiver<Outcome>,
     in_flight: usize,
@@ -109,7 +109,7 @@ impl Service {
         scene: &Scene,
         ports: Ports,
         c_arm: CArm,
-        arm: Option<Arc<ArmModel>>,
+        around: Arc<Surroundings>,
         jobs: SyncSender<Job>,
         outcomes: Receiver<Outcome>,
     ) -> Service {
@@ -122,7 +122,7 @@ impl Service {
             noise_seed: scene.run.seed,
             radii: scene.manipulator.radii(),
             holder: scene.arm.holder(),
-            arm,
+            around,
             jobs,
             outcomes,
             in_flight: 0,
@@ -366,7 +366,7 @@ impl Service {
             noise_seed: self.noise_seed,
             radii: self.radii,
             holder: self.holder,
-            arm: self.arm.clone(),
+            around: Arc::clone(&self.around),
         })
     }
 

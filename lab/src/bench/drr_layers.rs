@@ -55,7 +55,7 @@ fn tool(ends: Ends) -> Tool {
     let start_m = [end_m[0], end_m[1], end_m[2] - 0.12];
     parts.push(ToolPart::tube(start_m, end_m, [outer_radius_m, 2e-3], material));
     parts.push(ToolPart::Sphere { centre_m: on_arc(LINKS), radius_m: 3e-3, material: Material::Steel316L });
-    Tool { parts, arm: None }
+    Tool { parts, ..Tool::default() }
 }
 
 /// Renders frames from a stationary C-arm with cached anatomy: alone, with the tool, with noise, and with a
@@ -117,7 +117,13 @@ fn labels(view: &VolumeView<'_>, rounds: usize, sheet: &mut Sheet) -> Result<(),
     let parameters = DrrParameters { projector: Projector::Siddon, threads: 1, ..DrrParameters::default() };
     let mut renderer = DrrRenderer::new(view, parameters, &ThisMachine).map_err(failed)?;
     let tool = tool(Ends::Mitred);
-    let request = LabelRequest { tool: &tool, burr: tool.parts.len() - 1, points_m: &[], bone_from_hu: 300 };
+    let request = LabelRequest {
+        tool: &tool,
+        burr: tool.parts.len() - 1,
+        points_m: &[],
+        markers: &[],
+        bone_from_hu: 300,
+    };
     let mut image = vec![0; c_arm.pixels()];
     let (mut frames, mut labels) = (Times::default(), Times::default());
     for _ in 0..rounds {

@@ -215,7 +215,7 @@ impl<'v> XRay<'v> {
             noise_seed: self.noise_seed,
             radii: self.radii,
             holder: self.holder,
-            arm: None,
+            around: Default::default(),
         };
         let began = Instant::now();
         let rendered = render_job(&mut self.renderer, &self.view, &job).map_err(failed)?;

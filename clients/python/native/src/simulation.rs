@@ -315,7 +315,8 @@ impl Sim {
     }
 
     /// `render`, followed by the labels: the mask, six float32 images concatenated in the order of
-    /// `xray::Labels`, and column, row, depth and visibility of each keypoint as float64.
+    /// `xray::Labels`, column, row, depth and visibility of each keypoint as float64, and column, row, depth
+    /// and world position of each marker; then the markers' names.
     #[pyo3(signature = (geometry, angles_deg, bone_from_hu))]
     fn labels<'py>(
         &self,
@@ -323,7 +324,7 @@ impl Sim {
         geometry: Option<&[u8]>,
         angles_deg: Option<(f64, f64)>,
         bone_from_hu: Option<i16>,
-    ) -> PyResult<[Bound<'py, PyBytes>; 5]> {
+    ) -> PyResult<([Bound<'py, PyBytes>; 6], Vec<String>)> {
         let view = view_of(py, geometry, angles_deg)?;
         let (rendered, labels) = self.with(py, move |sim| sim.labels(view, bone_from_hu))?;
         let images = [
@@ -339,13 +340,20 @@ impl Sim {
             .iter()
             .map(|point| [point.column, point.row, point.depth_m, f64::from(point.visibility.code())]);
         let places: Vec<[f64; 4]> = places.collect();
-        Ok([
+        let centres = labels.markers.iter().map(|marker| {
+            let ([x, y, z], point) = (marker.centre_m, &marker.point);
+            [point.column, point.row, point.depth_m, x, y, z]
+        });
+        let centres: Vec<[f64; 6]> = centres.collect();
+        let parts = [
             PyBytes::new(py, rendered.frame.as_bytes()),
             PyBytes::new(py, rendered.pixels.as_bytes()),
             PyBytes::new(py, &labels.mask),
             PyBytes::new(py, images.concat().as_bytes()),
             PyBytes::new(py, places.as_bytes()),
-        ])
+            PyBytes::new(py, centres.as_bytes()),
+        ];
+        Ok((parts, labels.markers.into_iter().map(|marker| marker.name).collect()))
     }
 
     fn record(&self, py: Python<'_>, folder: PathBuf) -> PyResult<()> {

@@ -11,8 +11,8 @@ use std::path::Path;
 use crate::declaration::{Range, SCENE};
 use crate::error::SceneError;
 use crate::model::{
-    Body, BuiltInStructure, CArm, CutterShape, DrillingLaw, Drr, FARTHEST_MM, ManipulatorRung, Scene,
-    Structure, StructureAction, StructureRole, Tool, Volume,
+    Body, BuiltInStructure, CArm, CutterShape, DrillingLaw, Drr, DrrObject, FARTHEST_MM, ManipulatorRung,
+    ObjectCylinder, Scene, Structure, StructureAction, StructureRole, Tool, Volume,
 };
 use crate::ranges;
 
@@ -265,7 +265,37 @@ fn check_drr(drr: &Drr, checker: &Checker) -> Result<(), SceneError> {
     if drr.photons_per_pixel > 0.0 {
         checker.at_least("drr.photons_per_pixel", drr.photons_per_pixel, 1.0)?;
     }
+    for (index, object) in drr.object.iter().enumerate() {
+        if drr.object[..index].iter().any(|other| other.name == object.name) {
+            return Err(checker.invalid("drr.object.name", format!("has a duplicate: `{}`", object.name)));
+        }
+        check_object(object, checker)?;
+    }
     drr.carm.as_ref().map_or(Ok(()), |carm| check_c_arm(carm, checker))
+}
+
+fn check_object(object: &DrrObject, checker: &Checker) -> Result<(), SceneError> {
+    let DrrObject { name, balls, cylinder, cuboid, mesh, .. } = object;
+    let key = format!("drr.object `{name}`");
+    let shapes = [balls.is_some(), cylinder.is_some(), cuboid.is_some(), mesh.is_some()];
+    if shapes.iter().filter(|shape| **shape).count() != 1 {
+        return Err(checker.invalid(&key, "needs exactly one of `balls`, `cylinder`, `cuboid`, `mesh`"));
+    }
+    let far = |centre_mm: &&[f64; 3]| centre_mm.iter().any(|mm| mm.is_nan() || mm.abs() > FARTHEST_MM);
+    if let Some(centre_mm) = balls.iter().flat_map(|balls| &balls.centres_mm).find(far) {
+        let problem = format!("is {centre_mm:?}; each coordinate must be within {FARTHEST_MM} mm");
+        return Err(checker.invalid(&format!("{key}.balls.centres_mm"), problem));
+    }
+    if let Some(ObjectCylinder { start_mm, end_mm, radius_mm, inner_radius_mm }) = cylinder {
+        if start_mm == end_mm {
+            return Err(checker.invalid(&format!("{key}.cylinder"), "has equal ends; expected a length"));
+        }
+        if inner_radius_mm >= radius_mm {
+            let problem = format!("is {inner_radius_mm}; expected less than `radius_mm`, {radius_mm}");
+            return Err(checker.invalid(&format!("{key}.cylinder.inner_radius_mm"), problem));
+        }
+    }
+    Ok(())
 }
 
 /// Requires exactly one of the two forms, complete. The values are checked when the C-arm is built.

@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{FARTHEST_MM, NAME, NAME_EXPECTED};
+use super::{FARTHEST_MM, NAME, NAME_EXPECTED, XRayMaterial};
 
 /// A rigid body beside the tool. The burr does not cut it. Its shape is exactly one of `cuboid`, `ball` and
 /// `capsule`.
@@ -36,6 +36,8 @@ pub struct Body {
     #[serde(default = "Body::default_friction")]
     #[schemars(range(min = 0.0, max = 2.0))]
     pub friction: f64,
+    /// Material by which X-ray frames show it; absent: they do not.
+    pub material: Option<XRayMaterial>,
 }
 
 defaults!(Body { default_density_kg_per_m3: f64 = 1900.0, default_friction: f64 = 0.3 });

@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::FARTHEST_MM;
+use super::{DrrObject, FARTHEST_MM, MAX_OBJECTS};
 
 /// How a frame's intensities are displayed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -65,8 +65,8 @@ pub enum PixelCentre {
     Half,
 }
 
-/// A spectrum of photon energies instead of a single one: tissue, bone, nitinol and steel each attenuate by
-/// NIST's coefficients.
+/// A spectrum of photon energies instead of a single one: tissue, bone and each metal attenuate by NIST's
+/// coefficients.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Spectrum {
@@ -115,6 +115,19 @@ pub struct Scatter {
 }
 
 defaults!(Scatter { default_photons: f64 = 1e6 });
+
+/// An anti-scatter grid, in front of the detector. A signal of 1 is the open field behind the grid: scatter
+/// counts by the ratio of the two transmissions, and `drr.photons_per_pixel` by that of the primary.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct AntiScatterGrid {
+    /// Fraction of the primary that passes.
+    #[schemars(range(min = 0.01, max = 1.0))]
+    pub primary_transmission: f64,
+    /// Fraction of the scatter that passes.
+    #[schemars(range(min = 0.0, max = 1.0))]
+    pub scatter_transmission: f64,
+}
 
 /// The detector's readout: `min(gain signal + offset, saturation)`, with a signal of 1 in the open field.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -252,8 +265,14 @@ pub struct Drr {
     pub spectrum: Option<Spectrum>,
     /// Scattered radiation; absent: none.
     pub scatter: Option<Scatter>,
+    /// Anti-scatter grid; absent: none.
+    pub grid: Option<AntiScatterGrid>,
     /// The C-arm as a camera or as points; absent: by the angles and distances above.
     pub carm: Option<CArm>,
+    /// Objects beside the tool that frames show; absent: none, at no cost. Rigid bodies: `body.material`.
+    #[serde(default)]
+    #[schemars(length(max = MAX_OBJECTS))]
+    pub object: Vec<DrrObject>,
     /// Notches of the links; absent: whole tubes.
     pub notch: Option<Notch>,
     /// Labels of the frames; absent: all, by the volume's threshold.

@@ -253,3 +253,40 @@ fn a_driven_body_has_one_driver_that_suits_its_motion() {
         assert!(error.contains(part), "{error}");
     }
 }
+
+#[test]
+fn objects_of_the_x_ray_have_one_sound_shape_and_a_name_of_their_own() {
+    let object = |shape: &str| format!("[[drr.object]]\nname = \"a\"\nmaterial = \"steel\"\n{shape}\n");
+    let cylinder =
+        |more: &str| object(&format!("cylinder = {{ start_mm = [0, 0, 0], radius_mm = 1, {more} }}"));
+    let ball = object("balls = { radius_mm = 1 }");
+    let scene = parsed(&format!("{DRR}{ball}")).unwrap();
+    assert_eq!(scene.drr.unwrap().object[0].balls.as_ref().unwrap().centres_mm, [[0.0; 3]]);
+    for (objects, problem) in [
+        (object(""), "`drr.object `a`` needs exactly one of `balls`, `cylinder`, `cuboid`, `mesh`"),
+        (
+            object("balls = { radius_mm = 1 }\ncuboid = { half_extents_mm = [1, 1, 1] }"),
+            "needs exactly one of",
+        ),
+        (format!("{ball}{ball}"), "drr.object.name` has a duplicate: `a`"),
+        (object("balls = { radius_mm = 1, centres_mm = [[0, 2e5, 0]] }"), "within 100000 mm"),
+        (cylinder("end_mm = [0, 0, 0]"), "has equal ends"),
+        (cylinder("end_mm = [0, 0, 9], inner_radius_mm = 1"), "is 1; expected less than `radius_mm`, 1"),
+        (cylinder("end_mm = [0, 0, 9], inner_radius_mm = -1"), "allowed: 0 to 1000"),
+        (object("balls = { radius_mm = 1 }\nattached = \"head\""), "anatomy"),
+        (ball.replace("steel", "gold"), "tantalum"),
+    ] {
+        let refused = parsed(&format!("{DRR}{objects}")).unwrap_err();
+        assert!(refused.contains(problem), "{refused}");
+    }
+    let body = "[[body]]\nname = \"b\"\nmotion = \"fixed\"\nposition_mm = [0, 0, 0]\nball = { radius_mm = 1 }\n\
+                material = \"lead\"\n";
+    let vain =
+        |text: &str| -> Vec<_> { keys_without_effect(&parsed(text).unwrap()).map(|(key, _)| key).collect() };
+    assert_eq!(vain(body), ["body.material"]);
+    assert!(vain(&format!("{body}{DRR}")).is_empty());
+    let grid = "[drr.grid]\nprimary_transmission = 0.7\nscatter_transmission = 0.1\n";
+    assert_eq!(vain(&format!("{DRR}{grid}")), ["drr.grid"]);
+    assert!(vain(&format!("{DRR}{grid}[drr.scatter]\nmodel = \"kernel\"\n")).is_empty());
+    assert!(vain(&format!("{DRR}photons_per_pixel = 9\n{grid}")).is_empty());
+}

@@ -18,7 +18,7 @@ use crate::exposure::{Anatomy, Exposure, Metal, Output};
 use crate::grid::VolumeView;
 use crate::ray::RayFan;
 use crate::slice_ordered::Images;
-use crate::solids::SolidLayer;
+use crate::solids::Solids;
 use crate::tool::Tool;
 use crate::tool_layer::{DisplacedAnatomy, PlacedTool};
 
@@ -48,7 +48,7 @@ pub(super) struct Lane {
     anatomy: Vec<f64>,
     bone_m: Vec<f64>,
     tool: PlacedTool,
-    arm: SolidLayer,
+    solids: Solids,
     exposure: Exposure,
 }
 
@@ -96,7 +96,7 @@ impl DrrRenderer {
             anatomy: Vec::new(),
             bone_m: Vec::new(),
             tool: PlacedTool::default(),
-            arm: SolidLayer::default(),
+            solids: Solids::default(),
             exposure: self.exposure.anew(),
         }
     }
@@ -119,7 +119,7 @@ impl DrrRenderer {
     ) -> Result<FrameReport, DrrError> {
         let (c_arm, width) = (&shot.c_arm, shot.c_arm.columns as usize);
         let fan = RayFan::new(&self.grid, c_arm);
-        let Lane { images, anatomy, bone_m, tool, arm, exposure } = lane;
+        let Lane { images, anatomy, bone_m, tool, solids, exposure } = lane;
         tool.place(shot.tool, c_arm, self.parameters.energy_kev)?;
         self.anatomy_once(&self.tissue, view, c_arm, &fan, images, anatomy);
         if let Some(bone) = &self.bone {
@@ -134,11 +134,11 @@ impl DrrRenderer {
         let window = exposure.with_anatomy(anatomy, width, |image| window_limits(window, image));
         let tissue = self.tissue.field(view, &self.removed);
         let bone = self.bone.as_ref().map(|layer| layer.field(view, &self.removed));
-        arm.draw(shot.tool.arm.as_ref(), c_arm, &fan);
+        solids.draw(shot.tool, c_arm, &fan, self.parameters.energy_kev)?;
         let projector = self.parameters.projector;
         let tool_pixels =
             tool.draw(&fan, &DisplacedAnatomy { projector, tissue: &tissue, bone: bone.as_ref() });
-        let metal = Metal { tool, arm, aluminium_per_m: self.aluminium_per_m };
+        let metal = Metal { tool, solids };
         exposure.expose(anatomy, metal, width, window, shot.seed, &mut shot.output);
         Ok(FrameReport { kind: RenderKind::Full, rays_traced: c_arm.pixels(), tool_pixels, window })
     }

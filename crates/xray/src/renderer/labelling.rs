@@ -12,12 +12,12 @@ use crate::carm::{CArm, PixelBox};
 use crate::error::DrrError;
 use crate::grid::{Grid, VolumeView};
 use crate::label_walk::{Piece, SlabWalk, Visit};
-use crate::labels::{Class, LabelRequest, Labels, keypoints};
+use crate::labels::{Class, LabelRequest, Labels, keypoints, markers};
 use crate::lanes::lanes;
 use crate::ray::{IndexRay, RayFan, WorldRay};
 use crate::removal::{AttenuationField, is_drilled, is_occupied};
 use crate::siddon;
-use crate::solids::SolidLayer;
+use crate::solids::Solids;
 use crate::tool::{PreparedPart, SeenPart, join_intervals};
 
 /// Rays that a thread walks at a time.
@@ -41,15 +41,16 @@ impl DrrRenderer {
         let fan = RayFan::new(&self.grid, c_arm);
         let kept = self.labelled.take();
         let kept = kept.filter(|kept| kept.c_arm == *c_arm && kept.bone_from_hu == request.bone_from_hu);
-        let mut arm = SolidLayer::default();
-        self.pool.install(|| arm.draw(request.tool.arm.as_ref(), c_arm, &fan));
+        let mut solids = Solids::default();
+        let energy_kev = self.parameters.energy_kev;
+        self.pool.install(|| solids.draw(request.tool, c_arm, &fan, energy_kev))?;
         let labeller = Labeller {
             renderer: self,
             tissue: self.tissue.field(view, &self.removed),
             bone: self.bone.as_ref().map(|layer| layer.field(view, &self.removed)),
             fan,
-            arm,
-            parts: self.parts_in_view(&prepared, c_arm, request.burr)?,
+            solids,
+            parts: self.parts_in_view(&prepared, c_arm, [request.burr, request.tool.parts.len()])?,
             bone_from_hu: request.bone_from_hu,
             bone_attenuates: self.bone_attenuates(request.bone_from_hu),
             source_detector_m: c_arm.sight().1,
@@ -77,6 +78,7 @@ impl DrrRenderer {
             tool_depth_m: image(|pixel| pixel.tool_depth_m),
             bone_depth_m: image(|pixel| pixel.bone_depth_m),
             keypoints: keypoints(c_arm, request.tool, &prepared, request.points_m),
+            markers: markers(c_arm, request.tool, &prepared, request.markers),
         })
     }
 
@@ -90,7 +92,7 @@ impl DrrRenderer {
         &self,
         prepared: &[PreparedPart],
         c_arm: &CArm,
-        burr: usize,
+        [burr, objects]: [usize; 2],
     ) -> Result<Vec<PartInView>, DrrError> {
         let mut parts = Vec::with_capacity(prepared.len());
         for (number, part) in prepared.iter().enumerate() {
@@ -102,7 +104,11 @@ impl DrrRenderer {
                 pixels,
                 mu_per_m,
                 material: part.material().index(),
-                class: if number >= burr { Class::Burr } else { Class::Tool },
+                class: match number {
+                    object if object >= objects => Class::Object,
+                    of_burr if of_burr >= burr => Class::Burr,
+                    _ => Class::Tool,
+                },
             }));
         }
         Ok(parts)
@@ -193,14 +199,14 @@ fn total(pieces: &[Piece; 3], counts: [bool; 3]) -> f64 {
     part(0) + part(1) + part(2)
 }
 
-/// The tool and the arm on a ray.
+/// The tool, the arm and the objects on a ray.
 #[derive(Default)]
 struct AlongTool {
     mask: u8,
     /// Line integral at the frame's energy.
     metal: f64,
     lengths_m: [f64; Material::COUNT],
-    /// Ray parameters inside parts of the tool; intervals of overlapping parts can overlap.
+    /// Ray parameters inside parts of the tool and objects; intervals of overlapping parts can overlap.
     envelopes: SmallVec<[(f64, f64); 16]>,
     /// Parameter of the ray.
     metal_at: Option<f64>,
@@ -211,7 +217,7 @@ pub(crate) struct Labeller<'a> {
     tissue: AttenuationField<'a>,
     bone: Option<AttenuationField<'a>>,
     fan: RayFan,
-    arm: SolidLayer,
+    solids: Solids,
     parts: Vec<PartInView>,
     bone_from_hu: i16,
     bone_attenuates: bool,
@@ -288,9 +294,13 @@ impl Labeller<'_> {
         let ray = self.fan.world_ray(column, row);
         let index_ray = self.fan.index_ray_of(column, row, &ray);
         let mut tool = self.along_tool(column, row, &ray);
-        if let Some([arm_m]) = self.arm.row(row as usize, column as usize, 1) {
-            tool.metal += self.renderer.aluminium_per_m * arm_m;
-            tool.lengths_m[Material::Aluminium.index()] += arm_m;
+        for solid in self.solids.rows(row as usize, column as usize, 1) {
+            let length_m = solid.lengths_m[0];
+            tool.metal += solid.mu_per_m * length_m;
+            tool.lengths_m[solid.material] += length_m;
+            if solid.is_object && length_m > 0.0 {
+                tool.mask |= Class::Object.bit();
+            }
         }
         let (anatomy, metal) = self.attenuations(&index_ray, voxels, &mut tool);
         let bit = |there: bool, class: Class| if there { class.bit() } else { 0 };
@@ -363,6 +373,9 @@ impl Labeller<'_> {
             along.lengths_m[placed.material] += crossing.metal_m;
             if crossing.metal_m > 0.0 {
                 along.mask |= placed.class.bit();
+                if placed.class == Class::Object {
+                    continue;
+                }
                 let first = along.metal_at.map_or(crossing.envelope.0, |at| at.min(crossing.envelope.0));
                 along.metal_at = Some(first);
             }

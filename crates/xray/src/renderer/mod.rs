@@ -23,7 +23,7 @@ use crate::machine::Machine;
 use crate::removal::RemovedVoxels;
 use crate::scatter::Stage;
 use crate::slice_ordered::SliceOrdered;
-use crate::solids::SolidLayer;
+use crate::solids::Solids;
 use crate::spectrum::SpectrumTable;
 use crate::tool::Tool;
 use crate::tool_layer::{DisplacedAnatomy, PlacedTool};
@@ -44,8 +44,7 @@ pub struct DrrRenderer {
     scatter: Option<Stage>,
     exposure: Exposure,
     tool: PlacedTool,
-    arm: SolidLayer,
-    aluminium_per_m: f64,
+    solids: Solids,
     pool: rayon::ThreadPool,
     standing: Option<CachedView>,
     /// Memory for the next one-off frame; while one is being rendered, the cached image.
@@ -69,7 +68,13 @@ impl DrrRenderer {
         let (low, high) = ENERGY_RANGE_KEV;
         check_range("energy_kev", parameters.energy_kev, low, high, "30 to 120 keV")?;
         check_range("threads", parameters.threads as f64, 1.0, 64.0, "1 to 64")?;
-        parameters.detector.validate()?;
+        let mut detector = parameters.detector;
+        if let Some(grid) = &parameters.grid {
+            check_range("primary_transmission", grid.primary_transmission, 0.01, 1.0, "0.01 to 1")?;
+            check_range("scatter_transmission", grid.scatter_transmission, 0.0, 1.0, "0 to 1")?;
+            detector.photons_per_pixel *= grid.primary_transmission;
+        }
+        detector.validate()?;
         parameters.display.validate()?;
         let threads = parameters.threads;
         let pool = machine.workers(threads).map_err(|reason| DrrError::Threads { threads, reason })?;
@@ -98,10 +103,9 @@ impl DrrRenderer {
             parameters,
             removed: RemovedVoxels::new(view.grid()),
             scatter,
-            exposure: Exposure::new(parameters.detector, parameters.display, spectrum),
+            exposure: Exposure::new(detector, parameters.display, spectrum),
             tool: PlacedTool::default(),
-            arm: SolidLayer::default(),
-            aluminium_per_m: Material::Aluminium.mu_per_m(parameters.energy_kev)?,
+            solids: Solids::default(),
             pool,
             standing: None,
             aside: None,
@@ -145,10 +149,10 @@ impl DrrRenderer {
         self.standing.as_ref().map_or(&[], |s| &s.anatomy)
     }
 
-    /// Attenuation (-ln of the transmission) of anatomy, tool and arm in the last frame, row-major; empty
-    /// before the first.
+    /// Attenuation (-ln of the transmission) of anatomy, tool, arm and objects in the last frame, row-major;
+    /// empty before the first.
     pub fn line_integrals(&self) -> Vec<f64> {
-        let metal = Metal { tool: &self.tool, arm: &self.arm, aluminium_per_m: self.aluminium_per_m };
+        let metal = Metal { tool: &self.tool, solids: &self.solids };
         let attenuation =
             |s: &CachedView| self.exposure.attenuations(s.images(), metal, s.c_arm.columns as usize);
         self.standing.as_ref().map_or(Vec::new(), attenuation)
@@ -261,15 +265,15 @@ impl DrrRenderer {
         let bone = self.bone.as_ref().map(|layer| layer.field(view, &self.removed));
         let anatomy =
             DisplacedAnatomy { projector: self.parameters.projector, tissue: &tissue, bone: bone.as_ref() };
-        let (placed, arm, exposure) = (&mut self.tool, &mut self.arm, &mut self.exposure);
-        let aluminium_per_m = self.aluminium_per_m;
+        let (placed, solids, exposure) = (&mut self.tool, &mut self.solids, &mut self.exposure);
+        let energy_kev = self.parameters.energy_kev;
         let tool_pixels = self.pool.install(|| {
-            arm.draw(tool.arm.as_ref(), c_arm, &standing.fan);
+            solids.draw(tool, c_arm, &standing.fan, energy_kev)?;
             let covered = placed.draw(&standing.fan, &anatomy);
-            let metal = Metal { tool: placed, arm, aluminium_per_m };
+            let metal = Metal { tool: placed, solids };
             exposure.expose(standing.images(), metal, width, standing.window, seed, &mut output);
-            covered
-        });
+            Ok::<_, DrrError>(covered)
+        })?;
         let window = standing.window;
         self.standing = Some(standing);
         Ok(FrameReport { kind, rays_traced, tool_pixels, window })

@@ -1,6 +1,6 @@
 //! Rendering parameters and the report of a frame.
 
-use scene::{Scatter, Spectrum};
+use scene::{AntiScatterGrid, Scatter, Spectrum};
 
 use crate::detector::DetectorParameters;
 use crate::display::{DisplayParameters, WindowLimits};
@@ -74,6 +74,8 @@ pub struct DrrParameters {
     pub spectrum: Option<Spectrum>,
     /// Scattered radiation; `None` for none.
     pub scatter: Option<Scatter>,
+    /// Anti-scatter grid; `None` for none.
+    pub grid: Option<AntiScatterGrid>,
     /// CT values below this count as air and attenuate nothing.
     pub air_below_hu: i16,
     /// Hounsfield value that fills a removed voxel: air by default, about 0 for irrigation.
@@ -93,6 +95,7 @@ impl Default for DrrParameters {
             energy_kev: 60.0,
             spectrum: None,
             scatter: None,
+            grid: None,
             air_below_hu: -900,
             fill_hu: -1000,
             threads: 2,

@@ -1,6 +1,6 @@
 //! The scatter of a renderer's frames.
 
-use scene::ScatterModel;
+use scene::{AntiScatterGrid, ScatterModel};
 
 use super::kernel::Kernels;
 use super::{MonteCarlo, Phantom, nodes_of};
@@ -76,6 +76,8 @@ pub(crate) struct Stage {
     beam: Vec<(f64, f64)>,
     densities: Densities,
     fill_hu: i16,
+    /// Transmission of scatter over that of the primary.
+    passing: f32,
 }
 
 #[derive(Debug, Clone)]
@@ -130,7 +132,9 @@ impl Stage {
                 Method::MonteCarlo(monte_carlo)
             }
         };
-        Ok(Some(Self { method, beam, densities, fill_hu: parameters.fill_hu }))
+        let passing = |grid: AntiScatterGrid| grid.scatter_transmission / grid.primary_transmission;
+        let passing = parameters.grid.map_or(1.0, passing) as f32;
+        Ok(Some(Self { method, beam, densities, fill_hu: parameters.fill_hu, passing }))
     }
 
     /// The scatter of a frame. Depends on the volume, the removed voxels, the C-arm and these images of the
@@ -151,7 +155,7 @@ impl Stage {
             Method::MonteCarlo(monte_carlo) => monte_carlo.nodes,
         };
         let (columns, rows) = nodes_of(c_arm, most);
-        let values = match &self.method {
+        let mut values = match &self.method {
             Method::Kernel(kernels) => kernels.image(c_arm, anatomy, table, (columns, rows)),
             Method::MonteCarlo(monte_carlo) => {
                 let phantom = Phantom::of_volume(view, removed, self.fill_hu, |hu| self.densities.of(hu))?;
@@ -159,6 +163,7 @@ impl Stage {
                 smoothed(&estimate.image(), columns)
             }
         };
+        values.iter_mut().for_each(|value| *value *= self.passing);
         let per_pixel = [columns as f64 / f64::from(c_arm.columns), rows as f64 / f64::from(c_arm.rows)];
         Ok(ScatterImage { columns, rows, values, per_pixel, removed: removed.count() })
     }

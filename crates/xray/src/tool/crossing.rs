@@ -19,6 +19,8 @@ pub(crate) enum SeenPart {
     Sphere { o: Vec3, radius_m: f64 },
     /// The same, and the planes that cut the sphere.
     Zone { o: Vec3, radius_m: f64, ends: [End; 2] },
+    /// The three pairs of faces.
+    Cuboid { ends: [[End; 2]; 3] },
     /// The source's coordinate along the axis, and its vector across the axis.
     Axial { axis: Vec3, ends: [End; 2], radii: Radii, along: f64, across: Vec3 },
 }
@@ -60,6 +62,11 @@ impl SeenPart {
             Self::Zone { o, radius_m, ends } => {
                 let ball = Closest::new(o, direction_m).inside(radius_m)?;
                 let envelope = clip(overlap(between_ends(&ends, direction_m)?, ball)?)?;
+                Some(Crossing { envelope, metal_m: (envelope.1 - envelope.0) * length_m })
+            }
+            Self::Cuboid { ends } => {
+                let slab = |axis: usize| between_ends(&ends[axis], direction_m);
+                let envelope = clip(overlap(overlap(slab(0)?, slab(1)?)?, slab(2)?)?)?;
                 Some(Crossing { envelope, metal_m: (envelope.1 - envelope.0) * length_m })
             }
             Self::Axial { axis, ends, radii, along, across } => {

@@ -74,6 +74,17 @@ pub enum ToolPart {
         /// Material.
         material: Material,
     },
+    /// A solid cuboid.
+    Cuboid {
+        /// Centre.
+        centre_m: [f64; 3],
+        /// Perpendicular unit vectors along its edges.
+        axes: [[f64; 3]; 3],
+        /// Half the length of the edges along each axis.
+        half_m: [f64; 3],
+        /// Material.
+        material: Material,
+    },
 }
 
 impl ToolPart {
@@ -98,21 +109,32 @@ pub struct Notch {
     pub depth_m: f64,
 }
 
-/// A tool: any number of parts, and the arm that carries it. A tool without parts costs nothing, nor does an
-/// absent arm.
+/// Objects beside the tool, in the world.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct PlacedObjects {
+    /// Primitives, in the form of a tool's parts. They displace anatomy.
+    pub parts: Vec<ToolPart>,
+    /// Meshes, solid. They displace no anatomy.
+    pub solids: Vec<PlacedSolids>,
+}
+
+/// A tool: any number of parts, the arm that carries it, and the objects beside it. A tool without parts
+/// costs nothing, nor do an absent arm and no objects.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Tool {
     /// The parts, in any order. The order of the sums follows it, and so do the last bits.
     pub parts: Vec<ToolPart>,
     /// The arm, if X-ray frames show it. It displaces no anatomy, and labels leave it out.
     pub arm: Option<PlacedSolids>,
+    /// Objects beside the tool.
+    pub objects: PlacedObjects,
 }
 
 impl Tool {
-    /// The validated parts, in their order.
+    /// The validated parts, in their order, and then those of the objects.
     pub(crate) fn prepared(&self) -> impl Iterator<Item = Result<PreparedPart, DrrError>> {
         let prepare =
             |(part, given)| PreparedPart::new(given).map_err(|reason| DrrError::ToolPart { part, reason });
-        self.parts.iter().enumerate().map(prepare)
+        self.parts.iter().chain(&self.objects.parts).enumerate().map(prepare)
     }
 }

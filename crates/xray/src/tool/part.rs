@@ -3,6 +3,7 @@
 use super::crossing::{Crossing, End, SeenPart};
 use super::{Notch, ToolPart};
 use crate::attenuation::Material;
+use crate::error::check_orthonormal;
 use crate::ray::WorldRay;
 use crate::vector::{Vec3, add_scaled, cross, dot, norm, scale, sub};
 
@@ -18,6 +19,7 @@ enum Shape {
     Sphere { centre_m: Vec3, radius_m: f64 },
     Zone { centre_m: Vec3, radius_m: f64, axis: Vec3, along_m: [f64; 2] },
     Axial { start_m: Vec3, axis: Vec3, length_m: f64, normals: [Vec3; 2], radii: Radii },
+    Cuboid { centre_m: Vec3, axes: [Vec3; 3], half_m: [f64; 3] },
 }
 
 /// Least cosine between an axis and the normal of an end: 60 degrees.
@@ -42,9 +44,9 @@ impl PreparedPart {
     /// Checks a part and computes its constants.
     ///
     /// # Errors
-    /// A number is not finite or above 100 m, a radius or length is not positive, the lumen is as wide as the
-    /// tube, a notch is outside its tube, a zone outside its sphere, or an end is cut more obliquely than at
-    /// 60 degrees.
+    /// A number is not finite or above 100 m, a radius or length is not positive, axes are not perpendicular
+    /// unit vectors, the lumen is as wide as the tube, a notch is outside its tube, a zone
+    /// outside its sphere, or an end is cut more obliquely than at 60 degrees.
     pub fn new(part: &ToolPart) -> Result<Self, &'static str> {
         let (shape, material) = match *part {
             ToolPart::Sphere { centre_m, radius_m, material } => {
@@ -65,6 +67,11 @@ impl PreparedPart {
                     Ok(Radii::Tube { outer_m: outer_radius_m, inner_m: inner_radius_m, notch })
                 };
                 (axial(start_m, end_m, normals, notched)?, material)
+            }
+            ToolPart::Cuboid { centre_m, axes, half_m, material } => {
+                check_points(&[centre_m])?;
+                check_cuboid(&axes, half_m)?;
+                (Shape::Cuboid { centre_m, axes, half_m }, material)
             }
             ToolPart::Cone { start_m, end_m, start_radius_m, end_radius_m, material } => {
                 let widest_m = start_radius_m.max(end_radius_m);
@@ -102,6 +109,14 @@ impl PreparedPart {
                 let ends = along_m.map(|at_m| End { normal: axis, ahead_m: at_m - dot(o, axis) });
                 SeenPart::Zone { o, radius_m, ends }
             }
+            Shape::Cuboid { centre_m, axes, half_m } => {
+                let o = sub(source_m, centre_m);
+                let ends = |axis: usize| {
+                    let (normal, half_m) = (axes[axis], half_m[axis]);
+                    [-half_m, half_m].map(|at_m| End { normal, ahead_m: at_m - dot(o, normal) })
+                };
+                SeenPart::Cuboid { ends: [ends(0), ends(1), ends(2)] }
+            }
             Shape::Axial { start_m, axis, length_m, normals, radii } => {
                 let o = sub(source_m, start_m);
                 let along = dot(o, axis);
@@ -123,6 +138,9 @@ impl PreparedPart {
         match self.shape {
             Shape::Sphere { centre_m, radius_m: r } => {
                 (centre_m, [[r, 0.0, 0.0], [0.0, r, 0.0], [0.0, 0.0, r]])
+            }
+            Shape::Cuboid { centre_m, axes, half_m } => {
+                (centre_m, [0, 1, 2].map(|axis| scale(axes[axis], half_m[axis])))
             }
             Shape::Zone { centre_m, radius_m, axis, along_m: [from_m, to_m] } => {
                 let side = any_perpendicular(axis);
@@ -200,6 +218,17 @@ fn check_radius(radius_m: f64) -> Result<(), &'static str> {
         Ok(())
     } else {
         Err("a radius is out of range: must be above 0 and at most 1 m")
+    }
+}
+
+fn check_cuboid(axes: &[Vec3; 3], half_m: [f64; 3]) -> Result<(), &'static str> {
+    if check_orthonormal("axes", axes, 1e-6).is_err() {
+        return Err("the axes of a cuboid are not perpendicular unit vectors: normalise them");
+    }
+    if half_m.iter().all(|half_m| *half_m > 0.0 && *half_m <= 1.0) {
+        Ok(())
+    } else {
+        Err("a half_m of a cuboid is out of range: must be above 0 and at most 1 m")
     }
 }
 

@@ -78,3 +78,27 @@ fn cortical_bone_has_its_published_hounsfield_units_and_water_scaling_errs_by_12
     let error = table.mu_per_m(bone_hu) / Material::CorticalBone.mu_per_m(60.0).unwrap() - 1.0;
     assert!((error + 0.12).abs() < 0.01, "{error}");
 }
+
+/// Values of xraylib 4.3 (CS_Total, cm2/g) at energies that are no nodes of the tables, among them both sides
+/// of the K edges.
+#[test]
+fn materials_of_objects_have_xcoms_coefficients_between_the_nodes() {
+    for (material, density, energy, mass_mu) in [
+        (Material::CobaltChromium, 8.3, 35.0, 6.104),
+        (Material::CobaltChromium, 8.3, 70.0, 0.9382),
+        (Material::CobaltChromium, 8.3, 110.0, 0.3444),
+        (Material::Tantalum, 16.65, 55.0, 4.464),
+        (Material::Tantalum, 16.65, 67.3, 2.664),
+        (Material::Tantalum, 16.65, 67.5, 11.76),
+        (Material::Tantalum, 16.65, 90.0, 5.621),
+        (Material::Lead, 11.35, 45.0, 10.57),
+        (Material::Lead, 11.35, 87.9, 1.915),
+        (Material::Lead, 11.35, 88.1, 7.662),
+        (Material::Lead, 11.35, 110.0, 4.363),
+        (Material::Pmma, 1.19, 35.0, 0.2602),
+        (Material::Pmma, 1.19, 70.0, 0.1825),
+        (Material::Pmma, 1.19, 110.0, 0.1596),
+    ] {
+        assert_relative(material.mu_per_m(energy).unwrap(), 100.0 * density * mass_mu, 0.021);
+    }
+}

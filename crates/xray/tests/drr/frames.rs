@@ -53,7 +53,7 @@ pub fn tool(step: u64) -> Tool {
                 material: Material::Steel316L,
             },
         ],
-        arm: None,
+        ..Tool::default()
     }
 }
 
@@ -245,7 +245,7 @@ fn refusals_change_nothing() {
     let seed = FrameSeed { seed: 7, frame: 0 };
     let bad_tool = Tool {
         parts: vec![ToolPart::Sphere { centre_m: [0.0; 3], radius_m: -1.0, material: Material::Water }],
-        arm: None,
+        ..Tool::default()
     };
     assert!(matches!(
         renderer.render(&view, &c_arm, &bad_tool, seed, &mut image),

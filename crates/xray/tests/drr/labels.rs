@@ -25,7 +25,7 @@ fn labelled(
     let mut renderer = DrrRenderer::new(view, DrrParameters::default(), &Desk).unwrap();
     renderer.remove(view, removed).unwrap();
     let burr = tool.parts.len().saturating_sub(1);
-    let request = LabelRequest { tool, burr, points_m, bone_from_hu: BONE_FROM_HU };
+    let request = LabelRequest { tool, burr, points_m, markers: &[], bone_from_hu: BONE_FROM_HU };
     renderer.labels(view, c_arm, &request).unwrap()
 }
 
@@ -52,6 +52,7 @@ fn anatomy_and_metal_make_the_attenuation_of_the_frame() {
         let mut image = vec![0; c_arm.pixels()];
         renderer.render(&view, &c_arm, &tool, FrameSeed::default(), &mut image).unwrap();
         let request = LabelRequest {
+            markers: &[],
             tool: &tool,
             burr: tool.parts.len() - 1,
             points_m: &[],
@@ -107,8 +108,13 @@ fn a_plate_with_a_tunnel_and_a_burr_by_hand() {
     // AP: the source is behind, at y = +0.7 m, and rays run toward -y.
     let c_arm = c_arm(0.0, 0.0, 61, 0.061);
     let burr = ToolPart::Sphere { centre_m: [0.0, 0.03, 0.0], radius_m: 3e-3, material: Material::Steel316L };
-    let labels =
-        labelled(&view, &removed, &c_arm, &Tool { parts: vec![burr], arm: None }, &[[0.0, 0.03, 0.0]]);
+    let labels = labelled(
+        &view,
+        &removed,
+        &c_arm,
+        &Tool { parts: vec![burr], ..Tool::default() },
+        &[[0.0, 0.03, 0.0]],
+    );
     let near = |got: f32, want: f64| assert!((f64::from(got) - want).abs() < 1e-6, "{got}, expected {want}");
     let middle = 30 * 61 + 30;
     near(labels.bone_m[middle], 0.021);
@@ -146,7 +152,7 @@ fn a_keypoint_is_overlapped_where_another_part_lies_on_its_ray() {
         .map(|ends| ToolPart::tube(ends[0], ends[1], [3e-3, 2e-3], Material::Nitinol))
         .collect();
     parts.push(ToolPart::Sphere { centre_m: points_m[5], radius_m: 3.25e-3, material: Material::Steel316L });
-    let tool = Tool { parts, arm: None };
+    let tool = Tool { parts, ..Tool::default() };
     let seen = |primary_deg: f64| -> Vec<Visibility> {
         let labels = labelled(&view, &[], &c_arm(primary_deg, 0.0, 64, 0.064), &tool, &points_m);
         labels.keypoints.iter().map(|point| point.visibility).collect()
@@ -171,8 +177,8 @@ fn labels_of_another_grid_or_an_impossible_tool_are_refused() {
     let view = VolumeView::new(grid, &hu).unwrap();
     let mut renderer = DrrRenderer::new(&view, DrrParameters::default(), &Desk).unwrap();
     let wide = ToolPart::Sphere { centre_m: [0.0; 3], radius_m: 2.0, material: Material::Steel316L };
-    let tool = Tool { parts: vec![wide], arm: None };
-    let request = LabelRequest { tool: &tool, burr: 0, points_m: &[], bone_from_hu: 0 };
+    let tool = Tool { parts: vec![wide], ..Tool::default() };
+    let request = LabelRequest { tool: &tool, burr: 0, points_m: &[], markers: &[], bone_from_hu: 0 };
     let c_arm = c_arm(0.0, 0.0, 8, 0.01);
     let refused = renderer.labels(&view, &c_arm, &request);
     assert!(matches!(refused, Err(DrrError::ToolPart { part: 0, .. })), "{refused:?}");
@@ -193,7 +199,7 @@ fn air_is_bone_if_asked_for() {
     let c_arm = c_arm(0.0, 0.0, 9, 0.009);
     let tool = Tool::default();
     let mut length_m = |bone_from_hu| {
-        let request = LabelRequest { tool: &tool, burr: 0, points_m: &[], bone_from_hu };
+        let request = LabelRequest { tool: &tool, burr: 0, points_m: &[], markers: &[], bone_from_hu };
         renderer.labels(&view, &c_arm, &request).unwrap().bone_m[4 * 9 + 4]
     };
     assert!((length_m(-1000) - 0.04).abs() < 1e-9, "{}", length_m(-1000));
@@ -208,8 +214,13 @@ fn labels_do_not_depend_on_earlier_frames() {
     let view = VolumeView::new(grid, &hu).unwrap();
     let (c_arm, other) = (c_arm(44.0, 35.0, 90, 0.09), c_arm(10.0, 80.0, 64, 0.12));
     let tool = whole_tool();
-    let request =
-        |bone_from_hu| LabelRequest { tool: &tool, burr: tool.parts.len() - 1, points_m: &[], bone_from_hu };
+    let request = |bone_from_hu| LabelRequest {
+        tool: &tool,
+        burr: tool.parts.len() - 1,
+        points_m: &[],
+        markers: &[],
+        bone_from_hu,
+    };
     let fresh = |gone: &[u32], c_arm: &CArm, bone_from_hu| {
         let mut renderer = DrrRenderer::new(&view, DrrParameters::default(), &Desk).unwrap();
         renderer.remove(&view, gone).unwrap();

@@ -30,6 +30,8 @@ mod ladder;
 mod machine;
 mod mitres;
 #[cfg(test)]
+mod objects;
+#[cfg(test)]
 mod poses;
 #[cfg(test)]
 mod projectors;

@@ -4,8 +4,8 @@
 use xray::reference::{Ellipsoid, relative_rms, thigh, voxelise};
 use xray::scatter::{Estimate, MonteCarlo, Phantom};
 use xray::{
-    CArm, DetectorParameters, Display, DisplayParameters, DrrParameters, DrrRenderer, FrameSeed, Grid,
-    Machine, Output, Scatter, ScatterModel, Shot, Spectrum, Tool, VolumeView,
+    AntiScatterGrid, CArm, DetectorParameters, Display, DisplayParameters, DrrParameters, DrrRenderer,
+    FrameSeed, Grid, Machine, Output, Scatter, ScatterModel, Shot, Spectrum, Tool, VolumeView,
 };
 
 use crate::machine::Desk;
@@ -248,6 +248,46 @@ fn frames_with_scatter_are_functions_of_their_inputs() {
     let view = VolumeView::new(grid, &hu).unwrap();
     let none = Some(Scatter { model: ScatterModel::None, photons: 1e6 });
     assert!(signal(&view, &c_arm, plain(none, None)) == signal(&view, &c_arm, plain(None, None)));
+}
+
+/// Behind a grid: the scatter fraction of each pixel is S Ts / (P Tp + S Ts), and the noise is that of the
+/// primary photons which pass.
+#[test]
+fn a_grid_passes_its_share_of_primary_and_scatter() {
+    let grid = Grid::centred([60, 50, 80], [4e-3; 3]).unwrap();
+    let hu = voxelise(&grid, &thigh(1.0), 2);
+    let view = VolumeView::new(grid, &hu).unwrap();
+    let c_arm = c_arm(0.0, 0.0, 48, 0.307);
+    let (tp, ts) = (0.7, 0.1);
+    let behind = |grid: Option<AntiScatterGrid>, scatter| DrrParameters { grid, ..plain(scatter, None) };
+    let a_grid = Some(AntiScatterGrid { primary_transmission: tp, scatter_transmission: ts });
+    let primary = signal(&view, &c_arm, behind(None, None));
+    assert!(primary == signal(&view, &c_arm, behind(a_grid, None)));
+    let without = signal(&view, &c_arm, behind(None, Some(KERNEL)));
+    let with = signal(&view, &c_arm, behind(a_grid, Some(KERNEL)));
+    let (mut worst, mut largest) = (0.0_f64, 0.0_f64);
+    for ((p, without), with) in primary.iter().zip(&without).zip(&with) {
+        let s = without - p;
+        let (found, expected) = (1.0 - p / with, s * ts / (p * tp + s * ts));
+        (worst, largest) = (worst.max((found - expected).abs()), largest.max(1.0 - p / without));
+    }
+    println!(
+        "scatter fraction up to {largest:.2} without the grid; behind it within {worst:.1e} of the closed form"
+    );
+    assert!(largest > 0.3 && worst < 1e-6, "{largest} {worst:e}");
+    let air = vec![-1000; grid.voxels()];
+    let air = VolumeView::new(grid, &air).unwrap();
+    let noisy = |grid| {
+        let detector =
+            DetectorParameters { photons_per_pixel: 1000.0, blur_sigma_px: 0.0, ..Default::default() };
+        let values = signal(&air, &c_arm, DrrParameters { detector, ..behind(grid, None) });
+        values.iter().map(|x| (x - 1.0).powi(2)).sum::<f64>() / values.len() as f64
+    };
+    // Relative standard error of a variance of 2304 pixels: 3 %.
+    assert!((noisy(a_grid) * 700.0 - 1.0).abs() < 0.12 && (noisy(None) * 1000.0 - 1.0).abs() < 0.12);
+    let bad = Some(AntiScatterGrid { primary_transmission: 0.0, scatter_transmission: 0.1 });
+    let refused = DrrRenderer::new(&view, behind(bad, None), &Desk).err().unwrap().to_string();
+    assert!(refused.contains("primary_transmission"), "{refused}");
 }
 
 #[test]

@@ -23,7 +23,7 @@ fn between(n: u64, low: f64, high: f64) -> f64 {
 }
 
 /// A pose near the origin in any orientation.
-fn any_pose(n: u64, range_m: f64) -> Pose {
+pub fn any_pose(n: u64, range_m: f64) -> Pose {
     let quaternion: [f64; 4] = std::array::from_fn(|i| between(10 * n + i as u64, -1.0, 1.0));
     let length = quaternion.iter().map(|x| x * x).sum::<f64>().sqrt();
     Pose {
@@ -32,7 +32,7 @@ fn any_pose(n: u64, range_m: f64) -> Pose {
     }
 }
 
-fn turned([x, y, z, w]: [f64; 4], v: [f64; 3]) -> [f64; 3] {
+pub fn turned([x, y, z, w]: [f64; 4], v: [f64; 3]) -> [f64; 3] {
     let cross = |a: [f64; 3], b: [f64; 3]| {
         [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
     };
@@ -86,7 +86,7 @@ pub fn cuboid(half_m: [f32; 3]) -> ClosedMesh {
 }
 
 /// Line integrals of a frame that shows only this tool.
-fn shown(c_arm: &CArm, tool: &Tool, parameters: DrrParameters) -> Vec<f64> {
+pub fn shown(c_arm: &CArm, tool: &Tool, parameters: DrrParameters) -> Vec<f64> {
     let grid = Grid::centred([4; 3], [1e-3; 3]).unwrap();
     let view_hu = vec![-1000; grid.voxels()];
     let view = VolumeView::new(grid, &view_hu).unwrap();
@@ -99,7 +99,7 @@ fn shown(c_arm: &CArm, tool: &Tool, parameters: DrrParameters) -> Vec<f64> {
 
 fn arm_of(solids: Vec<ClosedMesh>, poses: &[Pose]) -> Tool {
     let arm = PlacedSolids::new(Arc::from(solids), poses, ALUMINIUM_G_PER_CM3).unwrap();
-    Tool { parts: Vec::new(), arm: Some(arm) }
+    Tool { parts: Vec::new(), arm: Some(arm), ..Tool::default() }
 }
 
 /// Metres on each pixel's ray, row-major.
@@ -122,7 +122,7 @@ fn rays(c_arm: &CArm, pose: &Pose) -> Vec<([f64; 3], [f64; 3])> {
     pixels.map(ray).collect()
 }
 
-fn norm(v: [f64; 3]) -> f64 {
+pub fn norm(v: [f64; 3]) -> f64 {
     v.iter().map(|x| x * x).sum::<f64>().sqrt()
 }
 
@@ -306,7 +306,7 @@ fn the_arm_attenuates_as_its_mass_does_with_and_without_a_spectrum() {
     let arm = PlacedSolids::new(Arc::clone(&solids), &poses, ALUMINIUM_G_PER_CM3 / 3.0).unwrap();
     // The beam runs along y.
     let rod = ToolPart::tube([-0.002, 0.015, 0.0], [0.002, 0.015, 0.0], [2e-3, 0.0], Material::Steel316L);
-    let tool = Tool { parts: vec![rod], arm: Some(arm) };
+    let tool = Tool { parts: vec![rod], arm: Some(arm), ..Tool::default() };
     let mu = |material: Material, energy_kev| material.mu_per_m(energy_kev).unwrap();
     let depth = |energy_kev: f64, steel_m: f64| {
         mu(Material::Aluminium, energy_kev) * 0.02 / 3.0 + mu(Material::Steel316L, energy_kev) * steel_m
@@ -398,7 +398,8 @@ fn the_arm_of_a_scene_shows_where_its_joints_put_it() {
     state.t_world_flange =
         Pose { position_m: [0, 1, 2].map(|i| flange[i] + to_iso[i]), orientation_xyzw: quaternion(axes) };
     let c_arm = crate::poses::c_arm(20.0, 10.0, 101, 0.1);
-    let found = metres(&c_arm, &Tool { parts: Vec::new(), arm: Some(model.placed(&state)) }, 1);
+    let found =
+        metres(&c_arm, &Tool { parts: Vec::new(), arm: Some(model.placed(&state)), ..Tool::default() }, 1);
     let shadow = c_arm.project(base_m).unwrap();
     let (mut sum, mut at) = (0.0, [0.0; 2]);
     for (index, length_m) in found.iter().enumerate() {

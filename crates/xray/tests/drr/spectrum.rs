@@ -92,7 +92,7 @@ fn a_frame_of_slabs_and_metal_is_the_sum_over_energies() {
     let parameters = DrrParameters { spectrum: Some(spectrum), detector, threads: 2, ..Default::default() };
     let mut renderer = DrrRenderer::new(&view, parameters, &Desk).unwrap();
     let mut image = vec![0; c_arm.pixels()];
-    let tool = Tool { parts: vec![rod], arm: None };
+    let tool = Tool { parts: vec![rod], ..Tool::default() };
     renderer.render(&view, &c_arm, &tool, FrameSeed::default(), &mut image).unwrap();
     let got = renderer.line_integrals()[20 * 41 + 20];
     let metal = [(Material::Water, 0.021), (Material::CorticalBone, 0.015), (Material::Nitinol, 0.004)];

@@ -93,7 +93,8 @@ fn metal_displaces_the_anatomy_once() {
     let cable = ToolPart::tube([-0.01, 0.0, 0.0], [0.01, 0.0, 0.0], [1e-3, 0.0], Material::Steel316L);
     let burr =
         ToolPart::Sphere { centre_m: [0.012, 0.0, 0.0], radius_m: 3.25e-3, material: Material::Steel316L };
-    let tool = Tool { parts: vec![tube([-0.01, 0.0, 0.0], [0.01, 0.0, 0.0]), cable, burr], arm: None };
+    let tool =
+        Tool { parts: vec![tube([-0.01, 0.0, 0.0], [0.01, 0.0, 0.0]), cable, burr], ..Tool::default() };
     let c_arm = crate::poses::c_arm(0.0, 0.0, 41, 0.05);
     let [water, nitinol, steel] =
         [Material::Water, NITINOL, Material::Steel316L].map(|m| m.mu_per_m(60.0).unwrap());
@@ -148,7 +149,7 @@ fn a_tool_in_a_drilled_channel_displaces_nothing_more() {
         })
         .map(|i| i as u32)
         .collect();
-    let tool = Tool { parts: vec![tube([-0.01, 0.0, 0.0], [0.01, 0.0, 0.0])], arm: None };
+    let tool = Tool { parts: vec![tube([-0.01, 0.0, 0.0], [0.01, 0.0, 0.0])], ..Tool::default() };
     let c_arm = crate::poses::c_arm(0.0, 0.0, 41, 0.05);
     let quiet = DetectorParameters { quantum_noise: false, ..DetectorParameters::default() };
     let mut renderer =
@@ -196,7 +197,7 @@ pub fn whole_tool() -> Tool {
     let (start_radius_m, end_radius_m, material) = (2e-3, 0.5e-3, Material::Steel316L);
     parts.push(ToolPart::Cone { start_m: at, end_m: tip, start_radius_m, end_radius_m, material });
     parts.push(ToolPart::Sphere { centre_m: tip, radius_m: 3.25e-3, material });
-    Tool { parts, arm: None }
+    Tool { parts, ..Tool::default() }
 }
 
 /// A rotated grid of air and pseudo-random values, and voxels removed from it.

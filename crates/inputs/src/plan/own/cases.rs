@@ -97,6 +97,7 @@ impl Wall {
             rotation_vector_deg: [0.0; 3],
             density_kg_per_m3: 1900.0,
             friction: 0.3,
+            material: None,
         }
     }
 }
