@@ -199,6 +199,7 @@ impl Follower {
         let spacing_m = sim.shared().volume().map(|volume| volume.spacing_m);
         let mut course = Course::of(scene, spacing_m);
         course.add(sim.state());
+        sim.readings().iter().for_each(|reading| course.clearances.add(reading));
         Follower { course, path_m: vec![sim.state().t_world_burr.position_m], deepest_tick: 0 }
     }
 

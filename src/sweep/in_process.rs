@@ -71,6 +71,7 @@ fn follow(
         sim.record(&folder)?;
     }
     course.add(sim.state());
+    sim.readings().iter().for_each(|reading| course.clearances.add(reading));
     for tick in 0..shared.scene().tick_count() {
         if tick % LOOK_TICKS == 0 && is_to_end() {
             return Ok(false);
