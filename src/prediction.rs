@@ -11,10 +11,10 @@ use run_log::hash_text;
 use serde_json::{Value, json};
 use sim::{Drive, SharedScene, Sim, SimError};
 use simulation::planned_time_s;
-use structures::Regions;
 use voxel_grid::Ct;
 
 use crate::failure::Failure;
+use crate::report::anatomy::Anatomy;
 use crate::report::course::{Course, distance_m};
 use crate::report::outcome::findings;
 
@@ -88,8 +88,8 @@ impl Prediction {
             Err(error) => return Err(failure(error)),
         };
         let Follower { mut course, path_m, .. } = follower;
-        if let Some(regions) = Regions::of(scene, shared.ct().map(|ct| &ct.volume)) {
-            course.note_drilled(&regions, sim.drilled());
+        if let Some(anatomy) = Anatomy::of(scene, shared.ct().map(|ct| &ct.volume)) {
+            course.note_drilled(&anatomy, sim.drilled());
         }
         let mut found = findings(scene, &course);
         if let Reach::Failed(cause) = &reach {
@@ -157,7 +157,9 @@ impl Prediction {
         }
         let count = |count: u64| if count == 0 { "none".to_owned() } else { count.to_string() };
         row("stops", count(plan.protective_stops));
-        row("breaches", count(self.course.breach_count));
+        let area = self.course.drilling().and_then(|drilling| drilling.breach_area_text());
+        let area = area.map_or(String::new(), |text| format!("; {text}"));
+        row("breaches", count(self.course.breach_count) + &area);
         lines.join("\n")
     }
 
@@ -197,6 +199,7 @@ impl Follower {
         let spacing_m = sim.shared().volume().map(|volume| volume.spacing_m);
         let mut course = Course::of(scene, spacing_m);
         course.add(sim.state());
+        sim.readings().iter().for_each(|reading| course.clearances.add(reading));
         Follower { course, path_m: vec![sim.state().t_world_burr.position_m], deepest_tick: 0 }
     }
 

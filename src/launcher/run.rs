@@ -11,7 +11,6 @@ use ipc_types::process::{EXIT_GAP, EndRequest, ProcessorTime};
 use ipc_types::scene::Scene;
 use ipc_types::session::SessionError;
 use recorder_proc::process::OUTPUT_FILE;
-use structures::Regions;
 use voxel_grid::Ct;
 
 use super::ending::Ending;
@@ -22,6 +21,7 @@ use super::running::Running;
 use super::subscriptions::Subscriptions;
 use super::volume_source::{self, VolumeFiles};
 use crate::failure::Failure;
+use crate::report::anatomy::Anatomy;
 use crate::report::{NOT_SHARED, RunFacts};
 
 /// Configuration of a run.
@@ -125,8 +125,8 @@ pub struct RunResult {
     pub processor: Vec<(String, Duration)>,
     /// Distance between the volume's voxels along i, j, k; `None` without a volume.
     pub volume_spacing_m: Option<[f64; 3]>,
-    /// Where the critical structures are in the volume; `None` without a volume or a structure.
-    pub regions: Option<Regions>,
+    /// The bone before the run; `None` without a volume.
+    pub anatomy: Option<Anatomy>,
     /// The viewer, if it is now showing the run's log; it ends with the page.
     pub viewer: Option<PartProcess>,
 }
@@ -154,7 +154,7 @@ impl RunResult {
                 .map(|(name, time)| (name.clone(), time.as_secs_f64()))
                 .collect(),
             volume_spacing_m: self.volume_spacing_m,
-            regions: self.regions.clone(),
+            anatomy: self.anatomy.clone(),
             replay_command,
         }
     }
@@ -236,7 +236,7 @@ pub fn run_with(
     let subscriptions = Subscriptions::open(&hub.host.session)?;
     let parts = start_parts(plan, &hub)?;
     // While the parts start.
-    let regions = Regions::of(&plan.scene, ct.as_ref().map(|ct| &ct.volume));
+    let anatomy = Anatomy::of(&plan.scene, ct.as_ref().map(|ct| &ct.volume));
     // Keep only the copy in shared memory.
     drop(ct);
     let replacements = Replacements::new(&hub.host.session)?;
@@ -289,7 +289,7 @@ pub fn run_with(
         memory,
         processor,
         volume_spacing_m,
-        regions,
+        anatomy,
         viewer,
     })
 }

@@ -4,8 +4,8 @@ use ipc_types::messages::{Breach, MAX_TENDONS, State};
 use ipc_types::scene::Scene;
 use markups::vector::{cross, dot, length, minus};
 use simulation::manipulator_parameters;
-use structures::Regions;
 
+use super::anatomy::Anatomy;
 use super::outcome::{ClearanceWatch, PlanSummary, PlanWatch};
 use super::summary::{DrillingSummary, ToolSummary, ratio};
 
@@ -114,6 +114,8 @@ pub struct Course {
     pub clearances: ClearanceWatch,
     /// Volume of the removed bone outside of all targets; `None` without a target.
     healthy_removed_mm3: Option<f64>,
+    /// Area of the outer surface removed other than at the entry; `None` without a volume.
+    breach_area_mm2: Option<f64>,
     /// The first `KEPT_BREACHES` breaches of the bone, one line each.
     pub breaches: Vec<String>,
     /// Number of breaches of the bone.
@@ -187,9 +189,12 @@ impl Course {
     }
 
     /// Sets the voxels that the run drilled, once it has ended.
-    pub fn note_drilled(&mut self, regions: &Regions, drilled: &[u32]) {
-        self.clearances.set_removed(regions, drilled);
-        self.healthy_removed_mm3 = regions.healthy_mm3(drilled);
+    pub fn note_drilled(&mut self, anatomy: &Anatomy, drilled: &[u32]) {
+        if let Some(regions) = &anatomy.regions {
+            self.clearances.set_removed(regions, drilled);
+            self.healthy_removed_mm3 = regions.healthy_mm3(drilled);
+        }
+        self.breach_area_mm2 = anatomy.surface.as_ref().map(|surface| 1e6 * surface.removed_m2(drilled));
     }
 
     /// Returns the tool at the start and end, or `None` without a state.
@@ -219,6 +224,7 @@ impl Course {
             removed_volume_mm3: self.voxel_volume_mm3.map(|volume| volume * last.removed_total as f64),
             cutting_energy_j: last.cutting_energy_j,
             healthy_removed_mm3: self.healthy_removed_mm3,
+            breach_area_mm2: self.breach_area_mm2,
             crushing_energy_j: last.crushing_energy_j,
             contact_share: ratio(peaks.ticks_in_contact as f64, self.ticks as f64).unwrap_or(0.0).min(1.0),
             ..peaks.drilling

@@ -72,7 +72,8 @@ impl Summary {
             let crushed = if crushed > 0.0 { format!(", {crushed:.3} J crushing") } else { String::new() };
             rows.push(("drilled", {
                 let voxels = foreign_text::counted(voxels, "voxel");
-                format!("{voxels}{volume}, {energy:.2} J cutting{crushed}")
+                let area = drilling.breach_area_text().map_or(String::new(), |text| format!(", {text}"));
+                format!("{voxels}{volume}, {energy:.2} J cutting{crushed}{area}")
             }));
             let text = format!(
                 "up to {} at once, in {:.1} % of ticks; maximum burr {:.2} N, walls {:.2} N, flange {:.2} N",

@@ -14,6 +14,7 @@
 //! Each file is on disk before the next is started. From a truncated, damaged or missing log, everything
 //! readable is reported, and its faults are listed in `LogSummary::notes`.
 
+pub mod anatomy;
 pub mod calibration_figure;
 mod cautions;
 pub mod course;
@@ -39,7 +40,6 @@ use figures::FigureError;
 use inputs::failure::Failure;
 use ipc_types::messages::Tick;
 use recorder_proc::ring_files::{open_logs, saved_logs};
-use structures::Regions;
 
 pub use run_log::timeline;
 
@@ -48,6 +48,7 @@ pub use outcome::{PlanSummary, StructureSummary};
 pub use summary::{DrillingSummary, MissSummary, NOT_SHARED, Summary, ToolSummary};
 pub use table::{History, json_line};
 
+use anatomy::Anatomy;
 use page::Picture;
 use run_lane::RunLane;
 use timing_lane::TimingLane;
@@ -84,8 +85,8 @@ pub struct RunFacts {
     pub processor_s: BTreeMap<String, f64>,
     /// Distance between the volume's voxels along i, j, k; `None` without a volume.
     pub volume_spacing_m: Option<[f64; 3]>,
-    /// Where the critical structures are in the volume; `None` without a volume or a structure.
-    pub regions: Option<Regions>,
+    /// The bone before the run; `None` without a volume.
+    pub anatomy: Option<Anatomy>,
     /// Command line that replays the run.
     pub replay_command: String,
 }
@@ -135,9 +136,9 @@ pub fn write(folder: &Path, facts: &RunFacts) -> Result<Report, ReportError> {
         RunLane::read(&paths[0], Some(timing.end_ns).filter(|&end_ns| end_ns > 0), facts.volume_spacing_m);
     // The bone drilled before a log begins is not known.
     let is_whole = run.header.as_ref().is_none_or(|header| header.first_tick == Tick::START);
-    if let Some(regions) = facts.regions.as_ref().filter(|_| is_whole) {
+    if let Some(anatomy) = facts.anatomy.as_ref().filter(|_| is_whole) {
         let drilled = std::mem::take(&mut run.drilled);
-        run.course.note_drilled(regions, &drilled);
+        run.course.note_drilled(anatomy, &drilled);
     }
     timing.breaches.iter().for_each(|(tick, text)| run.course.add_breach(*tick, text));
     let open = open_logs(folder);

@@ -91,7 +91,7 @@ pub struct RunLane {
     pub end_ns: u64,
     /// Reduced states.
     pub course: Course,
-    /// Voxels drilled since the start or the last reset, for a scene with structures.
+    /// Voxels drilled since the start or the last reset, for a scene with bone.
     pub drilled: Vec<u32>,
     /// Curves for the figures; `None` without a state.
     pub curves: Option<Curves>,
@@ -170,7 +170,7 @@ impl RunLane {
                     self.course.clearances.add(&reading);
                 }
             }
-            Some(Topic::Removed) if self.has_structures() => self.removed(message.body),
+            Some(Topic::Removed) if self.has_bone() => self.removed(message.body),
             Some(Topic::DrrFrame) => {
                 self.frames.count += u64::from(Frame::read_from_bytes(message.body).is_ok())
             }
@@ -191,8 +191,8 @@ impl RunLane {
         self.end_ns.saturating_sub(self.header.as_ref().map_or(0, first_ns)) as f64 * 1e-9
     }
 
-    fn has_structures(&self) -> bool {
-        self.scene.as_ref().is_some_and(|scene| !scene.structure.is_empty())
+    fn has_bone(&self) -> bool {
+        self.scene.as_ref().is_some_and(|scene| scene.volume.is_some())
     }
 
     /// Adds the voxels that a tick removed; those of tick 0 are the pilot holes.

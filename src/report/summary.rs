@@ -107,6 +107,9 @@ pub struct DrillingSummary {
     /// Volume of the removed bone outside of all targets; `None` without a `[[structure]]` of this role.
     #[serde(default)]
     pub healthy_removed_mm3: Option<f64>,
+    /// Area of the bone's outer surface that was removed other than at the entry; `None` without a volume.
+    #[serde(default)]
+    pub breach_area_mm2: Option<f64>,
     /// Energy spent on cutting since the start or the last reset.
     pub cutting_energy_j: f64,
     /// Energy absorbed by bone that the tool crushed, since the start or the last reset.
@@ -292,6 +295,14 @@ impl Summary {
     pub fn problems(&self) -> usize {
         let model = self.model_error.as_ref().map(ToString::to_string);
         self.cautions.iter().filter(|caution| Some(*caution) != model.as_ref()).count()
+    }
+}
+
+impl DrillingSummary {
+    /// Returns the breach area as text, if there is any.
+    pub fn breach_area_text(&self) -> Option<String> {
+        let area_mm2 = self.breach_area_mm2.filter(|mm2| *mm2 > 0.0)?;
+        Some(format!("{area_mm2:.1} mm2 of the bone's surface beside the entry"))
     }
 }
 

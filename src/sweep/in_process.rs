@@ -6,10 +6,10 @@ use std::sync::Arc;
 
 use run_log::hash_text;
 use sim::{Drive, SharedScene, Sim, SimError};
-use structures::Regions;
 
 use super::row::{Ending, Row};
 use crate::failure::Failure;
+use crate::report::anatomy::Anatomy;
 use crate::report::course::Course;
 
 /// Number of ticks between checks whether the sweep is to end.
@@ -71,6 +71,7 @@ fn follow(
         sim.record(&folder)?;
     }
     course.add(sim.state());
+    sim.readings().iter().for_each(|reading| course.clearances.add(reading));
     for tick in 0..shared.scene().tick_count() {
         if tick % LOOK_TICKS == 0 && is_to_end() {
             return Ok(false);
@@ -80,8 +81,8 @@ fn follow(
         course.note_breach(sim.breach());
         sim.readings().iter().for_each(|reading| course.clearances.add(reading));
     }
-    if let Some(regions) = Regions::of(shared.scene(), shared.ct().map(|ct| &ct.volume)) {
-        course.note_drilled(&regions, sim.drilled());
+    if let Some(anatomy) = Anatomy::of(shared.scene(), shared.ct().map(|ct| &ct.volume)) {
+        course.note_drilled(&anatomy, sim.drilled());
     }
     sim.close_recording()?;
     Ok(true)

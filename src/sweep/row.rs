@@ -66,7 +66,7 @@ type Figure = (&'static str, fn(&Row) -> Option<f64>);
 
 /// The results of a row; those of [`ToolSummary`], [`PlanSummary`] and
 /// [`DrillingSummary`] are defined as in `summary.json`.
-pub const FIGURES: [Figure; 29] = [
+pub const FIGURES: [Figure; 30] = [
     ("ticks", |row| Some(row.ticks as f64)),
     ("simulated_s", |row| Some(row.simulated_s)),
     ("target_error_mm", |row| row.tool.as_ref()?.target_error_mm),
@@ -101,6 +101,7 @@ pub const FIGURES: [Figure; 29] = [
         row.structures.iter().filter_map(|structure| structure.removed_share).reduce(f64::min)
     }),
     ("healthy_removed_mm3", |row| row.drilling.as_ref()?.healthy_removed_mm3),
+    ("breach_area_mm2", |row| row.drilling.as_ref()?.breach_area_mm2),
     ("breaches", |row| row.plan.as_ref().map(|_| row.breaches as f64)),
     ("contact_share", |row| Some(row.drilling.as_ref()?.contact_share)),
 ];

@@ -1,4 +1,10 @@
 //! `trabecula plan path`: plans that keep away from a vessel beside a path.
+//!
+//! Probabilities are compared with those of a larger sample; this command takes any number of runs for it:
+//!
+//! ```sh
+//! TRABECULA_RISK_RUNS=2000 cargo test --release --test processes plan_paths -- --nocapture
+//! ```
 
 use std::fs;
 
@@ -73,6 +79,48 @@ fn the_plans_keep_more_clearance_than_the_scene_and_do_what_is_said() {
     };
     assert_eq!(files("first").len(), found["plans"].as_array().unwrap().len() + 1);
     assert!(files("first") == files("again"));
+}
+
+/// The probabilities of breach from 15 worlds each are within their intervals of 95 % of those from a larger
+/// sample of other worlds, for 9 of 10 plans or more.
+#[test]
+fn probabilities_are_those_of_a_larger_sample_within_their_intervals() {
+    const RUNS: &str = "TRABECULA_RISK_RUNS";
+    let runs: u64 = std::env::var(RUNS).map_or(60, |text| text.parse().unwrap());
+    let [plans, candidates] = if runs < 1000 { [2, 10] } else { [10, 60] };
+    let place = Place::new();
+    let scene =
+        SCENE.replace("spacing_mm = 1.0", "spacing_mm = 2.0").replace("radius_mm = 1.0", "radius_mm = 2.0");
+    fs::write(place.path("scene.toml"), scene).unwrap();
+    let risks = |seed: u64, samples: u64| {
+        let study = format!(
+            "design = \"random\"\nseed = {seed}\nsamples = {samples}\n\
+             [[parameter]]\nkey = \"truth.registration_error_mm.0\"\nmin = -2.0\nmax = 8.0\n\
+             [[parameter]]\nkey = \"truth.manipulator.stiffness_scale\"\nmin = 0.7\nmax = 1.3\n"
+        );
+        fs::write(place.path("study.toml"), study).unwrap();
+        let bounds = format!("--plans {plans} --candidates {candidates} --study @study.toml");
+        let found = json(
+            &place,
+            &format!("plan path @scene.toml {bounds} --samples {samples} --json -o @plans-{seed}"),
+        );
+        found["plans"].as_array().unwrap().clone()
+    };
+    let (few, many) = (risks(1, 15), risks(2, runs / plans));
+    let share = |plan: &Value| {
+        let breach = &plan["risk"]["breach"];
+        breach["count"].as_f64().unwrap() / breach["of"].as_f64().unwrap()
+    };
+    let mut outside = 0;
+    for (few, many) in few.iter().zip(&many) {
+        assert_eq!(few["plan"]["offsets"], many["plan"]["offsets"], "the same search");
+        let [low, high] = [0, 1].map(|end| few["breach_interval"][end].as_f64().unwrap());
+        println!("{:.3}, {low:.3} to {high:.3}; of {}: {:.3}", share(few), runs / plans, share(many));
+        outside += u64::from(!(low..=high).contains(&share(many)));
+    }
+    println!("{} plans, {outside} outside of their intervals", many.len());
+    assert!(outside * 10 <= many.len() as u64);
+    assert!(many.iter().any(|plan| share(plan) > 0.0), "no plan is ever too close");
 }
 
 #[test]

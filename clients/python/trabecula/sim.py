@@ -264,10 +264,12 @@ class Sim:
 
     def restore(self, snapshot: Snapshot) -> None:
         """Returns to the state of a snapshot, from this or another simulation of the same scene, and
-        continues bit for bit.
+        continues bit for bit. A snapshot of a scene that differs only in `[truth]` gives its state and its
+        drilled bone; the parameters stay those of this scene.
 
         Raises:
-            ArgumentError: The snapshot is from another scene or has other driven controllers.
+            ArgumentError: The snapshot is from another scene, has other driven controllers, or its
+                `[truth]` differs in a key by which the state is stored.
             Error: A recording is open.
         """
         self._native.restore(_taken(snapshot))

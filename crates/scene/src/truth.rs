@@ -2,7 +2,9 @@
 
 use markups::vector::{cross, dot, length, minus, plus};
 
-use crate::{Contact, Drilling, Manipulator, Scene, TrueManipulator, Truth, planned_path_mm};
+use crate::{
+    Contact, Drilling, Manipulator, ManipulatorRung, Scene, TrueManipulator, Truth, planned_path_mm,
+};
 
 impl Scene {
     /// The true scene: the values of `[truth]` replace those that the plan and the controllers assume, and
@@ -35,6 +37,36 @@ impl Scene {
         let axes = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
         self.in_bone_mm([0.0; 3]) == other.in_bone_mm([0.0; 3])
             && axes.iter().all(|axis| self.turned_with_bone(*axis) == other.turned_with_bone(*axis))
+    }
+
+    /// Whether another scene differs from this one at most in `[truth]`.
+    pub fn differs_only_in_truth(&self, other: &Scene) -> bool {
+        let [mut here, mut there] = [self.clone(), other.clone()];
+        (here.truth, there.truth) = (None, None);
+        here == there
+    }
+
+    /// Returns the first key by which the state of a simulation of `other`, which differs only in `[truth]`,
+    /// means something else in this scene or has another number of entries; `None` if this scene can go on
+    /// from it.
+    pub fn state_mismatch(&self, other: &Scene) -> Option<&'static str> {
+        let [here, there] = [self.as_it_is(), other.as_it_is()];
+        let is_modal = here.manipulator.model == Some(ManipulatorRung::Modal);
+        let is_stalling = |scene: &Scene| scene.manipulator.burr_stall_torque_nmm.is_some();
+        let has_side_force = |scene: &Scene| scene.drilling.side_force.unwrap_or(false);
+        [
+            // The drilled voxels are those of the bone where it lies.
+            (!self.has_bone_pose_of(other), "truth.registration_error_mm` or `truth.registration_error_deg"),
+            (is_stalling(&here) != is_stalling(&there), "truth.manipulator.burr_stall_torque_nmm"),
+            (has_side_force(&here) != has_side_force(&there), "truth.drilling.side_force"),
+            // The square of an amplitude is an energy.
+            (
+                is_modal && here.manipulator.stiffness_scale != there.manipulator.stiffness_scale,
+                "truth.manipulator.stiffness_scale",
+            ),
+        ]
+        .into_iter()
+        .find_map(|(differs, key)| differs.then_some(key))
     }
 
     /// Whether the bone's true pose differs from the plan.

@@ -86,6 +86,12 @@ pub enum SimError {
          with the same"
     )]
     OtherScene,
+    /// A snapshot of a scene whose `[truth]` differs in what the state is stored by.
+    #[error("the state of the snapshot does not fit this scene: `{key}` differs; use the same value in both")]
+    OtherTruth {
+        /// The key.
+        key: &'static str,
+    },
     /// A simulation that is being recorded cannot jump to another state.
     #[error(
         "still recording into {}: close the recording before moving the simulation to another state",

@@ -174,8 +174,24 @@ impl SharedScene {
 
     /// Returns whether both are the same scene and volume, so that a snapshot of one fits the other.
     pub(crate) fn is_same(self: &Arc<Self>, other: &Arc<SharedScene>) -> bool {
+        Arc::ptr_eq(self, other) || (self.scene == other.scene && self.has_volume_of(other))
+    }
+
+    fn has_volume_of(&self, other: &SharedScene) -> bool {
         let sha256 = |shared: &SharedScene| shared.ct().map(|ct| ct.sha256);
-        Arc::ptr_eq(self, other) || (self.scene == other.scene && sha256(self) == sha256(other))
+        sha256(self) == sha256(other)
+    }
+
+    /// Refuses states of another scene, unless it differs only in parameters of `[truth]`.
+    pub(crate) fn refuse_other_state(&self, other: &SharedScene) -> Result<(), SimError> {
+        if !self.scene.differs_only_in_truth(&other.scene) {
+            return Err(SimError::OtherScene);
+        }
+        match self.scene.state_mismatch(&other.scene) {
+            Some(key) => Err(SimError::OtherTruth { key }),
+            None if !self.has_volume_of(other) => Err(SimError::OtherScene),
+            None => Ok(()),
+        }
     }
 }
 

@@ -430,20 +430,33 @@ impl Sim {
     /// Moves to the state of a snapshot, of this or another simulation of the same scene, and continues from
     /// there bit for bit.
     ///
+    /// The scene of the snapshot may differ in `[truth]`, as that of a model that follows a plant: the state,
+    /// the drilled bone, motions in progress and the controllers are then the snapshot's, and the parameters
+    /// remain those of this scene. The hash is one that no run has.
+    ///
     /// # Errors
-    /// If the snapshot belongs to another scene or to a simulation with other driven controllers, or this one
-    /// is being recorded.
+    /// If the snapshot belongs to another scene or to a simulation with other driven controllers, its
+    /// `[truth]` differs in what the state is stored by, or this simulation is being recorded.
     pub fn restore(&mut self, snapshot: &Snapshot) -> Result<(), SimError> {
         let saved = &*snapshot.0;
         let drives = |drivers: &[Driver]| -> Vec<bool> {
             drivers.iter().map(|driver| driver.built_in.is_some()).collect()
         };
-        if !self.shared.is_same(&saved.shared) || drives(&self.drivers) != drives(&saved.drivers) {
+        let is_same = self.shared.is_same(&saved.shared);
+        if drives(&self.drivers) != drives(&saved.drivers) {
             return Err(SimError::OtherScene);
+        }
+        if !is_same {
+            self.shared.refuse_other_state(&saved.shared)?;
         }
         self.lane.refuse_a_jump()?;
         let tick = Tick(saved.simulation.state().tick);
-        self.run.plant_mut().restore(&saved.simulation).map_err(|cause| SimError::Physics { tick, cause })?;
+        let plant = self.run.plant_mut();
+        let restored = match is_same {
+            true => plant.restore(&saved.simulation),
+            false => plant.restore_of_other_truth(&saved.simulation),
+        };
+        restored.map_err(|cause| SimError::Physics { tick, cause })?;
         self.run.restore_commands(&saved.commands);
         self.drivers.clone_from(&saved.drivers);
         self.drilled.clone_from(&saved.drilled);

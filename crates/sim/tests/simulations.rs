@@ -14,7 +14,7 @@ use run_log::LogReader;
 use sim::{Batch, Drive, SharedScene, Sim, SimError, View};
 use simulation::Simulation;
 use tempfile::TempDir;
-use test_support::scenes::{BLOCK, OPEN_LOOP, x_ray};
+use test_support::scenes::{BLOCK, OPEN_LOOP, TOOL, x_ray};
 
 /// The block, seen by a C-arm, and a controller that drills a curve into it.
 static DRILL: LazyLock<String> = LazyLock::new(|| {
@@ -134,6 +134,80 @@ fn built_in_controllers_are_part_of_a_snapshot() {
     assert_eq!(sim.state().hash, end);
     let mut driven = Sim::new(&place.scene(), &Drive::Everything).unwrap();
     assert!(matches!(driven.restore(&here), Err(SimError::OtherScene)));
+}
+
+/// Creates a simulation with these settings; on the heap, because several fill a test's stack.
+fn simulation_with(place: &Place, settings: &[&str]) -> Box<Sim> {
+    let settings: Vec<String> = settings.iter().map(|line| (*line).to_owned()).collect();
+    let shared = SharedScene::load(Some(&place.path("scene.toml")), &settings, None).unwrap();
+    Box::new(Sim::new(&shared, &Drive::Everything).unwrap())
+}
+
+fn vector_bits(sim: &Sim) -> Vec<u64> {
+    sim.snapshot().vector().iter().map(|value| value.to_bits()).collect()
+}
+
+const STIFFER: &str = "truth.manipulator.stiffness_scale=1.2";
+
+/// A model that follows a plant with a softer tool. Without bone, of which the state vector has nothing, its
+/// ticks are those of a simulation whose state vector was set to the plant's.
+#[test]
+fn a_model_goes_on_from_the_state_of_a_plant_with_its_own_parameters() {
+    let run = "name = \"free\"\nrun = { mode = \"lockstep\", duration_s = 1.0 }\n";
+    for model in ["planar", "spatial"] {
+        let place = Place::with(&format!("{run}manipulator.model = \"{model}\"\n{TOOL}"));
+        let mut plant = simulation_with(&place, &[]);
+        push(&mut plant, 150);
+        let mut followed = simulation_with(&place, &[STIFFER]);
+        let mut set = simulation_with(&place, &[STIFFER]);
+        followed.restore(&plant.snapshot()).unwrap();
+        assert_eq!((vector_bits(&followed), followed.state().tick), (vector_bits(&plant), 150));
+        assert_ne!(followed.state().hash, plant.state().hash, "no run leads here");
+        push(&mut set, 150);
+        assert_ne!(vector_bits(&set), vector_bits(&plant), "a stiffer tool bends less");
+        let here = set.snapshot();
+        set.restore_vector(&here, plant.snapshot().vector()).unwrap();
+        for tick in [151, 300] {
+            [&mut plant, &mut followed, &mut set].into_iter().for_each(|sim| {
+                push(sim, tick);
+            });
+            assert_eq!(vector_bits(&followed), vector_bits(&set), "{model}: tick {tick}");
+            assert_ne!(vector_bits(&followed), vector_bits(&plant));
+        }
+    }
+}
+
+/// In bone that the plant has drilled; and what does not fit.
+#[test]
+fn a_model_takes_over_the_drilled_bone_and_refuses_what_does_not_fit() {
+    let place = Place::with(&DRILL);
+    let mut plant = simulation_with(&place, &[]);
+    push(&mut plant, 700);
+    let (there, drilled) = (plant.snapshot(), plant.drilled().to_vec());
+    let mut model = simulation_with(&place, &[STIFFER]);
+    model.restore(&there).unwrap();
+    assert!(!drilled.is_empty() && model.drilled() == drilled);
+    let mut branch = Box::new(model.branch().unwrap());
+    assert_eq!(push(&mut model, 800), push(&mut branch, 800));
+    assert_ne!(push(&mut plant, 800), model.state().hash);
+    model.reset().unwrap();
+    assert_eq!((model.state().tick, model.state().hash), (0, [0; 2]));
+    for (model, setting, key) in [
+        ("planar", "truth.registration_error_mm=[0.5,0,0]", "truth.registration_error_mm"),
+        ("planar", "truth.manipulator.burr_stall_torque_nmm=20", "truth.manipulator.burr_stall_torque_nmm"),
+        ("spatial", "truth.drilling.side_force=true", "truth.drilling.side_force"),
+        ("modal", STIFFER, "truth.manipulator.stiffness_scale"),
+    ] {
+        let model = format!("manipulator.model=\"{model}\"");
+        let plant = simulation_with(&place, &[&model]);
+        let mut other = simulation_with(&place, &[&model, setting]);
+        let refused = other.restore(&plant.snapshot());
+        assert!(matches!(&refused, Err(SimError::OtherTruth { .. })), "{setting}: {refused:?}");
+        assert!(refused.unwrap_err().to_string().contains(key), "{setting}");
+        assert_eq!(other.state().hash, [0; 2], "nothing has changed");
+    }
+    let other = simulation_with(&place, &["run.seed=8"]).restore(&there);
+    assert!(matches!(other, Err(SimError::OtherScene)), "{other:?}");
 }
 
 #[test]

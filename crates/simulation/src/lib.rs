@@ -67,5 +67,5 @@ mod world;
 pub use world::{
     CtView, Finding, KeyframeError, LostTool, Simulation, SimulationError, SimulationSnapshot, StateEntry,
     StateVectorError, ToolEffort, Verdict, contact_kind, creation_bound_j, findings, manipulator_parameters,
-    planned_time_s, pose, rung, validated_range,
+    outer_surface, planned_time_s, pose, rung, validated_range,
 };

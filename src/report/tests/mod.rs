@@ -27,7 +27,7 @@ fn facts() -> RunFacts {
         processor_s: BTreeMap::from([("physics".to_string(), 2.5)]),
         // A file's voxels are no cubes, unless the scene asks for them.
         volume_spacing_m: Some([5e-4, 2.5e-4, 1e-3]),
-        regions: None,
+        anatomy: None,
         replay_command: "trabecula replay runs/x/run.mcap".to_string(),
     }
 }

@@ -25,6 +25,7 @@ fn kind(error: &SimError) -> Kind {
         | SimError::StateVector(_)
         | SimError::Packed(_)
         | SimError::OtherScene
+        | SimError::OtherTruth { .. }
         | SimError::NotInLog { .. }
         | SimError::NoContinuation { .. }
         | SimError::Count { .. }

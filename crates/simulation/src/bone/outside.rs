@@ -200,6 +200,12 @@ impl Outside {
         &self.geometry
     }
 
+    /// Returns whether a voxel is outside of the bone; `None` beyond the grid.
+    pub fn voxel(&self, voxel: [i64; 3]) -> Option<bool> {
+        let is_within = (0..3).all(|a| voxel[a] >= 0 && voxel[a] < self.geometry.dims[a] as i64);
+        is_within.then(|| self.rows.at(voxel.map(|index| index as usize)))
+    }
+
     /// Returns whether each voxel is outside of the bone, x fastest.
     pub fn bits(&self) -> Vec<bool> {
         let [nx, ny, nz] = self.geometry.dims;
@@ -211,8 +217,7 @@ impl Outside {
     pub fn holds(&self, point_world_m: &Vector3<f64>) -> bool {
         let (point, h) = (self.geometry.point_to_grid(point_world_m), self.geometry.spacing_m);
         let voxel = [0, 1, 2].map(|a| floor_to_i64(point[a] / h[a] + 0.5));
-        let is_within = (0..3).all(|a| voxel[a] >= 0 && voxel[a] < self.geometry.dims[a] as i64);
-        !is_within || self.rows.at(voxel.map(|index| index as usize))
+        self.voxel(voxel).unwrap_or(true)
     }
 }
 

@@ -14,7 +14,7 @@ use thiserror::Error;
 use xxhash_rust::xxh3::Xxh3;
 use zerocopy::IntoBytes;
 
-use super::{BurrDriveState, Simulation, SimulationError, TubeRefusal};
+use super::{BurrDriveState, Simulation, SimulationError, SimulationSnapshot, TubeRefusal};
 use crate::arm::{AxisState, ComplianceState};
 use crate::manipulator::{ManipulatorModel, ManipulatorState, Rung, Wrench};
 
@@ -255,12 +255,36 @@ impl Simulation<'_> {
         }
         self.take(parts, changed)?;
         self.show_pose();
+        self.hash_in(vector);
+        Ok(())
+    }
+
+    /// Restores a snapshot of a simulation whose scene differs in parameters by which no state is stored
+    /// (`Scene::state_mismatch`): the state, the bone and motions in progress are the snapshot's, and so is
+    /// what the last tick left for the next one (contact forces, recession of bone); what follows from
+    /// parameters is this scene's. The hash chain takes in the state vector, because no run leads from the
+    /// one scene to the other.
+    ///
+    /// # Errors
+    /// The snapshot does not fit.
+    pub fn restore_of_other_truth(&mut self, snapshot: &SimulationSnapshot) -> Result<(), SimulationError> {
+        self.restore(snapshot)?;
+        // What bounds the energy of free motion is the other tool's.
+        let mut tool = self.manipulator.snapshot();
+        let (sliding, wrench) = (tool.sliding(), *tool.flange_wrench());
+        tool.displace(&sliding, &wrench);
+        self.manipulator.restore(&tool);
+        self.hash_in(&self.state_vector());
+        Ok(())
+    }
+
+    /// Extends the hash chain with a state vector.
+    fn hash_in(&mut self, vector: &[f64]) {
         let mut hasher = Xxh3::new();
         hasher.update(self.state.hash.as_bytes());
         hasher.update(vector.as_bytes());
         let hash = hasher.digest128();
         self.state.hash = [hash as u64, (hash >> 64) as u64];
-        Ok(())
     }
 
     fn take(&mut self, parts: Parts, changed: Changed) -> Result<(), SimulationError> {

@@ -27,6 +27,7 @@ mod described_tools;
 mod driven_bodies;
 mod feasibility;
 mod fine_voxels;
+mod fixtures;
 mod flexure;
 mod gantry;
 mod gap;
