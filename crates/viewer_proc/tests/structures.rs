@@ -130,6 +130,22 @@ fn a_helix_has_the_distance_of_a_tube() {
     assert!(most_mm < 1e-9 && least_mm > -1e-9, "{least_mm} to {most_mm} mm");
 }
 
+/// Regression: two points without a direction between them made corners that are not numbers, and merging
+/// them never ended.
+#[test]
+fn a_leg_too_short_for_a_direction_is_left_out() {
+    let points: Vec<String> =
+        (0..90).map(|step| format!("[{}.0, {:?}, 5.0]", step, 3.0 * f64::from(step % 2))).collect();
+    let tube = |start: &str| {
+        scene(&format!("tube = {{ points_mm = [{start}{}], radius_mm = 1.0 }}", points.join(", ")))
+    };
+    let [whole, doubled] = ["", "[1e-200, 0.0, 5.0], "].map(|start| {
+        let scene = tube(start);
+        structure_surface(&scene, &scene.structure[0], 1000).unwrap().unwrap()
+    });
+    assert!(whole.len() <= 1000 && whole == doubled);
+}
+
 /// A line that turns back, and one with legs shorter than its radius: nothing is outside, and all is closed.
 #[test]
 fn a_crumpled_tube_stays_within_its_surface() {

@@ -122,7 +122,8 @@ fn merged(triangles: Vec<Triangle>, most: usize) -> Vec<Triangle> {
         };
         let placed = triangles.iter().map(|triangle| triangle.map(&mut place));
         let left: Vec<Triangle> = placed.filter(|[a, b, c]| a != b && b != c && c != a).collect();
-        if left.len() <= most {
+        // With one cell for everything nothing is left, unless a corner is not a number.
+        if left.len() <= most || !cell_m.is_finite() {
             return left;
         }
         cell_m *= GROWTH;

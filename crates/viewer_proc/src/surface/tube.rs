@@ -10,6 +10,8 @@ use super::Triangle;
 const AROUND: usize = 48;
 /// Largest angle between two rings of a round end or of the outside of a bend, rad.
 const STEP_RAD: f64 = TAU / AROUND as f64;
+/// Points of the line closer than this are one: a shorter leg may have no direction.
+const LEAST_LEG_M: f64 = 1e-9;
 /// Least cosine of half a bend.
 const LEAST_COSINE: f64 = 1e-9;
 
@@ -18,7 +20,7 @@ const LEAST_COSINE: f64 = 1e-9;
 /// Where a line comes back to itself, the surfaces of both parts overlap.
 pub fn tube(points_m: &[Vector3<f64>], radius_m: f64) -> Vec<Triangle> {
     let mut line_m = points_m.to_vec();
-    line_m.dedup();
+    line_m.dedup_by(|next_m, point_m| (*next_m - *point_m).norm() < LEAST_LEG_M);
     let (Some(start_m), Some(end_m)) = (line_m.first(), line_m.last()) else { return Vec::new() };
     let ways: Vec<Vector3<f64>> = line_m.windows(2).map(|leg| (leg[1] - leg[0]).normalize()).collect();
     let (first, last) = ends(&ways);
