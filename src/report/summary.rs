@@ -302,7 +302,7 @@ impl DrillingSummary {
     /// Returns the breach area as text, if there is any.
     pub fn breach_area_text(&self) -> Option<String> {
         let area_mm2 = self.breach_area_mm2.filter(|mm2| *mm2 > 0.0)?;
-        Some(format!("{area_mm2:.1} mm2 of the bone's surface beside the entry"))
+        Some(format!("{area_mm2:.1} mm2 of the bone's surface away from the entry"))
     }
 }
 

@@ -63,7 +63,8 @@ impl OuterSurface {
             let voxel = geometry.voxel(VoxelIndex::new(*number)).map(|index| index as i64);
             self.counted_m2(geometry, voxel)
         };
-        drilled.iter().map(area).sum()
+        // Without a negative zero.
+        drilled.iter().map(area).sum::<f64>() + 0.0
     }
 
     /// Returns the area of a voxel's part of the surface outside of the entry, m².
@@ -99,14 +100,15 @@ impl OuterSurface {
     }
 
     /// Returns the faces of a voxel that belong to the surface: area, m², times the normal out of the bone,
-    /// in the grid's axes.
+    /// in the grid's axes. Where the volume ends in bone, its border is the surface, as for
+    /// [`Outside::holds`].
     fn faces_m2(&self, geometry: &GridGeometry, voxel: [i64; 3]) -> impl Iterator<Item = Vector3<f64>> {
         let [dx, dy, dz] = geometry.spacing_m;
         let areas_m2 = Vector3::new(dy * dz, dz * dx, dx * dy);
         let is_bone = self.outside.voxel(voxel) == Some(false);
         NEIGHBOURS.into_iter().filter_map(move |[i, j, k]| {
             let beside = [voxel[0] + i, voxel[1] + j, voxel[2] + k];
-            let is_face = is_bone && self.outside.voxel(beside) == Some(true);
+            let is_face = is_bone && self.outside.voxel(beside) != Some(false);
             is_face.then(|| Vector3::new(i as f64, j as f64, k as f64).component_mul(&areas_m2))
         })
     }
@@ -190,7 +192,20 @@ mod tests {
     fn only_the_entry_itself_is_left_out() {
         let block = |at: Vector3<f64>| at.z.abs() < 20.0 && at.x > -1.0;
         let thick = |at: Vector3<f64>| at.z > -10.0;
-        assert_eq!(exit_mm2([0.6; 3], &thick, Vector3::z()), 0.0);
+        let (geometry, hu, voxels) = drilled([0.6; 3], &thick, Vector3::z());
+        let entry = Entry {
+            at_m: Vector3::new(0.0, 0.0, -25e-3),
+            along: Vector3::z(),
+            radius_m: RADIUS_MM * 1e-3 + 1.5e-3,
+        };
+        let surface = OuterSurface::new(Outside::new(geometry, &hu, 150), entry);
+        let last_slice = |index: &&u32| **index as usize >= (N - 1) * N * N;
+        let blind: Vec<u32> = voxels.iter().copied().filter(|index| !last_slice(&index)).collect();
+        assert_eq!(surface.removed_m2(&blind), 0.0);
+        assert!(surface.removed_m2(&[]).is_sign_positive());
+        // Through the border of the volume, which cuts the bone: the faces of the last slice.
+        let faces_mm2 = 0.6 * 0.6 * voxels.iter().filter(last_slice).count() as f64;
+        assert!((1e6 * surface.removed_m2(&voxels) - faces_mm2).abs() < 1e-9 && faces_mm2 > 30.0);
         // A groove along the face x = -1: 2 sqrt(r^2 - 1) wide and as long as the block, without the entry.
         let groove_mm2 = exit_mm2([0.5; 3], &block, Vector3::z());
         let width_mm = 2.0 * (RADIUS_MM * RADIUS_MM - 1.0).sqrt();
