@@ -46,9 +46,10 @@ fn check_value(kind: &Kind, value: &Value, path: &str, checker: &Checker) -> Res
         (Kind::Path, Value::String(text)) if text.is_empty() => {
             Err(checker.invalid(path, "is \"\"; expected the path of a file"))
         }
-        (Kind::List(of, _, most), Value::Array(values)) => {
-            if let Some(most) = most {
-                let count = Range { lowest: 0.0, highest: *most as f64, or_zero: false };
+        (Kind::List(of, least, most), Value::Array(values)) => {
+            if least.is_some() || most.is_some() {
+                let [lowest, highest] = [least.unwrap_or(0), most.unwrap_or(u64::MAX)].map(|end| end as f64);
+                let count = Range { lowest, highest, or_zero: false };
                 checker.range(&format!("{path} (count)"), values.len() as f64, count)?;
             }
             let is_vector = matches!(**of, Kind::Number(_) | Kind::Integer(_));

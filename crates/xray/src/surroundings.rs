@@ -12,7 +12,7 @@ use crate::error::DrrError;
 use crate::placement::Placement;
 use crate::solids::PlacedSolids;
 use crate::tool::{PlacedObjects, Tool, ToolPart};
-use crate::vector::{Vec3, scale};
+use crate::vector::{Vec3, norm, scale};
 
 /// The arm and the objects of a scene.
 #[derive(Debug, Clone, Default)]
@@ -23,12 +23,18 @@ pub struct Surroundings {
 
 #[derive(Debug, Clone)]
 struct Object {
-    name: String,
+    /// Names of its balls as markers; none of a body.
+    markers: Vec<String>,
     material: Material,
     shape: Shape,
     carrier: Carrier,
     t_carrier_object: Placement,
+    /// Largest distance of its points from its origin, m.
+    reach_m: f64,
 }
+
+/// Largest coordinate of an object in a frame, m: that of a tool's part. No detector is farther away.
+const FARTHEST_M: f64 = 100.0;
 
 /// What an object moves with.
 #[derive(Debug, Clone, Copy)]
@@ -84,12 +90,11 @@ impl Surroundings {
     pub fn markers_m(&self, state: &State) -> Vec<(String, [f64; 3])> {
         let of_object = |object: &Object| {
             let Shape::Balls { centres_m, .. } = &object.shape else { return Vec::new() };
-            let (name, place, many) = (&object.name, object.placed(state), centres_m.len() > 1);
-            let name = |number: usize| if many { format!("{name}_{number}") } else { name.clone() };
-            let ball = |(centre_m, number): (&Vec3, usize)| (name(number), place.point(*centre_m));
-            centres_m.iter().zip(1..).map(ball).collect()
+            let place = object.placed(state);
+            let ball = |(name, centre_m): (&String, &Vec3)| (name.clone(), place.point(*centre_m));
+            object.markers.iter().zip(centres_m).map(ball).collect()
         };
-        self.objects.iter().filter(|object| !object.is_body()).flat_map(of_object).collect()
+        self.objects.iter().flat_map(of_object).collect()
     }
 }
 
@@ -118,8 +123,9 @@ impl Object {
             let refuse = |problem| DrrError::Object { name: object.name.clone(), problem };
             Shape::Mesh(Arc::from([mesh.map_err(refuse)?.scaled([1e-3; 3])]))
         };
-        let (name, material) = (object.name.clone(), material_of(object.material));
-        Ok(Self { name, material, shape, carrier, t_carrier_object })
+        let (markers, material) = (object.marker_names(), material_of(object.material));
+        let reach_m = shape.reach_m();
+        Ok(Self { markers, material, shape, carrier, t_carrier_object, reach_m })
     }
 
     /// A rigid body; `None` if frames do not show it.
@@ -135,12 +141,8 @@ impl Object {
             }
             _ => return None,
         };
-        let (name, carrier) = (body.name.clone(), Carrier::Body(number));
-        Some(Self { name, material, shape, carrier, t_carrier_object: Placement::IDENTITY })
-    }
-
-    fn is_body(&self) -> bool {
-        matches!(self.carrier, Carrier::Body(_))
+        let (markers, carrier, reach_m) = (Vec::new(), Carrier::Body(number), shape.reach_m());
+        Some(Self { markers, material, shape, carrier, t_carrier_object: Placement::IDENTITY, reach_m })
     }
 
     /// World placement in a state.
@@ -154,8 +156,12 @@ impl Object {
         Placement::of_pose(t_world_carrier).then(&self.t_carrier_object)
     }
 
+    /// Puts the object among those of a frame, unless it is too far away to be seen, as a body that falls.
     fn put_in(&self, state: &State, objects: &mut PlacedObjects) {
         let (place, material) = (self.placed(state), self.material);
+        if place.point([0.0; 3]).iter().any(|x| x.abs() + self.reach_m > FARTHEST_M) {
+            return;
+        }
         let parts = &mut objects.parts;
         match &self.shape {
             Shape::Balls { radius_m, centres_m } => parts.extend(centres_m.iter().map(|centre_m| {
@@ -191,6 +197,20 @@ impl Object {
                 material,
                 density_g_per_cm3: material.density_g_per_cm3(),
             }),
+        }
+    }
+}
+
+impl Shape {
+    /// Returns the largest distance of its points from the origin, or more, m.
+    fn reach_m(&self) -> f64 {
+        let farthest = |points_m: &[Vec3]| points_m.iter().copied().map(norm).fold(0.0, f64::max);
+        match self {
+            Shape::Balls { radius_m, centres_m } => farthest(centres_m) + radius_m,
+            Shape::Cylinder { ends_m, radii_m } => farthest(ends_m) + radii_m[0],
+            Shape::Capsule { half_height_m, radius_m } => half_height_m + radius_m,
+            Shape::Cuboid { half_m } => norm(*half_m),
+            Shape::Mesh(solids) => solids.iter().map(|solid| farthest(solid.corners())).fold(0.0, f64::max),
         }
     }
 }

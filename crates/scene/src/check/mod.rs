@@ -264,6 +264,11 @@ fn check_drr(drr: &Drr, checker: &Checker) -> Result<(), SceneError> {
     checker.at_least("drr.source_detector_mm", drr.source_detector_mm, drr.source_isocentre_mm)?;
     if drr.photons_per_pixel > 0.0 {
         checker.at_least("drr.photons_per_pixel", drr.photons_per_pixel, 1.0)?;
+        let passed = drr.photons_per_pixel * drr.grid.map_or(1.0, |grid| grid.primary_transmission);
+        if passed < 1.0 {
+            let problem = format!("times `drr.grid.primary_transmission` is {passed}; expected at least 1");
+            return Err(checker.invalid("drr.photons_per_pixel", problem));
+        }
     }
     for (index, object) in drr.object.iter().enumerate() {
         if drr.object[..index].iter().any(|other| other.name == object.name) {
@@ -271,8 +276,17 @@ fn check_drr(drr: &Drr, checker: &Checker) -> Result<(), SceneError> {
         }
         check_object(object, checker)?;
     }
+    let mut markers: Vec<String> = drr.object.iter().flat_map(DrrObject::marker_names).collect();
+    markers.sort_unstable();
+    if let Some(pair) = markers.windows(2).find(|pair| pair[0] == pair[1]) {
+        let problem = format!("gives two balls the name `{}`; rename an object", pair[0]);
+        return Err(checker.invalid("drr.object.name", problem));
+    }
     drr.carm.as_ref().map_or(Ok(()), |carm| check_c_arm(carm, checker))
 }
+
+/// Least length of a cylinder: shorter ones have no axis once they are placed far away.
+const LEAST_LENGTH_MM: f64 = 1e-3;
 
 fn check_object(object: &DrrObject, checker: &Checker) -> Result<(), SceneError> {
     let DrrObject { name, balls, cylinder, cuboid, mesh, .. } = object;
@@ -287,8 +301,11 @@ fn check_object(object: &DrrObject, checker: &Checker) -> Result<(), SceneError>
         return Err(checker.invalid(&format!("{key}.balls.centres_mm"), problem));
     }
     if let Some(ObjectCylinder { start_mm, end_mm, radius_mm, inner_radius_mm }) = cylinder {
-        if start_mm == end_mm {
-            return Err(checker.invalid(&format!("{key}.cylinder"), "has equal ends; expected a length"));
+        let along_mm: [f64; 3] = core::array::from_fn(|axis| end_mm[axis] - start_mm[axis]);
+        let length_mm = along_mm.iter().map(|mm| mm * mm).sum::<f64>().sqrt();
+        if length_mm < LEAST_LENGTH_MM {
+            let problem = format!("is {length_mm} mm long; expected at least {LEAST_LENGTH_MM}");
+            return Err(checker.invalid(&format!("{key}.cylinder"), problem));
         }
         if inner_radius_mm >= radius_mm {
             let problem = format!("is {inner_radius_mm}; expected less than `radius_mm`, {radius_mm}");

@@ -78,6 +78,17 @@ pub struct DrrObject {
     pub rotation_vector_deg: [f64; 3],
 }
 
+impl DrrObject {
+    /// Returns the names of its balls as markers: its own, with a number from 1 if there are several.
+    pub fn marker_names(&self) -> Vec<String> {
+        let count = self.balls.as_ref().map_or(0, |balls| balls.centres_mm.len());
+        match count {
+            1 => vec![self.name.clone()],
+            _ => (1..=count).map(|number| format!("{}_{number}", self.name)).collect(),
+        }
+    }
+}
+
 /// Equal balls.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]

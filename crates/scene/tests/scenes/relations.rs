@@ -270,7 +270,21 @@ fn objects_of_the_x_ray_have_one_sound_shape_and_a_name_of_their_own() {
         ),
         (format!("{ball}{ball}"), "drr.object.name` has a duplicate: `a`"),
         (object("balls = { radius_mm = 1, centres_mm = [[0, 2e5, 0]] }"), "within 100000 mm"),
-        (cylinder("end_mm = [0, 0, 0]"), "has equal ends"),
+        (cylinder("end_mm = [0, 0, 0]"), "`drr.object `a`.cylinder` is 0 mm long; expected at least 0.001"),
+        (object("balls = { radius_mm = 1, centres_mm = [] }"), "`drr.object.balls.centres_mm (count)` is 0"),
+        (
+            format!(
+                "{}{}",
+                object("balls = { radius_mm = 1, centres_mm = [[0, 0, 0], [9, 0, 0]] }"),
+                ball.replace("\"a\"", "\"a_2\"")
+            ),
+            "gives two balls the name `a_2`",
+        ),
+        (
+            "photons_per_pixel = 50\ngrid = { primary_transmission = 0.01, scatter_transmission = 0.0 }\n"
+                .to_owned(),
+            "`drr.photons_per_pixel` times `drr.grid.primary_transmission` is 0.5; expected at least 1",
+        ),
         (cylinder("end_mm = [0, 0, 9], inner_radius_mm = 1"), "is 1; expected less than `radius_mm`, 1"),
         (cylinder("end_mm = [0, 0, 9], inner_radius_mm = -1"), "allowed: 0 to 1000"),
         (object("balls = { radius_mm = 1 }\nattached = \"head\""), "anatomy"),

@@ -188,6 +188,9 @@ fn bodies_of_a_material_are_seen_where_the_state_has_them_and_others_are_not() {
     }
     println!("capsule: worst error of the line integral {worst:.1e}");
     assert!(found.iter().any(|value| *value > 1.0) && worst < 1e-6, "{worst:e}");
+    // Regression: a body that had fallen for five seconds ended the X-ray.
+    state.t_world_body[0].position_m[2] = -120.0;
+    assert_eq!(placed(&scene, &state).parts, []);
 }
 
 /// A mesh of a cuboid, of the scene's text, is the cuboid.
