@@ -269,7 +269,7 @@ class Sim:
 
         Raises:
             ArgumentError: The snapshot is from another scene, has other driven controllers, or its
-                `[truth]` differs in a key by which the state is stored.
+                `[truth]` differs in a key that determines what the state means.
             Error: A recording is open.
         """
         self._native.restore(_taken(snapshot))

@@ -53,6 +53,7 @@ impl Scene {
         let [here, there] = [self.as_it_is(), other.as_it_is()];
         let is_modal = here.manipulator.model == Some(ManipulatorRung::Modal);
         let is_stalling = |scene: &Scene| scene.manipulator.burr_stall_torque_nmm.is_some();
+        let stiffness = |scene: &Scene| scene.manipulator.stiffness_scale.unwrap_or(1.0);
         let has_side_force = |scene: &Scene| scene.drilling.side_force.unwrap_or(false);
         [
             // The drilled voxels are those of the bone where it lies.
@@ -60,10 +61,7 @@ impl Scene {
             (is_stalling(&here) != is_stalling(&there), "truth.manipulator.burr_stall_torque_nmm"),
             (has_side_force(&here) != has_side_force(&there), "truth.drilling.side_force"),
             // The square of an amplitude is an energy.
-            (
-                is_modal && here.manipulator.stiffness_scale != there.manipulator.stiffness_scale,
-                "truth.manipulator.stiffness_scale",
-            ),
+            (is_modal && stiffness(&here) != stiffness(&there), "truth.manipulator.stiffness_scale"),
         ]
         .into_iter()
         .find_map(|(differs, key)| differs.then_some(key))

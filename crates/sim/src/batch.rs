@@ -190,12 +190,16 @@ impl Batch {
     /// Restores a snapshot in every simulation: the same in all, or a separate one in each.
     ///
     /// # Errors
-    /// As [`Sim::restore`]; also if there is not one snapshot for each.
+    /// As [`Sim::restore`], if any of them refuses its snapshot; then none has changed. Also if there is not
+    /// one snapshot for each.
     pub fn restore(&self, snapshots: Vec<Snapshot>) -> Result<(), SimError> {
         let (given, expected) = (snapshots.len(), self.count);
         if given != 1 && given != expected {
             return Err(SimError::Count { what: "snapshots", given, expected });
         }
+        let snapshots = Arc::new(snapshots);
+        let offered = Arc::clone(&snapshots);
+        self.each(move |index, sim| sim.refuse_unfit(&offered[index.min(given - 1)]))?;
         self.each(move |index, sim| sim.restore(&snapshots[index.min(given - 1)])).map(|_| ())
     }
 

@@ -86,7 +86,7 @@ pub enum SimError {
          with the same"
     )]
     OtherScene,
-    /// A snapshot of a scene whose `[truth]` differs in what the state is stored by.
+    /// A snapshot of a scene whose `[truth]` differs in a key that determines what the state means.
     #[error("the state of the snapshot does not fit this scene: `{key}` differs; use the same value in both")]
     OtherTruth {
         /// The key.
@@ -110,6 +110,12 @@ pub enum SimError {
         /// The simulation's tick.
         tick: Tick,
     },
+    /// A log begins at the scene's own start, which this state is not.
+    #[error(
+        "no run of this scene begins in this state, taken from another `[truth]` or a state vector; reset \
+         the simulation before recording"
+    )]
+    RecordingElsewhere,
     /// The scene has no X-ray.
     #[error("the scene has no X-ray: an image needs `[drr]` and `[volume]`")]
     NoXRay,

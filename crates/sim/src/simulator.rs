@@ -432,27 +432,17 @@ impl Sim {
     ///
     /// The scene of the snapshot may differ in `[truth]`, as that of a model that follows a plant: the state,
     /// the drilled bone, motions in progress and the controllers are then the snapshot's, and the parameters
-    /// remain those of this scene. The hash is one that no run has.
+    /// remain those of this scene. The hash then matches no run.
     ///
     /// # Errors
     /// If the snapshot belongs to another scene or to a simulation with other driven controllers, its
-    /// `[truth]` differs in what the state is stored by, or this simulation is being recorded.
+    /// `[truth]` differs in a key that determines what the state means, or this simulation is being recorded.
     pub fn restore(&mut self, snapshot: &Snapshot) -> Result<(), SimError> {
+        self.refuse_unfit(snapshot)?;
         let saved = &*snapshot.0;
-        let drives = |drivers: &[Driver]| -> Vec<bool> {
-            drivers.iter().map(|driver| driver.built_in.is_some()).collect()
-        };
-        let is_same = self.shared.is_same(&saved.shared);
-        if drives(&self.drivers) != drives(&saved.drivers) {
-            return Err(SimError::OtherScene);
-        }
-        if !is_same {
-            self.shared.refuse_other_state(&saved.shared)?;
-        }
-        self.lane.refuse_a_jump()?;
         let tick = Tick(saved.simulation.state().tick);
         let plant = self.run.plant_mut();
-        let restored = match is_same {
+        let restored = match self.shared.is_same(&saved.shared) {
             true => plant.restore(&saved.simulation),
             false => plant.restore_of_other_truth(&saved.simulation),
         };
@@ -469,6 +459,21 @@ impl Sim {
             x_ray.forget();
         }
         Ok(())
+    }
+
+    /// Refuses a snapshot that [`Sim::restore`] cannot take.
+    pub(crate) fn refuse_unfit(&self, snapshot: &Snapshot) -> Result<(), SimError> {
+        let saved = &*snapshot.0;
+        let drives = |drivers: &[Driver]| -> Vec<bool> {
+            drivers.iter().map(|driver| driver.built_in.is_some()).collect()
+        };
+        if drives(&self.drivers) != drives(&saved.drivers) {
+            return Err(SimError::OtherScene);
+        }
+        if !self.shared.is_same(&saved.shared) {
+            self.shared.refuse_other_state(&saved.shared)?;
+        }
+        self.lane.refuse_a_jump()
     }
 
     /// Resets to tick 0 or, for a simulation from a log, to the tick at which it was created.
@@ -491,13 +496,16 @@ impl Sim {
     /// the log. The file gets its name when the recording is closed.
     ///
     /// # Errors
-    /// If the simulation is not at tick 0, a recording is open, or the folder contains a `run.mcap` or cannot
-    /// be written.
+    /// If the simulation is not in the state in which runs of the scene start, a recording is open, or the
+    /// folder contains a `run.mcap` or cannot be written.
     pub fn record(&mut self, folder: &Path) -> Result<(), SimError> {
         self.lane.refuse_a_jump()?;
         let tick = Tick(self.state().tick);
         if tick != Tick::START {
             return Err(SimError::RecordingLate { tick });
+        }
+        if self.state().hash != [0; 2] {
+            return Err(SimError::RecordingElsewhere);
         }
         let recording = Recording::create(folder, &self.shared)?;
         self.lane = Lane::recorded(recording, self.shared.scene().keyframe_period_ticks());

@@ -192,6 +192,13 @@ fn a_model_takes_over_the_drilled_bone_and_refuses_what_does_not_fit() {
     assert_ne!(push(&mut plant, 800), model.state().hash);
     model.reset().unwrap();
     assert_eq!((model.state().tick, model.state().hash), (0, [0; 2]));
+    plant.reset().unwrap();
+    model.restore(&plant.snapshot()).unwrap();
+    let late = model.record(&place.path("no run begins so"));
+    assert!(matches!(late, Err(SimError::RecordingElsewhere)), "{late:?}");
+    let given = ["manipulator.model=\"modal\"", "truth.manipulator.stiffness_scale=1.0"];
+    let modal = simulation_with(&place, &given[..1]);
+    simulation_with(&place, &given).restore(&modal.snapshot()).unwrap();
     for (model, setting, key) in [
         ("planar", "truth.registration_error_mm=[0.5,0,0]", "truth.registration_error_mm"),
         ("planar", "truth.manipulator.burr_stall_torque_nmm=20", "truth.manipulator.burr_stall_torque_nmm"),
@@ -244,6 +251,14 @@ fn no_number_of_threads_changes_a_bit() {
         batch.restore(vec![one]).unwrap();
         assert!(batch.states().unwrap().iter().all(|state| state.hash == hashes[3]));
     }
+    // One of several refuses its snapshot: the others keep their state.
+    let moved = ["truth.registration_error_mm=[0.0,0.0,1.0]".to_owned()];
+    let moved = SharedScene::load(Some(&place.path("scene.toml")), &moved, None).unwrap();
+    let mixed = Batch::new(&[Arc::clone(&shared), moved], &Drive::Everything, 2).unwrap();
+    let start = mixed.with(0, |sim| Ok(sim.snapshot())).unwrap();
+    mixed.step(None, 10).unwrap();
+    assert!(matches!(mixed.restore(vec![start]), Err(SimError::OtherTruth { .. })));
+    assert!(mixed.states().unwrap().iter().all(|state| state.tick == 10));
 }
 
 #[test]

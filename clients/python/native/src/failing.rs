@@ -36,7 +36,9 @@ fn kind(error: &SimError) -> Kind {
         SimError::NoXRay | SimError::Log(_) | SimError::Output(_) | SimError::SceneText(_) => {
             Kind::Status("ERROR_ABSENT")
         }
-        SimError::Recording { .. } | SimError::RecordingLate { .. } => Kind::Status("ERROR_BUSY"),
+        SimError::Recording { .. } | SimError::RecordingLate { .. } | SimError::RecordingElsewhere => {
+            Kind::Status("ERROR_BUSY")
+        }
         SimError::Forked => Kind::Status("ERROR_FORKED"),
         SimError::Physics { .. } | SimError::Differs { .. } | SimError::Gone | SimError::GivenUp { .. } => {
             Kind::Status("ERROR_DEFECT")
