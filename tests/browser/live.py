@@ -6,7 +6,6 @@ import time
 from pathlib import Path
 
 import slices
-import structures
 from page import BURR_PIXELS, Page, count, is_burr, is_link
 from playwright.sync_api import Browser
 
@@ -89,15 +88,6 @@ def pauses_and_steps(page: Page) -> None:
     page.until("one tick", lambda: page.number("tick") == stood + 1)
     page.page.click("#pause")
     page.until("it goes on", lambda: page.text("phase") == "Running" and page.number("tick") > stood + 1)
-
-
-def shows_structures(page: Page) -> None:
-    """While the run is paused, because its states change the picture."""
-    page.page.click("#pause")
-    page.until("pause", lambda: page.text("phase") == "Paused")
-    structures.shows_structures(page)
-    page.page.click("#pause")
-    page.until("it goes on", lambda: page.text("phase") == "Running")
 
 
 def drives(page: Page) -> None:
@@ -312,7 +302,7 @@ def check_end(browser: Browser, url: str, pictures: Path) -> None:
 def check(browser: Browser, url: str, victim: int, pictures: Path) -> None:
     """Runs all checks on one page, in sequence."""
     page = Page(browser, url, before=FIRST_BONE)
-    for one in (connects, shows_the_tool, shows_bone, frames_update, holds_the_frame_that_was_asked_for, pauses_and_steps, shows_structures, drives,
+    for one in (connects, shows_the_tool, shows_bone, frames_update, holds_the_frame_that_was_asked_for, pauses_and_steps, drives,
                 drives_by_gamepad, holds_a_speed, costs_little, *slices.LIVE):
         _run(one, page)
     page.save(pictures / "live.png")
