@@ -22,9 +22,8 @@ pub(super) fn check(scene: &Scene, checker: &Checker) -> Result<(), SceneError> 
                 format!("`{}` is a reserved name; reserved are {RESERVED_NAMES:?}", controller.name);
             return Err(checker.invalid("controller.name", problem));
         }
-        if scene.controller[..index].iter().any(|other| other.name == controller.name) {
-            return Err(checker.invalid("controller.name", format!("has a duplicate: `{}`", controller.name)));
-        }
+        let earlier = scene.controller[..index].iter().map(|it| &it.name);
+        checker.distinct("controller.name", &controller.name, earlier)?;
         for part in &controller.drives {
             // Every body is a part of its own.
             let body = controller.body.as_deref().filter(|_| *part == Drives::Body);

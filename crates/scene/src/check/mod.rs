@@ -8,6 +8,8 @@ mod tool;
 
 use std::path::Path;
 
+use markups::vector::{cross, length, minus};
+
 use crate::declaration::{Range, SCENE};
 use crate::error::SceneError;
 use crate::model::{
@@ -56,6 +58,19 @@ impl Checker<'_> {
 
     pub(crate) fn invalid(&self, key: &str, problem: impl Into<String>) -> SceneError {
         SceneError::Invalid { file: self.file.to_owned(), key: key.to_owned(), problem: problem.into() }
+    }
+
+    /// Refuses a name that an earlier table has.
+    fn distinct<'n>(
+        &self,
+        key: &str,
+        name: &str,
+        mut earlier: impl Iterator<Item = &'n String>,
+    ) -> Result<(), SceneError> {
+        match earlier.any(|other| other == name) {
+            true => Err(self.invalid(key, format!("has a duplicate: `{name}`"))),
+            false => Ok(()),
+        }
     }
 }
 
@@ -163,9 +178,7 @@ fn check_choices(volume: &Volume, checker: &Checker) -> Result<(), SceneError> {
 
 fn check_bodies(scene: &Scene, checker: &Checker) -> Result<(), SceneError> {
     for (index, body) in scene.body.iter().enumerate() {
-        if scene.body[..index].iter().any(|other| other.name == body.name) {
-            return Err(checker.invalid("body.name", format!("has a duplicate: `{}`", body.name)));
-        }
+        checker.distinct("body.name", &body.name, scene.body[..index].iter().map(|it| &it.name))?;
         check_shape(body, checker)?;
     }
     Ok(())
@@ -174,9 +187,7 @@ fn check_bodies(scene: &Scene, checker: &Checker) -> Result<(), SceneError> {
 fn check_structures(scene: &Scene, checker: &Checker) -> Result<(), SceneError> {
     for (index, structure) in scene.structure.iter().enumerate() {
         let Structure { name, ball, cuboid, tube, label, mesh, built_in, thickness_mm, .. } = structure;
-        if scene.structure[..index].iter().any(|other| other.name == *name) {
-            return Err(checker.invalid("structure.name", format!("has a duplicate: `{name}`")));
-        }
+        checker.distinct("structure.name", name, scene.structure[..index].iter().map(|it| &it.name))?;
         let shapes = [
             ball.is_some(),
             cuboid.is_some(),
@@ -227,13 +238,11 @@ fn check_shape(body: &Body, checker: &Checker) -> Result<(), SceneError> {
 }
 
 fn check_tool(tool: &Tool, checker: &Checker) -> Result<(), SceneError> {
-    let length = |v: &[f64; 3]| v.iter().map(|x| x * x).sum::<f64>().sqrt();
-    for (key, vector) in [("tool.direction", &tool.direction), ("tool.bend_toward", &tool.bend_toward)] {
+    for (key, vector) in [("tool.direction", tool.direction), ("tool.bend_toward", tool.bend_toward)] {
         checker.range(key, length(vector), Range { lowest: 1e-6, highest: 1e6, or_zero: false })?;
     }
-    let [a, b] = [&tool.direction, &tool.bend_toward];
-    let cross = [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
-    if length(&cross) < 1e-3 * length(a) * length(b) {
+    let [a, b] = [tool.direction, tool.bend_toward];
+    if length(cross(a, b)) < 1e-3 * length(a) * length(b) {
         return Err(checker
             .invalid("tool.bend_toward", "is parallel to `tool.direction`; expected another direction"));
     }
@@ -271,9 +280,7 @@ fn check_drr(drr: &Drr, checker: &Checker) -> Result<(), SceneError> {
         }
     }
     for (index, object) in drr.object.iter().enumerate() {
-        if drr.object[..index].iter().any(|other| other.name == object.name) {
-            return Err(checker.invalid("drr.object.name", format!("has a duplicate: `{}`", object.name)));
-        }
+        checker.distinct("drr.object.name", &object.name, drr.object[..index].iter().map(|it| &it.name))?;
         check_object(object, checker)?;
     }
     let mut markers: Vec<String> = drr.object.iter().flat_map(DrrObject::marker_names).collect();
@@ -301,8 +308,7 @@ fn check_object(object: &DrrObject, checker: &Checker) -> Result<(), SceneError>
         return Err(checker.invalid(&format!("{key}.balls.centres_mm"), problem));
     }
     if let Some(ObjectCylinder { start_mm, end_mm, radius_mm, inner_radius_mm }) = cylinder {
-        let along_mm: [f64; 3] = core::array::from_fn(|axis| end_mm[axis] - start_mm[axis]);
-        let length_mm = along_mm.iter().map(|mm| mm * mm).sum::<f64>().sqrt();
+        let length_mm = length(minus(*end_mm, *start_mm));
         if length_mm < LEAST_LENGTH_MM {
             let problem = format!("is {length_mm} mm long; expected at least {LEAST_LENGTH_MM}");
             return Err(checker.invalid(&format!("{key}.cylinder"), problem));

@@ -8,9 +8,7 @@ use crate::{MAX_READINGS_UNDERWAY, Tracker};
 
 pub(super) fn check(scene: &Scene, checker: &Checker) -> Result<(), SceneError> {
     for (index, sensor) in scene.sensor.iter().enumerate() {
-        if scene.sensor[..index].iter().any(|other| other.name == sensor.name) {
-            return Err(checker.invalid("sensor.name", format!("has a duplicate: `{}`", sensor.name)));
-        }
+        checker.distinct("sensor.name", &sensor.name, scene.sensor[..index].iter().map(|it| &it.name))?;
         check_kind(sensor, checker)?;
         checker.at_most("sensor.rate_hz", sensor.rate_hz, 1.0 / scene.dt_s())?;
         check_underway(sensor, checker)?;

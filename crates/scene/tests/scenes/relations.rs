@@ -293,7 +293,8 @@ fn objects_of_the_x_ray_have_one_sound_shape_and_a_name_of_their_own() {
         let refused = parsed(&format!("{DRR}{objects}")).unwrap_err();
         assert!(refused.contains(problem), "{refused}");
     }
-    let body = "[[body]]\nname = \"b\"\nmotion = \"fixed\"\nposition_mm = [0, 0, 0]\nball = { radius_mm = 1 }\n\
+    let body = "[[body]]\nname = \"b\"\nmotion = \"fixed\"\nposition_mm = [0, 0, 0]\n\
+                ball = { radius_mm = 1 }\n\
                 material = \"lead\"\n";
     let vain =
         |text: &str| -> Vec<_> { keys_without_effect(&parsed(text).unwrap()).map(|(key, _)| key).collect() };
