@@ -28,7 +28,7 @@ use nalgebra::Vector3;
 
 pub use field::DistanceField;
 pub use regions::{Regions, Removal};
-pub use shape::{Shape, StructureError};
+pub use shape::{Shape, StructureError, label_grid};
 pub use solid::Solid;
 
 /// A structure with the distance from it that a tool should keep.

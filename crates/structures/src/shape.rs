@@ -94,7 +94,7 @@ impl Shape {
         if let Some(label) = &structure.label {
             let voxels = label.voxels.as_ref().ok_or_else(|| StructureError::Unread(name()))?;
             let is_inside = voxels.is_inside().map_err(malformed)?;
-            let field = grid(scene, voxels)
+            let field = label_grid(scene, voxels)
                 .and_then(|grid| DistanceField::around(&grid, &is_inside, voxels.grown_by()))
                 .map_err(|cause| StructureError::Grid { name: name(), cause })?;
             return Ok(Shape::Field { field, more_m: 0.0 });
@@ -137,7 +137,10 @@ impl Shape {
 }
 
 /// Returns the grid of a label's voxels where the bone is.
-fn grid(scene: &Scene, voxels: &StructureVoxels) -> Result<VoxelGrid, GridError> {
+///
+/// # Errors
+/// The grid is not one.
+pub fn label_grid(scene: &Scene, voxels: &StructureVoxels) -> Result<VoxelGrid, GridError> {
     let origin_m = scene.in_bone_mm(voxels.origin_mm).map(|x| x * 1e-3);
     let axes = voxels.axes.map(|axis| scene.turned_with_bone(axis));
     VoxelGrid::new(voxels.dims, voxels.spacing_mm.map(|x| x * 1e-3), origin_m, axes)

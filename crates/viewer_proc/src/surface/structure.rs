@@ -4,9 +4,8 @@ use std::collections::HashMap;
 
 use ipc_types::scene::{Scene, Structure, StructureMesh, StructureVoxels};
 use nalgebra::{Isometry3, Point3, Vector3};
-use structures::{Shape, StructureError};
+use structures::{Shape, StructureError, label_grid};
 use thiserror::Error;
-use voxel_grid::VoxelGrid;
 
 use super::tube::tube;
 use super::{Blocks, Field, Triangle};
@@ -85,10 +84,8 @@ fn mesh_surface(scene: &Scene, name: &str, mesh: &StructureMesh) -> Result<Vec<T
 
 fn label_surface(scene: &Scene, name: &str, voxels: &StructureVoxels) -> Result<Vec<Triangle>, SurfaceError> {
     let is_inside = voxels.is_inside().map_err(|problem| malformed(name, problem))?;
-    let origin_m = scene.in_bone_mm(voxels.origin_mm).map(|x| x * 1e-3);
-    let axes = voxels.axes.map(|axis| scene.turned_with_bone(axis));
-    let grid = VoxelGrid::new(voxels.dims, voxels.spacing_mm.map(|x| x * 1e-3), origin_m, axes)
-        .map_err(|cause| StructureError::Grid { name: name.to_owned(), cause })?;
+    let grid =
+        label_grid(scene, voxels).map_err(|cause| StructureError::Grid { name: name.to_owned(), cause })?;
     let hu: Vec<i16> = is_inside.iter().map(|inside| if *inside { HALF_HU } else { -HALF_HU }).collect();
     let (field, mut blocks) = (Field::new(grid, 0), Blocks::new(&grid));
     let mut triangles = Vec::new();
