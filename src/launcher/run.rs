@@ -125,7 +125,7 @@ pub struct RunResult {
     pub processor: Vec<(String, Duration)>,
     /// Distance between the volume's voxels along i, j, k; `None` without a volume.
     pub volume_spacing_m: Option<[f64; 3]>,
-    /// The bone before the run; `None` without a volume.
+    /// The bone before the run; `None` without a volume or a report.
     pub anatomy: Option<Anatomy>,
     /// The viewer, if it is now showing the run's log; it ends with the page.
     pub viewer: Option<PartProcess>,
@@ -235,8 +235,9 @@ pub fn run_with(
     let volume_spacing_m = ct.as_ref().map(|ct| ct.volume.grid.spacing_m());
     let subscriptions = Subscriptions::open(&hub.host.session)?;
     let parts = start_parts(plan, &hub)?;
-    // While the parts start.
-    let anatomy = Anatomy::of(&plan.scene, ct.as_ref().map(|ct| &ct.volume));
+    // For the report, while the parts start.
+    let reported = ct.as_ref().filter(|_| plan.output.is_some());
+    let anatomy = Anatomy::of(&plan.scene, reported.map(|ct| &ct.volume));
     // Keep only the copy in shared memory.
     drop(ct);
     let replacements = Replacements::new(&hub.host.session)?;
