@@ -224,8 +224,10 @@ mod tests {
         let place = Place::with(&files);
         let load = |name: &str| {
             place.load(&format!(
-                "ball = {{ centre_mm = [0.0, 0.0, 0.0], radius_mm = 1.0 }}\n[volume]\nphantom = \"block\"\n[drr]\n\
-                 rate_hz = 0.0\nisocentre_mm = [0.0, 0.0, 0.0]\ncolumns = 16\nrows = 16\npixel_pitch_mm = 1.0\n\
+                "ball = {{ centre_mm = [0.0, 0.0, 0.0], radius_mm = 1.0 }}\n[volume]\n\
+                 phantom = \"block\"\n[drr]\n\
+                 rate_hz = 0.0\nisocentre_mm = [0.0, 0.0, 0.0]\ncolumns = 16\nrows = 16\n\
+                 pixel_pitch_mm = 1.0\n\
                  [[drr.object]]\nname = \"screw\"\nmaterial = \"titanium\"\nmesh = {{ file = \"{name}\" }}"
             ))
         };

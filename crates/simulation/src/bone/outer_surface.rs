@@ -160,11 +160,20 @@ mod tests {
         (geometry, hu, voxels)
     }
 
-    /// The area of the exit of a hole along `along` through bone, mm2. The tool comes from -25 mm.
-    fn exit_mm2(spacing_mm: [f64; 3], is_bone: &dyn Fn(Vector3<f64>) -> bool, along: Vector3<f64>) -> f64 {
+    /// The surface of bone with a hole along `along`, and the voxels of the hole. The tool comes from -25 mm.
+    fn hole(
+        spacing_mm: [f64; 3],
+        is_bone: &dyn Fn(Vector3<f64>) -> bool,
+        along: Vector3<f64>,
+    ) -> (OuterSurface, Vec<u32>) {
         let (geometry, hu, voxels) = drilled(spacing_mm, is_bone, along);
         let entry = Entry { at_m: -25e-3 * along, along, radius_m: RADIUS_MM * 1e-3 + 1.5e-3 };
-        let surface = OuterSurface::new(Outside::new(geometry, &hu, 150), entry);
+        (OuterSurface::new(Outside::new(geometry, &hu, 150), entry), voxels)
+    }
+
+    /// The area of the exit of such a hole, mm2.
+    fn exit_mm2(spacing_mm: [f64; 3], is_bone: &dyn Fn(Vector3<f64>) -> bool, along: Vector3<f64>) -> f64 {
+        let (surface, voxels) = hole(spacing_mm, is_bone, along);
         1e6 * surface.removed_m2(&voxels)
     }
 
@@ -192,13 +201,7 @@ mod tests {
     fn only_the_entry_itself_is_left_out() {
         let block = |at: Vector3<f64>| at.z.abs() < 20.0 && at.x > -1.0;
         let thick = |at: Vector3<f64>| at.z > -10.0;
-        let (geometry, hu, voxels) = drilled([0.6; 3], &thick, Vector3::z());
-        let entry = Entry {
-            at_m: Vector3::new(0.0, 0.0, -25e-3),
-            along: Vector3::z(),
-            radius_m: RADIUS_MM * 1e-3 + 1.5e-3,
-        };
-        let surface = OuterSurface::new(Outside::new(geometry, &hu, 150), entry);
+        let (surface, voxels) = hole([0.6; 3], &thick, Vector3::z());
         let last_slice = |index: &&u32| **index as usize >= (N - 1) * N * N;
         let blind: Vec<u32> = voxels.iter().copied().filter(|index| !last_slice(&index)).collect();
         assert_eq!(surface.removed_m2(&blind), 0.0);

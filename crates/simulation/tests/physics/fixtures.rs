@@ -1,6 +1,7 @@
 //! Fixtures while the tool drills: whatever a controller commands, and however late its commands are.
 #![allow(clippy::unwrap_used, missing_docs)]
 
+use crate::common::arm::Uniform;
 use crate::common::feed;
 use messages::{ArmMode, BurrMode, Command, CommandSource, Latched, LatchedCommand, SensorKind, TendonMode};
 use nalgebra::Vector3;
@@ -13,29 +14,13 @@ const HOLD_TICKS: u64 = 50;
 const VOXEL_M: f64 = 0.6e-3;
 const DIMS: [usize; 3] = [50, 50, 60];
 
-/// Numbers of the generator of Steele, Lea and Flood 2014 (SplitMix64), 0 to 1.
-struct Random(u64);
-
-impl Random {
-    fn share(&mut self) -> f64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut x = self.0;
-        x = (x ^ (x >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        x = (x ^ (x >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        ((x ^ (x >> 31)) >> 11) as f64 * 2.0_f64.powi(-53)
-    }
-
-    fn between(&mut self, low: f64, high: f64) -> f64 {
-        low + (high - low) * self.share()
-    }
-}
-
 /// A ball ahead of the burr and a vessel on the side to which the tool bends, both in the bone.
 fn scene(model: &str, action: &str) -> Scene {
     let mut scene = feed::scene(model);
     let text = format!(
         "name = \"near\"\n[run]\nmode = \"lockstep\"\nduration_s = 1.0\n[volume]\nphantom = \"block\"\n\
-         [tool]\nburr_start_mm = [0.0, 0.0, -4.0]\ndirection = [0.0, 0.0, 1.0]\nbend_toward = [1.0, 0.0, 0.0]\n\
+         [tool]\nburr_start_mm = [0.0, 0.0, -4.0]\ndirection = [0.0, 0.0, 1.0]\n\
+         bend_toward = [1.0, 0.0, 0.0]\n\
          [[structure]]\nname = \"ball\"\nmargin_mm = 2.0\non_margin = \"{action}\"\n\
          ball = {{ centre_mm = [0.0, 0.0, 19.0], radius_mm = 4.0 }}\n\
          [[structure]]\nname = \"vessel\"\nmargin_mm = 1.0\non_margin = \"{action}\"\n\
@@ -48,7 +33,7 @@ fn scene(model: &str, action: &str) -> Scene {
 }
 
 /// Pushes toward the structures: forward at up to 8 mm/s, aslant, with tensions of up to `most_n`.
-fn adversary(random: &mut Random, most_n: f64) -> Command {
+fn adversary(random: &mut Uniform, most_n: f64) -> Command {
     let axis = Vector3::new(random.between(-0.03, 0.06), random.between(-0.03, 0.03), 1.0);
     let mut command = Command {
         arm_mode: ArmMode::Insert.code(),
@@ -79,11 +64,11 @@ fn deepest_m(model: &str, action: &str, (seed, most_n): (u64, f64), is_late: boo
     let hu = vec![600_i16; geometry.voxel_count()];
     let scene = scene(model, action);
     let mut simulation = Simulation::new(&scene, Some(CtView { geometry, hu: &hu })).unwrap();
-    let mut random = Random(seed);
+    let mut random = Uniform(seed);
     let (mut wanted, mut given, mut age, mut late) = (adversary(&mut random, most_n), safe(), 0, 0.0);
     let mut deepest_m = f64::NEG_INFINITY;
     for tick in 0..6000 {
-        if random.share() < 0.003 {
+        if random.between(0.0, 1.0) < 0.003 {
             wanted = adversary(&mut random, most_n);
         }
         age += 1;

@@ -22,7 +22,8 @@ const IDENTITY: Pose = Pose { position_m: [0.0; 3], orientation_xyzw: [0.0, 0.0,
 /// A scene with these tables after `[drr]`.
 fn scene(more: &str) -> Scene {
     let text = format!(
-        "name = \"a\"\nrun = {{ mode = \"lockstep\", duration_s = 1.0 }}\nvolume = {{ phantom = \"block\" }}\n\
+        "name = \"a\"\nrun = {{ mode = \"lockstep\", duration_s = 1.0 }}\n\
+         volume = {{ phantom = \"block\" }}\n\
          tool = {{ burr_start_mm = [10.0, 20.0, 30.0], direction = [0.0, 0.0, 1.0], bend_toward = [1.0, 0.0, \
          0.0] }}\n[drr]\nrate_hz = 0.0\nisocentre_mm = [0.0, 0.0, 0.0]\nprimary_angle_deg = 20.0\n\
          secondary_angle_deg = 10.0\ncolumns = 96\nrows = 80\npixel_pitch_mm = 1.2\n{more}"
@@ -267,9 +268,11 @@ fn a_bead_in_water_hardens_the_beam_as_the_integral_over_energies_says() {
 fn markers_are_where_the_camera_matrix_puts_their_centres() {
     let scene = scene(
         "[[drr.object]]\nname = \"bead\"\nmaterial = \"tantalum\"\nattached = \"anatomy\"\n\
-         position_mm = [1.0, 0.0, 0.0]\nballs = { radius_mm = 2.5, centres_mm = [[0.0, 0.0, 0.0], [15.0, -12.0, \
+         position_mm = [1.0, 0.0, 0.0]\n\
+         balls = { radius_mm = 2.5, centres_mm = [[0.0, 0.0, 0.0], [15.0, -12.0, \
          8.0], [-20.0, 30.0, -14.0], [500.0, 0.0, 0.0]] }\n\
-         [[drr.object]]\nname = \"wire\"\nmaterial = \"steel\"\ncylinder = { start_mm = [-20.0, 0.0, 20.0], end_mm = \
+         [[drr.object]]\nname = \"wire\"\nmaterial = \"steel\"\n\
+         cylinder = { start_mm = [-20.0, 0.0, 20.0], end_mm = \
          [20.0, 0.0, 25.0], radius_mm = 0.8 }\n\
          [truth]\nregistration_error_mm = [0.5, -0.25, 0.125]\nregistration_error_deg = [0.0, 0.0, 90.0]\n",
     );

@@ -272,7 +272,8 @@ fn a_grid_passes_its_share_of_primary_and_scatter() {
         (worst, largest) = (worst.max((found - expected).abs()), largest.max(1.0 - p / without));
     }
     println!(
-        "scatter fraction up to {largest:.2} without the grid; behind it within {worst:.1e} of the closed form"
+        "scatter fraction up to {largest:.2} without the grid; behind it within \
+         {worst:.1e} of the closed form"
     );
     assert!(largest > 0.3 && worst < 1e-6, "{largest} {worst:e}");
     let air = vec![-1000; grid.voxels()];
